@@ -1,0 +1,1 @@
+"""Gymnasium environments and a payload benchmark for cable-suspended robots."""

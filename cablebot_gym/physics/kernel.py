@@ -1,0 +1,627 @@
+"""The compiled plant: fixed-step RK4 of many robots at once. Same equations as :mod:`textbook`, in the platform frame.
+
+Newton and Euler in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns:
+
+    q_i  = ‖s_i‖,  s_i = Rᵀ(p − A_i) + b_i,  u_i = s_i/q_i,  n_i = b_i × u_i,  row_i = (u_i, n_i)
+    q̇_i = u_i·w_i,  w_i = Rᵀṗ + ω × b_i,  q̈_i = row_i·y + bias_i,  bias_i = u_i·(ω×(ω×b_i)) + (w_i·w_i − q̇_i²)/q_i
+    t_i  = κ_i/r_i + (J_i/r_i²) q̈_i + (c_i/r_i²) q̇_i,   T_i = max(0, t_i)  (unilateral)   or   T_i = t_i  (bilateral)
+    (m I₃, I) y = (m g Rᵀe_z, −ω × Iω) − Σ row_i T_i
+
+The Euler accelerations are recovered last. A cable is slack when t_i ≤ 0; the set of taut cables is unique (the
+problem is strictly convex), so the result does not depend on where the search for it starts.
+
+Memory: robots stand in tiles of ``lanes`` lanes; each tile is a flat array of rows, ``array[row * lanes + lane]``, so
+that the innermost loops run over lanes and vectorise. All helpers stay in this file: numba's cache does not see a
+change in another one. ``forceinline`` and ``error_model="numpy"`` are what lets the lane loops vectorise.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+LANES = 32
+"""Robots per tile in a batch: a tile's rows then stay in a core's first-level cache."""
+
+_inline = njit(forceinline=True, fastmath={"contract"}, error_model="numpy")
+_compile = njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+
+# Rows of the parameters: platform, then CABLE_PARAMETERS rows for each cable.
+MASS, INERTIA, GRAVITY, FIRST_CABLE_PARAMETER = 0, 1, 4, 5
+BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
+CABLE_PARAMETERS = 11
+
+# Rows of the record, which lasts from call to call: state, command, and what the period just passed looked like.
+POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
+DEMAND, TORQUE, TENSION, SPEED, SLACK = 0, 1, 2, 3, 4
+CABLE_RECORDS = 5
+
+# Rows of the scratch, which nobody reads between calls.
+_START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
+_ROTATION, _BODY_VELOCITY, _OMEGA, _SPIN, _GYRO, _TRIG = 42, 51, 54, 57, 60, 63
+_Y, _WRONG, _FIRST_CABLE = 67, 73, 74
+_ROW, _LENGTH_RATE, _BIAS, _REQUEST, _DRIVE, _TAUT, _FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
+_CABLE_ROWS = 12
+
+
+def parameter_rows(cables: int) -> int:
+    """Rows of one tile of parameters."""
+    return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables
+
+
+def record_rows(cables: int) -> int:
+    """Rows of one tile of the record."""
+    return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
+
+
+def scratch_rows(cables: int) -> int:
+    """Rows of the scratch."""
+    return _FIRST_CABLE + _CABLE_ROWS * cables
+
+
+# ---------------------------------------------------------------------------------------------- small helpers
+
+
+@_inline
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@_inline
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@_inline
+def _load(array, row, at, lanes):
+    """Three rows from ``row`` on, of the lane at ``at``."""
+    return array[row * lanes + at], array[(row + 1) * lanes + at], array[(row + 2) * lanes + at]
+
+
+@_inline
+def _store(array, row, at, lanes, value):
+    array[row * lanes + at] = value[0]
+    array[(row + 1) * lanes + at] = value[1]
+    array[(row + 2) * lanes + at] = value[2]
+
+
+@_inline
+def _sincos(angle):
+    """Sine and cosine that vectorise: Cody–Waite reduction to ±π/4, then the minimax polynomials of fdlibm."""
+    turns = np.floor(angle * 0.6366197723675814 + 0.5)
+    x = angle - turns * 1.5707963267341256
+    x = x - turns * 6.077100506506192e-11
+    z = x * x
+    tail = -1.98412698298579493134e-04 + z * (
+        2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+    )
+    sine = x + x * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * tail))
+    tail = 2.48015872894767294178e-05 + z * (
+        -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
+    )
+    cosine = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * tail))
+    quadrant = turns - 4.0 * np.floor(turns * 0.25)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    s = cosine if odd else sine
+    c = sine if odd else cosine
+    s = -s if quadrant >= 2.0 else s
+    c = -c if (quadrant == 1.0) | (quadrant == 2.0) else c
+    return s, c
+
+
+# ---------------------------------------------------------------------------------- spatial robot: one lane at a time
+
+
+@_inline
+def _spatial_platform(p, w, at, lanes):
+    """Rotation, platform-frame velocity and the terms that belong to no cable, from the stage's state."""
+    sx, cx = _sincos(w[(_STAGE + 3) * lanes + at])
+    sy, cy = _sincos(w[(_STAGE + 4) * lanes + at])
+    sz, cz = _sincos(w[(_STAGE + 5) * lanes + at])
+    velocity = _load(w, _STAGE + 6, at, lanes)
+    roll, pitch, yaw = _load(w, _STAGE + 9, at, lanes)
+    first = (cz * cy, sz * cy, -sy)  # the columns of R
+    second = (cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx)
+    third = (cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx)
+    omega = (roll - sy * yaw, cx * pitch + sx * cy * yaw, cx * cy * yaw - sx * pitch)
+    # Ṗ Θ̇, what ω̇ has beyond P Θ̈.
+    spin = (
+        -cy * pitch * yaw,
+        -sx * roll * pitch + (cx * cy * roll - sx * sy * pitch) * yaw,
+        -cx * roll * pitch - (sx * cy * roll + cx * sy * pitch) * yaw,
+    )
+    inertia = _load(p, INERTIA, at, lanes)
+    gyro = _cross((inertia[0] * omega[0], inertia[1] * omega[1], inertia[2] * omega[2]), omega)
+    _store(w, _ROTATION, at, lanes, first)
+    _store(w, _ROTATION + 3, at, lanes, second)
+    _store(w, _ROTATION + 6, at, lanes, third)
+    _store(w, _BODY_VELOCITY, at, lanes, (_dot(first, velocity), _dot(second, velocity), _dot(third, velocity)))
+    _store(w, _OMEGA, at, lanes, omega)
+    _store(w, _SPIN, at, lanes, spin)
+    _store(w, _GYRO, at, lanes, gyro)
+    _store(w, _TRIG, at, lanes, (sx, cx, sy))
+    w[(_TRIG + 3) * lanes + at] = cy
+
+
+@_inline
+def _spatial_cable(p, w, at, lanes, i):
+    """Direction, moment arm, length rate and bias of cable i."""
+    anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
+    b = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PLATFORM, at, lanes)
+    position = _load(w, _STAGE, at, lanes)
+    omega = _load(w, _OMEGA, at, lanes)
+    velocity = _load(w, _BODY_VELOCITY, at, lanes)
+    d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
+    s = (
+        _dot(_load(w, _ROTATION, at, lanes), d) + b[0],
+        _dot(_load(w, _ROTATION + 3, at, lanes), d) + b[1],
+        _dot(_load(w, _ROTATION + 6, at, lanes), d) + b[2],
+    )
+    per_length = 1.0 / math.sqrt(_dot(s, s))
+    u = (s[0] * per_length, s[1] * per_length, s[2] * per_length)
+    turning = _cross(omega, b)
+    point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
+    rate = _dot(u, point)
+    bias = _dot(u, _cross(omega, turning)) + (_dot(point, point) - rate * rate) * per_length
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    _store(w, row + _ROW, at, lanes, u)
+    _store(w, row + _ROW + 3, at, lanes, _cross(b, u))
+    w[(row + _LENGTH_RATE) * lanes + at] = rate
+    w[(row + _BIAS) * lanes + at] = bias
+
+
+@_inline
+def _weights(p, w, at, lanes, i):
+    """(J/r²) and the tension without q̈'s unknown part, both zero for a slack cable."""
+    taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
+    mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    return taut * mu, taut * _known_tension(p, w, at, lanes, i)
+
+
+@_inline
+def _known_tension(p, w, at, lanes, i):
+    """κ/r + (J/r²)·bias + (c/r²) q̇ of cable i."""
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+    drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
+    damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
+    return drive + p[(par + INERTIA_PER_RADIUS2) * lanes + at] * w[(row + _BIAS) * lanes + at] + damping
+
+
+@_inline
+def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
+    """Adds cable i to the left side ((a, b), (bᵀ, c)) and takes its known tension from the right side (f, g)."""
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    mu, known = _weights(p, w, at, lanes, i)
+    u, n = _load(w, row + _ROW, at, lanes), _load(w, row + _ROW + 3, at, lanes)
+    mu_u, mu_n = (mu * u[0], mu * u[1], mu * u[2]), (mu * n[0], mu * n[1], mu * n[2])
+    a = _add_outer(a, mu_u, u)
+    c = _add_outer(c, mu_n, n)
+    b = (
+        (b[0][0] + mu_u[0] * n[0], b[0][1] + mu_u[0] * n[1], b[0][2] + mu_u[0] * n[2]),
+        (b[1][0] + mu_u[1] * n[0], b[1][1] + mu_u[1] * n[1], b[1][2] + mu_u[1] * n[2]),
+        (b[2][0] + mu_u[2] * n[0], b[2][1] + mu_u[2] * n[1], b[2][2] + mu_u[2] * n[2]),
+    )
+    f = (f[0] - known * u[0], f[1] - known * u[1], f[2] - known * u[2])
+    g = (g[0] - known * n[0], g[1] - known * n[1], g[2] - known * n[2])
+    return a, b, c, f, g
+
+
+@_inline
+def _add_outer(a, x, y):
+    """a + x yᵀ for parallel x, y; a symmetric, held as (xx, xy, xz, yy, yz, zz)."""
+    return (
+        a[0] + x[0] * y[0],
+        a[1] + x[0] * y[1],
+        a[2] + x[0] * y[2],
+        a[3] + x[1] * y[1],
+        a[4] + x[1] * y[2],
+        a[5] + x[2] * y[2],
+    )
+
+
+@_inline
+def _inverse(a):
+    """Inverse of a symmetric 3 × 3, by cofactors: one division."""
+    xx, xy, xz = a[3] * a[5] - a[4] * a[4], a[2] * a[4] - a[1] * a[5], a[1] * a[4] - a[2] * a[3]
+    per = 1.0 / (a[0] * xx + a[1] * xy + a[2] * xz)
+    yy, yz, zz = a[0] * a[5] - a[2] * a[2], a[1] * a[2] - a[0] * a[4], a[0] * a[3] - a[1] * a[1]
+    return xx * per, xy * per, xz * per, yy * per, yz * per, zz * per
+
+
+@_inline
+def _times(a, x):
+    """Symmetric 3 × 3 times a vector."""
+    return (
+        a[0] * x[0] + a[1] * x[1] + a[2] * x[2],
+        a[1] * x[0] + a[3] * x[1] + a[4] * x[2],
+        a[2] * x[0] + a[4] * x[1] + a[5] * x[2],
+    )
+
+
+@_inline
+def _spatial_solve(p, w, at, lanes):
+    """y of the taut set: the 6 × 6 system by its Schur complement in 3 × 3 blocks."""
+    mass, weight = p[MASS * lanes + at], p[MASS * lanes + at] * p[GRAVITY * lanes + at]
+    inertia = _load(p, INERTIA, at, lanes)
+    down = (
+        w[(_ROTATION + 2) * lanes + at],
+        w[(_ROTATION + 5) * lanes + at],
+        w[(_ROTATION + 8) * lanes + at],
+    )
+    zero = (0.0, 0.0, 0.0)
+    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), (inertia[0], 0.0, 0.0, inertia[1], 0.0, inertia[2])
+    f, g = (weight * down[0], weight * down[1], weight * down[2]), _load(w, _GYRO, at, lanes)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 2)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
+    inverse = _inverse(a)
+    column0, column1, column2 = (b[0][0], b[1][0], b[2][0]), (b[0][1], b[1][1], b[2][1]), (b[0][2], b[1][2], b[2][2])
+    e0, e1, e2 = _times(inverse, column0), _times(inverse, column1), _times(inverse, column2)
+    complement = (
+        c[0] - _dot(column0, e0),
+        c[1] - _dot(column0, e1),
+        c[2] - _dot(column0, e2),
+        c[3] - _dot(column1, e1),
+        c[4] - _dot(column1, e2),
+        c[5] - _dot(column2, e2),
+    )
+    rest = (g[0] - _dot(e0, f), g[1] - _dot(e1, f), g[2] - _dot(e2, f))
+    turn = _times(_inverse(complement), rest)
+    push = _times(inverse, f)
+    _store(
+        w,
+        _Y,
+        at,
+        lanes,
+        (
+            push[0] - e0[0] * turn[0] - e1[0] * turn[1] - e2[0] * turn[2],
+            push[1] - e0[1] * turn[0] - e1[1] * turn[1] - e2[1] * turn[2],
+            push[2] - e0[2] * turn[0] - e1[2] * turn[1] - e2[2] * turn[2],
+        ),
+    )
+    _store(w, _Y + 3, at, lanes, turn)
+
+
+@_inline
+def _spatial_acceleration(w, at, lanes):
+    """Ẍ from y: p̈ = R y₁, Θ̈ = P⁻¹(ω̇ − Ṗ Θ̇)."""
+    y = _load(w, _Y, at, lanes)
+    first, second, third = (
+        _load(w, _ROTATION, at, lanes),
+        _load(w, _ROTATION + 3, at, lanes),
+        _load(w, _ROTATION + 6, at, lanes),
+    )
+    turn, spin = _load(w, _Y + 3, at, lanes), _load(w, _SPIN, at, lanes)
+    x, y_, z = turn[0] - spin[0], turn[1] - spin[1], turn[2] - spin[2]
+    sx, cx, sy = _load(w, _TRIG, at, lanes)
+    yaw = (sx * y_ + cx * z) / w[(_TRIG + 3) * lanes + at]
+    _store(
+        w,
+        _RATE,
+        at,
+        lanes,
+        (
+            first[0] * y[0] + second[0] * y[1] + third[0] * y[2],
+            first[1] * y[0] + second[1] * y[1] + third[1] * y[2],
+            first[2] * y[0] + second[2] * y[1] + third[2] * y[2],
+        ),
+    )
+    _store(w, _RATE + 3, at, lanes, (x + sy * yaw, cx * y_ - sx * z, yaw))
+
+
+# ------------------------------------------------------------------------------------ planar robot: one lane at a time
+
+
+@_inline
+def _planar_cable(p, w, at, lanes, i):
+    """Direction, length rate and bias of cable i: u and 0 stand where the spatial robot has u and n."""
+    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE
+    dx = w[_STAGE * lanes + at] - p[par * lanes + at]
+    dy = w[(_STAGE + 1) * lanes + at] - p[(par + 1) * lanes + at]
+    vx, vy = w[(_STAGE + 6) * lanes + at], w[(_STAGE + 7) * lanes + at]
+    per_length = 1.0 / math.sqrt(dx * dx + dy * dy)
+    ux, uy = dx * per_length, dy * per_length
+    rate = ux * vx + uy * vy
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    w[(row + _ROW) * lanes + at] = ux
+    w[(row + _ROW + 1) * lanes + at] = uy
+    w[(row + _LENGTH_RATE) * lanes + at] = rate
+    w[(row + _BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length
+
+
+@_inline
+def _planar_solve(cables, p, w, at, lanes):
+    """y = Ẍ of the taut set: two equations."""
+    mass = p[MASS * lanes + at]
+    xx, xy, yy, fx, fy = mass, 0.0, mass, 0.0, 0.0
+    for i in range(cables):
+        row = _FIRST_CABLE + _CABLE_ROWS * i
+        mu, known = _weights(p, w, at, lanes, i)
+        ux, uy = w[(row + _ROW) * lanes + at], w[(row + _ROW + 1) * lanes + at]
+        xx, xy, yy = xx + mu * ux * ux, xy + mu * ux * uy, yy + mu * uy * uy
+        fx, fy = fx - known * ux, fy - known * uy
+    per = 1.0 / (xx * yy - xy * xy)
+    w[_Y * lanes + at] = (yy * fx - xy * fy) * per
+    w[(_Y + 1) * lanes + at] = (xx * fy - xy * fx) * per
+
+
+# -------------------------------------------------------------------------------- both robots: cables that only pull
+
+
+@_inline
+def _free_tension(spatial, p, w, at, lanes, i):
+    """t_i: the tension if taut; where it is not positive, the cable is slack and −r t_i is the take-up torque u."""
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    along = w[(row + _ROW) * lanes + at] * w[_Y * lanes + at]
+    along += w[(row + _ROW + 1) * lanes + at] * w[(_Y + 1) * lanes + at]
+    if spatial:
+        along += w[(row + _ROW + 2) * lanes + at] * w[(_Y + 2) * lanes + at]
+        along += _dot(_load(w, row + _ROW + 3, at, lanes), _load(w, _Y + 3, at, lanes))
+    tension = _known_tension(p, w, at, lanes, i) + mu * along
+    w[(row + _FREE_TENSION) * lanes + at] = tension
+    return tension
+
+
+@_inline
+def _solve_lane(spatial, cables, p, w, at, lanes):
+    if spatial:
+        _spatial_solve(p, w, at, lanes)
+    else:
+        _planar_solve(cables, p, w, at, lanes)
+
+
+@njit(fastmath={"contract"}, error_model="numpy")
+def _settle_lane(spatial, cables, p, w, at, lanes):
+    """Finds the taut set of one lane: all wrong cables change side at once; if that cycles, the last wrong one does.
+
+    The second rule is Murty's least-index rule, which ends for every P-matrix; M of physics is one.
+    """
+    for trial in range(10 + 2 ** min(cables, 20)):
+        wrong = 0
+        for i in range(cables):
+            taut = (_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at
+            pulls = 1.0 if _free_tension(spatial, p, w, at, lanes, i) > 0.0 else 0.0
+            if pulls != w[taut]:
+                wrong = i + 1
+                if trial < 10:
+                    w[taut] = pulls
+        if wrong == 0:
+            return
+        if trial >= 10:
+            taut = (_FIRST_CABLE + _CABLE_ROWS * (wrong - 1) + _TAUT) * lanes + at
+            w[taut] = 1.0 - w[taut]
+        _solve_lane(spatial, cables, p, w, at, lanes)
+
+
+# ------------------------------------------------------------------------------------------- both robots: a tile
+
+
+@_inline
+def _kinematics(spatial, cables, p, w, lanes):
+    if spatial:
+        for at in range(lanes):
+            _spatial_platform(p, w, at, lanes)
+    for i in range(cables):
+        for at in range(lanes):
+            if spatial:
+                _spatial_cable(p, w, at, lanes, i)
+            else:
+                _planar_cable(p, w, at, lanes, i)
+
+
+@_inline
+def _dynamics(spatial, cables, unilateral, p, w, lanes):
+    """Accelerations of the stage, taut sets settled."""
+    for at in range(lanes):
+        _solve_lane(spatial, cables, p, w, at, lanes)
+    for at in range(lanes):
+        wrong = 0.0
+        for i in range(cables):
+            pulls = 1.0 if _free_tension(spatial, p, w, at, lanes, i) > 0.0 else 0.0
+            taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
+            wrong += (pulls - taut) * (pulls - taut)
+        w[_WRONG * lanes + at] = wrong
+    if unilateral:
+        wrong = 0.0
+        for at in range(lanes):
+            wrong = max(wrong, w[_WRONG * lanes + at])
+        if wrong > 0.0:
+            for at in range(lanes):
+                if w[_WRONG * lanes + at] > 0.0:
+                    _settle_lane(spatial, cables, p, w, at, lanes)
+    for at in range(lanes):
+        if spatial:
+            _spatial_acceleration(w, at, lanes)
+        else:
+            w[_RATE * lanes + at] = w[_Y * lanes + at]
+            w[(_RATE + 1) * lanes + at] = w[(_Y + 1) * lanes + at]
+
+
+@_inline
+def _drive(cables, period_starts, p, w, record, lanes):
+    """Torques of a physics step: the request of the drive command, clipped to U± at the motors' present speed."""
+    for i in range(cables):
+        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+        row = _FIRST_CABLE + _CABLE_ROWS * i
+        rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
+        for at in range(lanes):
+            stall = p[(par + STALL) * lanes + at]
+            speed = -w[(row + _LENGTH_RATE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
+            drop = p[(par + SLOPE) * lanes + at] * speed
+            if period_starts:
+                w[(row + _REQUEST) * lanes + at] = stall * record[(rec + DEMAND) * lanes + at] - drop
+                record[(rec + SPEED) * lanes + at] = speed
+            torque = min(max(w[(row + _REQUEST) * lanes + at], -stall - drop), stall - drop)
+            w[(row + _DRIVE) * lanes + at] = torque
+            if period_starts:
+                record[(rec + TORQUE) * lanes + at] = torque
+
+
+@_inline
+def _note_tensions(cables, period_starts, unilateral, w, record, lanes):
+    """Counts slack cables at the start of a physics step; tensions as the command takes effect."""
+    for i in range(cables):
+        row = _FIRST_CABLE + _CABLE_ROWS * i
+        rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
+        for at in range(lanes):
+            tension = w[(row + _FREE_TENSION) * lanes + at]
+            slack = 1.0 - w[(row + _TAUT) * lanes + at] if unilateral else (0.0 if tension > 0.0 else 1.0)
+            if period_starts:
+                record[(rec + TENSION) * lanes + at] = max(tension, 0.0) if unilateral else tension
+                record[(rec + SLACK) * lanes + at] = slack
+            else:
+                record[(rec + SLACK) * lanes + at] += slack
+
+
+@_inline
+def _rk4(spatial, cables, period_starts, unilateral, h, p, w, record, lanes):
+    """One physics step of a tile; _START becomes the new state."""
+    n = 6 if spatial else 2
+    for stage in range(4):
+        _kinematics(spatial, cables, p, w, lanes)
+        if stage == 0:
+            _drive(cables, period_starts, p, w, record, lanes)
+        _dynamics(spatial, cables, unilateral, p, w, lanes)
+        if stage == 0:
+            _note_tensions(cables, period_starts, unilateral, w, record, lanes)
+        ahead = h if stage == 2 else 0.5 * h
+        weight = 2.0 if stage in (1, 2) else 1.0
+        for half in range(2):  # poses first: their rate is the stage's velocity, which changes next
+            rate_row = _STAGE + 6 if half == 0 else _RATE
+            for j in range(n):
+                value = 6 * half + j
+                for at in range(lanes):
+                    rate = w[(rate_row + j) * lanes + at]
+                    begin = w[(_START + value) * lanes + at]
+                    total = weight * rate + (w[(_SUM + value) * lanes + at] if stage > 0 else 0.0)
+                    if stage < 3:
+                        w[(_SUM + value) * lanes + at] = total
+                        w[(_STAGE + value) * lanes + at] = begin + ahead * rate
+                    else:
+                        end = begin + h / 6.0 * total
+                        w[(_START + value) * lanes + at] = end
+                        w[(_STAGE + value) * lanes + at] = end
+
+
+@_inline
+def _note_errors(spatial, period_starts, w, record, at, lanes, reference):
+    """Largest position and rotation error at the ends of the period's physics steps; ``reference``: pose then."""
+    dx, dy = w[_START * lanes + at] - reference[0], w[(_START + 1) * lanes + at] - reference[1]
+    square, rotation = dx * dx + dy * dy, 0.0
+    if spatial:
+        dz = w[(_START + 2) * lanes + at] - reference[2]
+        square += dz * dz
+        for j in range(3, 6):
+            rotation = max(rotation, abs(w[(_START + j) * lanes + at] - reference[j]))
+    position = math.sqrt(square)
+    if not period_starts:
+        position = max(position, record[POSITION_PEAK * lanes + at])
+        rotation = max(rotation, record[ROTATION_PEAK * lanes + at])
+    record[POSITION_PEAK * lanes + at] = position
+    record[ROTATION_PEAK * lanes + at] = rotation
+
+
+@_inline
+def _load_tile(spatial, cables, record, w, lanes):
+    """State into the scratch. Cables that were slack a moment ago are tried as slack first."""
+    for j in range(6 if spatial else 2):
+        for at in range(lanes):
+            w[(_START + j) * lanes + at] = record[(POSE + j) * lanes + at]
+            w[(_STAGE + j) * lanes + at] = record[(POSE + j) * lanes + at]
+            w[(_START + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
+            w[(_STAGE + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
+    for i in range(cables):
+        for at in range(lanes):
+            slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
+            w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
+
+
+@_inline
+def _advance(spatial, lanes, cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    for tile in range(record.shape[0]):
+        p, r = parameters[tile], record[tile]
+        _load_tile(spatial, cables, r, w, lanes)
+        if not unilateral:
+            for i in range(cables):
+                for at in range(lanes):
+                    w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
+        for substep in range(substeps):
+            _rk4(spatial, cables, substep == 0, unilateral, h, p, w, r, lanes)
+            for at in range(lanes):
+                lane = tile * lanes + at
+                line = min(step[lane] * substeps + substep + 1, ends[which[lane]])
+                _note_errors(spatial, substep == 0, w, r, at, lanes, references[which[lane], line])
+        for j in range(6 if spatial else 2):
+            for at in range(lanes):
+                r[(POSE + j) * lanes + at] = w[(_START + j) * lanes + at]
+                r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
+
+
+@_inline
+def _evaluate(spatial, lanes, cables, unilateral, parameters, record, w, acceleration):
+    for tile in range(record.shape[0]):
+        p, r = parameters[tile], record[tile]
+        _load_tile(spatial, cables, r, w, lanes)
+        for i in range(cables):
+            row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            for at in range(lanes):
+                w[(row + _DRIVE) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + _TAUT) * lanes + at] = 1.0
+        _kinematics(spatial, cables, p, w, lanes)
+        _dynamics(spatial, cables, unilateral, p, w, lanes)
+        _note_tensions(cables, True, unilateral, w, r, lanes)
+        for j in range(6 if spatial else 2):
+            for at in range(lanes):
+                acceleration[tile, j * lanes + at] = w[(_RATE + j) * lanes + at]
+
+
+# ------------------------------------------------------------------------------------------------- entry points
+# One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six.
+# Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,),
+# references (trajectories, lines, n) at physics steps, ends (trajectories,): last line of each, which and step
+# (tiles·lanes,): each lane's trajectory and control step. ``cables`` is a tuple with one item per cable: its length is
+# part of its type, so numba compiles for that number of cables and unrolls the loops over them.
+
+
+@_compile
+def advance_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of spatial robots in tiles of :data:`LANES`; changes ``record``."""
+    _advance(True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def advance_one_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """:func:`advance_spatial` for tiles of one lane."""
+    _advance(True, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def advance_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of planar robots in tiles of :data:`LANES`; changes ``record``."""
+    _advance(False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def advance_one_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """:func:`advance_planar` for tiles of one lane."""
+    _advance(False, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def evaluate_spatial(cables, unilateral, parameters, record, w, acceleration):
+    """Accelerations (tiles, 6·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    _evaluate(True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+
+
+@_compile
+def evaluate_planar(cables, unilateral, parameters, record, w, acceleration):
+    """Accelerations (tiles, 2·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    _evaluate(False, LANES, len(cables), unilateral, parameters, record, w, acceleration)

@@ -1,0 +1,157 @@
+"""A batch of robots in the compiled kernel's memory, as ordinary arrays with the batch axis first."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import kernel
+from cablebot_gym.physics.textbook import Cable
+from cablebot_gym.robots import Robot
+
+
+def pack_parameters(robot: Robot) -> Array:
+    """The kernel's parameters of one robot without payload, shape (parameter rows,)."""
+    rows = np.zeros(kernel.parameter_rows(robot.cables))
+    rows[kernel.MASS] = robot.mass
+    rows[kernel.INERTIA : kernel.INERTIA + 3] = robot.inertia or (1.0, 1.0, 1.0)
+    rows[kernel.GRAVITY] = robot.gravity
+    cables = rows[kernel.FIRST_CABLE_PARAMETER :].reshape(robot.cables, kernel.CABLE_PARAMETERS)
+    columns = robot.base.shape[1]
+    cables[:, kernel.BASE : kernel.BASE + columns] = robot.base
+    cables[:, kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform
+    cables[:, kernel.PER_RADIUS] = 1 / robot.pulley_radius
+    cables[:, kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
+    cables[:, kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
+    cables[:, kernel.STALL] = robot.stall_torque
+    cables[:, kernel.SLOPE] = robot.speed_slope
+    return rows
+
+
+class Plant:
+    """N robots of one kind, each with its own parameters, advanced together by the compiled kernel.
+
+    A batch of one runs the same source compiled for one lane. Lanes that fill up the last tile repeat robot N − 1.
+    """
+
+    def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral") -> None:
+        self.robot, self.count = robot, count
+        self.unilateral = cable == "unilateral"
+        self.lanes = 1 if count == 1 else kernel.LANES
+        tiles = -(-count // self.lanes)
+        self.width = tiles * self.lanes
+        """Lanes in memory, N and the fill."""
+        self._parameters = np.zeros((tiles, kernel.parameter_rows(robot.cables) * self.lanes))
+        self.record = np.zeros((tiles, kernel.record_rows(robot.cables) * self.lanes))
+        """The kernel's record, see :mod:`kernel` for its rows."""
+        self._scratch = np.zeros(kernel.scratch_rows(robot.cables) * self.lanes)
+        self._which = np.zeros(self.width, np.int64)
+        self.step_index = np.zeros(self.width, np.int64)
+        """Control steps since each lane's reset, shape (width,)."""
+        self._cables = (0,) * robot.cables
+        single, kind = self.lanes == 1, "planar" if robot.planar else "spatial"
+        self._advance = getattr(kernel, f"advance_{'one_' if single else ''}{kind}")
+        self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
+
+    @property
+    def _parameter_rows(self) -> int:
+        return kernel.parameter_rows(self.robot.cables)
+
+    def _view(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
+        """Rows of a tiled memory as (tiles, rows, lanes), a view."""
+        tiled = memory.reshape(memory.shape[0], -1, self.lanes)
+        return tiled[:, row : row + rows * stride : stride]
+
+    def _read(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
+        view = self._view(memory, row, rows, stride)
+        return view.transpose(0, 2, 1).reshape(self.width, rows)[: self.count].copy()
+
+    def _write(self, memory: Array, row: int, index: Array, values: Array, stride: int = 1) -> None:
+        view = self._view(memory, row, values.shape[-1], stride)
+        view[index // self.lanes, :, index % self.lanes] = values
+        if self.count - 1 in index:
+            fill = np.arange(self.count, self.width)
+            last = view[(self.count - 1) // self.lanes, :, (self.count - 1) % self.lanes]
+            view[fill // self.lanes, :, fill % self.lanes] = last
+
+    def set_parameters(self, index: Array, rows: Array) -> None:
+        """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows)."""
+        self._write(self._parameters, 0, np.asarray(index), np.asarray(rows, float))
+
+    def set_state(self, index: Array, pose: Array, velocity: Array, *, trajectory: ArrayLike = 0) -> None:
+        """Starts the robots at ``index`` at poses X and velocities Ẋ (len(index), n), on lines of the references."""
+        index = np.asarray(index)
+        self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self.robot.cables))))
+        self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
+        self._write(self.record, kernel.VELOCITY, index, np.asarray(velocity, float))
+        self.step_index[index] = 0
+        self._which[index] = trajectory
+        if self.count - 1 in index:
+            self.step_index[self.count :] = 0
+            self._which[self.count :] = self._which[self.count - 1]
+
+    def set_demand(self, demand: Array) -> None:
+        """Drive commands of all robots, shape (N, m)."""
+        view = self._view(self.record, kernel.FIRST_CABLE_RECORD + kernel.DEMAND, self.robot.cables, kernel.CABLE_RECORDS)
+        if self.width == self.count:
+            view[...] = demand.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
+        else:
+            self._write(
+                self.record,
+                kernel.FIRST_CABLE_RECORD + kernel.DEMAND,
+                np.arange(self.count),
+                demand,
+                kernel.CABLE_RECORDS,
+            )
+
+    def advance(self, references: Array, ends: Array, *, substeps: int, step: float) -> None:
+        """One control period of ``substeps`` RK4 steps of ``step`` seconds against reference poses.
+
+        Args:
+            references: poses at every physics step from 0 on, shape (trajectories, lines, n); the last one stays.
+            ends: the last line of each trajectory, shape (trajectories,).
+            substeps: physics steps per control period.
+            step: length of a physics step [s].
+        """
+        self._advance(
+            self._cables,
+            self.unilateral,
+            self._parameters,
+            self.record,
+            self._scratch,
+            references,
+            ends,
+            self._which,
+            self.step_index,
+            substeps,
+            step,
+        )
+        self.step_index += 1
+
+    @property
+    def pose(self) -> Array:
+        """X, shape (N, n)."""
+        return self._read(self.record, kernel.POSE, self.robot.coordinates)
+
+    @property
+    def velocity(self) -> Array:
+        """Ẋ, shape (N, n)."""
+        return self._read(self.record, kernel.VELOCITY, self.robot.coordinates)
+
+    def per_cable(self, row: int) -> Array:
+        """A cable row of the record, such as ``kernel.TENSION``, shape (N, m)."""
+        first = kernel.FIRST_CABLE_RECORD + row
+        return self._read(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
+
+    def evaluate(self, torques: Array) -> tuple[Array, Array]:
+        """Accelerations Ẍ (N, n) and tensions T (N, m) at the present state under motor torques (N, m).
+
+        For a batch of two or more; the state stays as it is.
+        """
+        first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
+        self._write(self.record, first, np.arange(self.count), np.asarray(torques, float), kernel.CABLE_RECORDS)
+        acceleration = np.zeros((self.record.shape[0], self.robot.coordinates * self.lanes))
+        entry = kernel.evaluate_planar if self.robot.planar else kernel.evaluate_spatial
+        entry(self._cables, self.unilateral, self._parameters, self.record, self._scratch, acceleration)
+        return self._read(acceleration, 0, self.robot.coordinates), self.per_cable(kernel.TENSION)

@@ -1,0 +1,188 @@
+"""The equations of motion as the paper writes them (errata corrected), in batched numpy.
+
+This is the form to read, to write control laws from, and to test the compiled kernel against. Every function takes
+poses X and velocities Ẋ of shape (..., n), and ``mass``, platform plus payload [kg], of shape (...). The payload sits
+at the platform's centre of mass and leaves the rotational inertia alone.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations, product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablebot_gym import kinematics
+from cablebot_gym.kinematics import Array
+from cablebot_gym.robots import Robot
+
+Cable = Literal["unilateral", "bilateral"]
+
+
+def jacobian(robot: Robot, pose: ArrayLike) -> Array:
+    """S = ∂q/∂X (Eq. 3), shape (..., m, n)."""
+    return kinematics.structure_jacobian(robot.base, robot.platform, pose)
+
+
+def jacobian_rate(robot: Robot, pose: ArrayLike, velocity: ArrayLike) -> Array:
+    """Ṡ along Ẋ, shape (..., m, n)."""
+    return kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity)
+
+
+def mass_matrix(robot: Robot, mass: ArrayLike, pose: ArrayLike) -> Array:
+    """D(X) of Eq. 3, shape (..., n, n): ``blkdiag(m I₃, PᵀIP)``; planar ``m I₂``."""
+    pose = np.asarray(pose, float)
+    mass = np.broadcast_to(np.asarray(mass, float), pose.shape[:-1])[..., None, None]
+    if robot.planar:
+        return mass * np.eye(2)
+    matrix = np.zeros((*pose.shape[:-1], 6, 6))
+    matrix[..., :3, :3] = mass * np.eye(3)
+    to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
+    matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ (np.asarray(robot.inertia)[:, None] * to_omega)
+    return matrix
+
+
+def bias(robot: Robot, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
+    """h(X, Ẋ) = C Ẋ + g of Eq. 3, shape (..., n): ``(0, 0, −m g, Pᵀ{I Ṗ Θ̇ + (PΘ̇) × I(PΘ̇)})``; planar 0."""
+    pose, velocity = np.asarray(pose, float), np.asarray(velocity, float)
+    vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape))
+    if robot.planar:
+        return vector
+    inertia, rates = np.asarray(robot.inertia), velocity[..., 3:]
+    to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
+    omega = _apply(to_omega, rates)
+    moment = inertia * _apply(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
+    moment = moment + np.cross(omega, inertia * omega)
+    vector[..., 2] = -np.asarray(mass, float) * robot.gravity
+    vector[..., 3:] = _apply(np.swapaxes(to_omega, -1, -2), moment)
+    return vector
+
+
+def pulley_speed(robot: Robot, pose: ArrayLike, velocity: ArrayLike) -> Array:
+    """β̇ = −S Ẋ / r [rad/s], shape (..., m); winding is positive. With a rigid transmission, the motor speed."""
+    return -_apply(jacobian(robot, pose), np.asarray(velocity, float)) / robot.pulley_radius
+
+
+def pulley_acceleration(robot: Robot, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    """β̈ = −(S Ẍ + Ṡ Ẋ)/r (Eq. 6) [rad/s²], shape (..., m)."""
+    cable = _apply(jacobian(robot, pose), np.asarray(acceleration, float))
+    cable = cable + _apply(jacobian_rate(robot, pose, velocity), np.asarray(velocity, float))
+    return -cable / robot.pulley_radius
+
+
+def required_tensions(
+    robot: Robot,
+    mass: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    *,
+    minimum: float = 0.0,
+) -> Array:
+    """Tensions that give the acceleration: ``−Sᵀ T = D Ẍ + h`` (Eq. 16), shape (..., m) [N].
+
+    Spatial: the only solution, of either sign; ``minimum`` has no effect. Planar: the least tensions that are all at
+    least ``minimum``, see :func:`least_tensions` (Eq. 11).
+    """
+    pose = np.asarray(pose, float)
+    structure = jacobian(robot, pose)
+    load = _apply(mass_matrix(robot, mass, pose), np.asarray(acceleration, float))
+    load = load + bias(robot, mass, pose, velocity)
+    if robot.planar:
+        return least_tensions(structure, load, minimum)
+    return -np.linalg.solve(np.swapaxes(structure, -1, -2), load[..., None])[..., 0]
+
+
+def least_tensions(structure: Array, load: Array, minimum: float) -> Array:
+    """The least T with ``−Sᵀ T = load`` and every ``T_i ≥ minimum``, for a planar S of shape (..., m, 2).
+
+    ``minimum`` in all cables, plus the two neighbouring cables between which the remaining force points: of all pairs
+    of non-negative tensions that balance it, the one with the smallest sum. With m = 3 this is the paper's
+    ``T = T_p + α N`` (Eq. 11) with the least α, which minimises every tension at once.
+
+    Raises:
+        ValueError: if no pair of cables can pull in the direction asked for.
+    """
+    rest = load + minimum * structure.sum(axis=-2)
+    shape = np.broadcast_shapes(structure.shape[:-2], load.shape[:-1])
+    best_sum = np.full(shape, np.inf)
+    best = np.zeros((*shape, structure.shape[-2]))
+    for i, j in combinations(range(structure.shape[-2]), 2):
+        (ax, ay), (bx, by) = (np.moveaxis(-structure[..., k, :], -1, 0) for k in (i, j))
+        determinant = ax * by - ay * bx
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first = (rest[..., 0] * by - rest[..., 1] * bx) / determinant
+            second = (ax * rest[..., 1] - ay * rest[..., 0]) / determinant
+        # The slightest negative value is rounding, of a force along one of the two cables.
+        slack = 1e-12 * (1 + np.abs(first) + np.abs(second))
+        usable = (first >= -slack) & (second >= -slack) & (first + second < best_sum) & (np.abs(determinant) > 1e-12)
+        best_sum = np.where(usable, first + second, best_sum)
+        pair = np.zeros_like(best)
+        pair[..., i], pair[..., j] = first, second
+        best = np.where(usable[..., None], pair, best)
+    if not np.all(np.isfinite(best_sum)):
+        raise ValueError("no positive tensions give this force: the pose lies outside the polygon of the base anchors")
+    return minimum + np.maximum(best, 0.0)
+
+
+def required_torques(
+    robot: Robot,
+    tensions: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+) -> Array:
+    """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission, shape (..., m) [N·m]."""
+    torque = robot.pulley_radius * np.asarray(tensions, float)
+    torque = torque + robot.pulley_inertia * pulley_acceleration(robot, pose, velocity, acceleration)
+    return torque + robot.damping * pulley_speed(robot, pose, velocity)
+
+
+def forward_dynamics(
+    robot: Robot,
+    mass: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    torques: ArrayLike,
+    *,
+    cable: Cable = "unilateral",
+) -> tuple[Array, Array]:
+    """Accelerations Ẍ (..., n) and tensions T (..., m) under motor torques, rigid transmission.
+
+    Bilateral cables may push: ``(D + Sᵀ(J/r²)S) Ẍ = −h − Sᵀ(τ/r + (J/r²) Ṡ Ẋ + (c/r²) S Ẋ)``. Unilateral cables obey
+    ``0 ≤ T ⟂ u ≥ 0`` with the take-up torque u; here every set of taut cables is tried until the one is found whose
+    taut tensions and slack take-ups are all positive (it is unique). Slow, and without a doubt.
+    """
+    pose, velocity, torques = (np.asarray(array, float) for array in (pose, velocity, torques))
+    structure, inertia = jacobian(robot, pose), robot.pulley_inertia / robot.pulley_radius**2
+    cable_bias = _apply(jacobian_rate(robot, pose, velocity), velocity)
+    damping = robot.damping / robot.pulley_radius**2 * _apply(structure, velocity)
+    drive = torques / robot.pulley_radius + inertia * cable_bias + damping
+    matrix, vector = mass_matrix(robot, mass, pose), bias(robot, mass, pose, velocity)
+
+    def solve(taut: Array) -> tuple[Array, Array]:
+        weighted = np.swapaxes(structure, -1, -2) * taut
+        left = matrix + weighted @ (inertia[:, None] * structure)
+        acceleration = np.linalg.solve(left, -(vector + _apply(weighted, drive))[..., None])[..., 0]
+        return acceleration, drive + inertia * _apply(structure, acceleration)
+
+    acceleration, tension = solve(np.ones(robot.cables))
+    if cable == "bilateral":
+        return acceleration, tension
+    settled = np.all(tension >= 0, axis=-1)
+    result, pulled = acceleration.copy(), np.where(settled[..., None], tension, 0.0)
+    for taut in product((1.0, 0.0), repeat=robot.cables):
+        if np.all(settled):
+            break
+        acceleration, tension = solve(np.array(taut))
+        consistent = np.all(np.where(np.array(taut) > 0, tension >= 0, tension <= 0), axis=-1) & ~settled
+        result[consistent], pulled[consistent] = acceleration[consistent], (tension * taut)[consistent]
+        settled |= consistent
+    return result, pulled
+
+
+def _apply(matrix: Array, vector: Array) -> Array:
+    """Batched matrix times vector."""
+    product_: Array = np.einsum("...ij,...j->...i", matrix, vector)
+    return product_

@@ -1,0 +1,223 @@
+"""The speed peer: the environment a competent user would write over MuJoCo for the same robot, and how fast it is.
+
+Run ``python scripts/mujoco_peer.py`` for RK4 steps per second and ``env.step`` calls per second. Nothing in the
+package imports this file.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_gym.kinematics import structure_jacobian
+from cablebot_gym.physics.mujoco_model import MujocoRobot
+from cablebot_gym.robots import PLANAR, SPATIAL, Robot
+
+Array = NDArray[np.float64]
+
+REWARD_SCALE = 0.01
+"""Tracking error at which the reward is one half [m]."""
+
+TERMINATION_ERROR = 0.1
+"""Position error that ends an episode [m]."""
+
+
+class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
+    """Tracking with a cable robot in MuJoCo's RK4; the drive command in [-1, 1] is the action, one value per motor.
+
+    At a control instant the requested torque is ``τ_s a − (τ_s/ω_n) β̇``, held for ``substeps`` RK4 steps.
+    ``clip_each_step`` clips it to U± at the motor speed at the start of each of them, which takes one ``mj_step`` call
+    each; without it one call makes all of them, which is faster.
+
+    Observation: pose (n), velocity (n), time left [s], the row of ``reference_table`` for this instant, payload [kg].
+    Terminated when the position error exceeds 0.1 m or is no number; truncated after K steps.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reference_table: Array,
+        substeps: int = 10,
+        timestep: float = 1e-3,
+        *,
+        payload: float = 0.0,
+        clip_each_step: bool = False,
+    ) -> None:
+        """Build the model.
+
+        Args:
+            robot: planar or spatial.
+            reference_table: shape (K + 1, columns), one row per control instant: reference pose, velocity and
+                acceleration (3 n columns), then previews as you like.
+            substeps: RK4 steps per control period.
+            timestep: of one RK4 step [s].
+            payload: carried and told [kg].
+            clip_each_step: see above.
+        """
+        self._plant = MujocoRobot(robot, payload, timestep)
+        self._model, self._data = self._plant.model, self._plant.data
+        self._qpos, self._qvel, self._ctrl = self._data.qpos, self._data.qvel, self._data.ctrl
+        self._planar, self._n, self._substeps = robot.planar, robot.coordinates, substeps
+        self._axes = 2 if robot.planar else 3
+        self._clip_each_step = clip_each_step
+        self._period, self._payload = substeps * timestep, payload
+        self._stall, self._slope = robot.stall_torque.copy(), robot.speed_slope
+        self._per_radius = 1 / robot.pulley_radius
+        self._tendon_jacobian = self._data.ten_J.reshape(robot.cables, -1)  # a view; dense, as the model asks
+        self._to_motor = -self._per_radius
+
+        self._table = np.array(reference_table, dtype=float)
+        self._goals = [tuple(row) for row in self._table[:, : self._axes].tolist()]
+        self._last = len(self._table) - 1
+        self._after_state, self._after_table = 2 * self._n + 1, 2 * self._n + 1 + self._table.shape[1]
+        self._step_count = 0
+        self._speeds = np.zeros(robot.cables)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (robot.cables,), np.float64)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._after_table + 1,), np.float64)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Start on the reference, at its velocity."""
+        super().reset(seed=seed)
+        n = self._n
+        self._plant.set_state(self._table[0, :n], self._table[0, n : 2 * n])
+        self._step_count = 0
+        self._speeds = self._motor_speeds()
+        return self._observation(), {"tracking_error": 0.0, "motor_speeds": self._speeds}
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """One control period."""
+        torques: Array = self._stall * np.minimum(np.maximum(action, -1.0), 1.0) - self._slope * self._speeds
+        if self._clip_each_step:
+            torques = self._step_clipped(torques)
+        else:
+            self._ctrl[:] = torques
+            mujoco.mj_step(self._model, self._data, self._substeps)
+        self._speeds = self._motor_speeds()
+        self._step_count += 1
+        observation = self._observation()
+        error = math.dist(self._qpos[: self._axes].tolist(), self._goals[self._step_count])
+        info = {
+            "tracking_error": error,
+            "tensions": torques * self._per_radius,  # actuator forces on the tendons, without the pulleys' own share
+            "torques": torques,
+            "motor_speeds": self._speeds,
+            "time": self._step_count * self._period,
+        }
+        reward = 1 / (1 + (error / REWARD_SCALE) ** 2)
+        terminated = not error <= TERMINATION_ERROR
+        return observation, reward, terminated, self._step_count >= self._last, info
+
+    def _step_clipped(self, requested: Array) -> Array:
+        torques, speeds = np.empty_like(requested), self._speeds
+        for substep in range(self._substeps):
+            if substep:
+                speeds = self._motor_speeds()
+            line = self._slope * speeds
+            np.maximum(requested, -self._stall - line, out=torques)
+            np.minimum(torques, self._stall - line, out=torques)
+            self._ctrl[:] = torques
+            mujoco.mj_step(self._model, self._data)
+        return torques
+
+    def _motor_speeds(self) -> Array:
+        """β̇ in the present state; RK4 leaves the tendons in its last stage, so they are computed anew."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_tendon(self._model, self._data)
+        speeds: Array = self._to_motor * (self._tendon_jacobian @ self._qvel)
+        return speeds
+
+    def _observation(self) -> Array:
+        n, observation = self._n, np.empty(self._after_table + 1)
+        if self._planar:
+            observation[:n], observation[n : 2 * n] = self._qpos, self._qvel
+        else:
+            observation[:12] = _paper_state(self._qpos.tolist(), self._qvel.tolist())
+        observation[2 * n] = (self._last - self._step_count) * self._period
+        observation[self._after_state : self._after_table] = self._table[self._step_count]
+        observation[-1] = self._payload
+        return observation
+
+
+def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
+    """``(X, Ẋ)`` from a free joint's position and velocity, in plain floats: faster than arrays this small."""
+    x, y, z, w, i, j, k = qpos
+    dx, dy, dz, p, q, r = qvel
+    along, across = w * w + i * i - j * j - k * k, 2 * (w * k + i * j)
+    sin_theta, cos_theta = 2 * (w * j - i * k), math.hypot(along, across)
+    psi = math.atan2(2 * (w * i + j * k), w * w - i * i - j * j + k * k)
+    theta, phi = math.atan2(sin_theta, cos_theta), math.atan2(across, along)
+    cos_psi, sin_psi = math.cos(psi), math.sin(psi)
+    phi_rate = (sin_psi * q + cos_psi * r) / cos_theta
+    theta_rate = cos_psi * q - sin_psi * r
+    return x, y, z, psi, theta, phi, dx, dy, dz, p + sin_theta * phi_rate, theta_rate, phi_rate
+
+
+def holding_torques(robot: Robot) -> Array:
+    """Motor torques that hold the home pose at rest, shape (m,); planar: 0.5 N·m each, which the paper's balances."""
+    if robot.planar:
+        return np.full(robot.cables, 0.5)
+    weight = np.zeros(6)
+    weight[2] = robot.mass * robot.gravity
+    tensions = np.linalg.solve(structure_jacobian(robot.base, robot.platform, robot.home).T, weight)
+    return np.asarray(tensions * robot.pulley_radius, np.float64)
+
+
+def _uneven(torques: Array) -> Array:
+    """Nearly the same torques, so that the robot moves and turns a little: zeros must not flatter a measurement."""
+    return torques * np.linspace(0.998, 1.002, len(torques))
+
+
+def home_table(robot: Robot, instants: int = 501, previews: int = 2) -> Array:
+    """A reference that stays at home, with the columns of a real one."""
+    n = robot.coordinates
+    row = np.concatenate([robot.home, np.zeros(2 * n), np.tile(robot.home, previews)])
+    return np.tile(row, (instants, 1))
+
+
+def rk4_steps_per_second(robot: Robot, seconds: float = 2.0, at_once: int = 300) -> float:
+    """MuJoCo's best rate of RK4 steps at 1 ms, ``at_once`` per call from the home pose near holding torques."""
+    plant = MujocoRobot(robot)
+    torques, best = _uneven(holding_torques(robot)), 0.0
+    end = time.perf_counter() + seconds
+    while (start := time.perf_counter()) < end:
+        for _ in range(10):
+            plant.set_state(robot.home, np.zeros(robot.coordinates))
+            plant.step(torques, at_once)
+        best = max(best, 10 * at_once / (time.perf_counter() - start))
+    return best
+
+
+def env_steps_per_second(env: MujocoCableBotEnv, action: Array, seconds: float = 2.0, block: int = 500) -> float:
+    """Best rate of ``env.step`` over blocks, resets included."""
+    best = 0.0
+    env.reset(seed=0)
+    end = time.perf_counter() + seconds
+    while (start := time.perf_counter()) < end:
+        for _ in range(block):
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        best = max(best, block / (time.perf_counter() - start))
+    return best
+
+
+def main() -> None:
+    """Print the rates of both robots."""
+    for robot in (SPATIAL, PLANAR):
+        action, table = _uneven(holding_torques(robot)) / robot.stall_torque, home_table(robot)
+        print(f"{robot.name:8} RK4 at 1 ms: {rk4_steps_per_second(robot):9,.0f} steps/s")
+        for clip in (False, True):
+            env = MujocoCableBotEnv(robot, table, clip_each_step=clip)
+            label = "clipped each substep" if clip else "one mj_step call"
+            print(f"{robot.name:8} env.step, ten substeps, {label}: {env_steps_per_second(env, action):8,.0f} steps/s")
+
+
+if __name__ == "__main__":
+    main()
