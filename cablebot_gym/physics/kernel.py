@@ -26,8 +26,8 @@ from numba import njit
 LANES = 32
 """Robots per tile in a batch: a tile's rows then stay in a core's first-level cache."""
 
-_inline = njit(forceinline=True, fastmath={"contract"}, error_model="numpy")
-_compile = njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+_inline = njit(forceinline=True, error_model="numpy")
+_compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, then CABLE_PARAMETERS rows for each cable.
 MASS, INERTIA, GRAVITY, FIRST_CABLE_PARAMETER = 0, 1, 4, 5
@@ -378,7 +378,7 @@ def _solve_lane(spatial, cables, p, w, at, lanes):
         _planar_solve(cables, p, w, at, lanes)
 
 
-@njit(fastmath={"contract"}, error_model="numpy")
+@njit(error_model="numpy")
 def _settle_lane(spatial, cables, p, w, at, lanes):
     """Finds the taut set of one lane: all wrong cables change side at once; if that cycles, the last wrong one does.
 
