@@ -18,10 +18,12 @@ change in another one. ``forceinline`` and ``error_model="numpy"`` are what lets
 from __future__ import annotations
 
 import math
-from typing import Any
-
 import numpy as np
 from numba import njit
+
+from cablebot_gym.physics.compiling import announce_compilation
+
+announce_compilation()
 
 LANES = 32
 """Robots per tile in a batch: a tile's rows then stay in a core's first-level cache."""
@@ -38,6 +40,10 @@ CABLE_PARAMETERS = 11
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
 DEMAND, TORQUE, TENSION, SPEED, SLACK = 0, 1, 2, 3, 4
 CABLE_RECORDS = 5
+RECORD_ROWS = np.array(
+    [POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD, CABLE_RECORDS, DEMAND, TORQUE, TENSION, SPEED, SLACK]
+)
+"""The numbers above, for compiled readers of the record in other files."""
 
 # Rows of the scratch, which nobody reads between calls.
 _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
@@ -559,6 +565,8 @@ def _advance(spatial, lanes, cables, unilateral, parameters, record, w, referenc
                 lane = tile * lanes + at
                 line = min(step[lane] * substeps + substep + 1, ends[which[lane]])
                 _note_errors(spatial, substep == 0, w, r, at, lanes, references[which[lane], line])
+        for at in range(lanes):
+            step[tile * lanes + at] += 1
         for j in range(6 if spatial else 2):
             for at in range(lanes):
                 r[(POSE + j) * lanes + at] = w[(_START + j) * lanes + at]
@@ -593,7 +601,7 @@ def _evaluate(spatial, lanes, cables, unilateral, parameters, record, w, acceler
 
 @_compile
 def advance_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
-    """One control period of spatial robots in tiles of :data:`LANES`; changes ``record``."""
+    """One control period of spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
     _advance(True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
 
 
@@ -605,7 +613,7 @@ def advance_one_spatial(cables, unilateral, parameters, record, w, references, e
 
 @_compile
 def advance_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
-    """One control period of planar robots in tiles of :data:`LANES`; changes ``record``."""
+    """One control period of planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
     _advance(False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
@@ -45,8 +44,11 @@ class Plant:
         self._parameters = np.zeros((tiles, kernel.parameter_rows(robot.cables) * self.lanes))
         self.record = np.zeros((tiles, kernel.record_rows(robot.cables) * self.lanes))
         """The kernel's record, see :mod:`kernel` for its rows."""
+        first_demand = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
+        self._demand = self._view(self.record, first_demand, robot.cables, kernel.CABLE_RECORDS)
         self._scratch = np.zeros(kernel.scratch_rows(robot.cables) * self.lanes)
-        self._which = np.zeros(self.width, np.int64)
+        self.which = np.zeros(self.width, np.int64)
+        """The reference that each lane follows, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since each lane's reset, shape (width,)."""
         self._cables = (0,) * robot.cables
@@ -79,31 +81,23 @@ class Plant:
         """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows)."""
         self._write(self._parameters, 0, np.asarray(index), np.asarray(rows, float))
 
-    def set_state(self, index: Array, pose: Array, velocity: Array, *, trajectory: ArrayLike = 0) -> None:
-        """Starts the robots at ``index`` at poses X and velocities Ẋ (len(index), n), on lines of the references."""
+    def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
+        """Starts the robots at ``index`` at poses X and velocities Ẋ, each (len(index), n), at control step 0."""
         index = np.asarray(index)
         self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self.robot.cables))))
         self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
         self._write(self.record, kernel.VELOCITY, index, np.asarray(velocity, float))
         self.step_index[index] = 0
-        self._which[index] = trajectory
         if self.count - 1 in index:
             self.step_index[self.count :] = 0
-            self._which[self.count :] = self._which[self.count - 1]
 
     def set_demand(self, demand: Array) -> None:
         """Drive commands of all robots, shape (N, m)."""
-        view = self._view(self.record, kernel.FIRST_CABLE_RECORD + kernel.DEMAND, self.robot.cables, kernel.CABLE_RECORDS)
         if self.width == self.count:
-            view[...] = demand.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
+            self._demand[...] = demand.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
         else:
-            self._write(
-                self.record,
-                kernel.FIRST_CABLE_RECORD + kernel.DEMAND,
-                np.arange(self.count),
-                demand,
-                kernel.CABLE_RECORDS,
-            )
+            first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
+            self._write(self.record, first, np.arange(self.count), demand, kernel.CABLE_RECORDS)
 
     def advance(self, references: Array, ends: Array, *, substeps: int, step: float) -> None:
         """One control period of ``substeps`` RK4 steps of ``step`` seconds against reference poses.
@@ -122,12 +116,11 @@ class Plant:
             self._scratch,
             references,
             ends,
-            self._which,
+            self.which,
             self.step_index,
             substeps,
             step,
         )
-        self.step_index += 1
 
     @property
     def pose(self) -> Array:

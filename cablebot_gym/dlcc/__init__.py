@@ -1,0 +1,1 @@
+"""Dynamic load-carrying capacity: how much a robot can carry along a motion, and what limits it."""

@@ -1,0 +1,27 @@
+"""The Gymnasium face of the plants: ids, registered when :mod:`cablebot_gym` is imported."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+
+ENV_ROBOTS = {"CableBot-Planar-v0": "planar", "CableBot-Spatial-v0": "spatial"}
+"""Robot of each id."""
+
+ENV_IDS = tuple(ENV_ROBOTS)
+"""Every id."""
+
+MAX_EPISODE_STEPS = 500
+"""Time limit in the specs: 1 s at the default control frequency."""
+
+
+def register_envs() -> None:
+    """Registers every id with Gymnasium; a second call changes nothing."""
+    for env_id, robot in ENV_ROBOTS.items():
+        if env_id not in gym.registry:
+            gym.register(
+                id=env_id,
+                entry_point="cablebot_gym.envs.single:CableBotEnv",
+                vector_entry_point="cablebot_gym.envs.vector:CableBotVectorEnv",
+                max_episode_steps=MAX_EPISODE_STEPS,
+                kwargs={"robot": robot},
+            )

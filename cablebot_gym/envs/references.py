@@ -1,0 +1,62 @@
+"""Reference motions tabulated on the grids on which the compiled steps read them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_gym.envs.observation import PREVIEWS
+from cablebot_gym.kinematics import Array
+from cablebot_gym.trajectories import Trajectory
+
+
+class ReferenceTables:
+    """The motions that some lane of a batch follows now, tabulated once each.
+
+    ``physics``: poses at every physics step, (trajectories, lines, n); ``control``: the observation's reference part
+    at every control instant, (trajectories, lines, columns). The last line of each, at ``physics_ends`` and
+    ``control_ends``, is the motion's last pose at rest and holds for ever.
+    """
+
+    def __init__(self, control_frequency: float, substeps: int) -> None:
+        self._frequency, self._substeps = control_frequency, substeps
+        self._tables: list[tuple[Trajectory, Array, Array]] = []
+        self._followed: dict[int, Trajectory] = {}
+        self.physics = self.control = np.zeros((0, 0, 0))
+        self.physics_ends = self.control_ends = np.zeros(0, np.int64)
+
+    def follow(self, lanes: NDArray[np.int64], trajectory: Trajectory, which: NDArray[np.int64]) -> None:
+        """Lets ``lanes`` follow a motion; ``which`` (width,) is brought up to date, fill lanes included."""
+        if all(self._followed.get(lane) is trajectory for lane in lanes.tolist()):
+            return
+        self._followed.update(dict.fromkeys(lanes.tolist(), trajectory))
+        wanted = list({id(motion): motion for motion in self._followed.values()}.values())
+        kept = {id(table[0]): table for table in self._tables}
+        self._tables = [kept.get(id(motion)) or (motion, *self._tabulate(motion)) for motion in wanted]
+        self.physics, self.physics_ends = _stacked([table[1] for table in self._tables])
+        self.control, self.control_ends = _stacked([table[2] for table in self._tables])
+        places = {id(motion): place for place, motion in enumerate(wanted)}
+        for lane, motion in self._followed.items():
+            which[lane] = places[id(motion)]
+        which[len(self._followed) :] = which[len(self._followed) - 1]
+
+    def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
+        steps = int(np.ceil(trajectory.duration * self._frequency - 1e-9)) + 1
+        rate = self._frequency * self._substeps
+        physics = trajectory(np.arange(steps * self._substeps + 1) / rate).position
+        times = np.arange(steps + 1) / self._frequency
+        now = trajectory(times)
+        left = np.maximum(trajectory.duration - times, 0.0)
+        ahead = [trajectory(times + preview).position - now.position for preview in PREVIEWS]
+        columns = [left[:, None], now.position, now.velocity, now.acceleration, *ahead]
+        return np.ascontiguousarray(physics), np.concatenate(columns, axis=1)
+
+
+def _stacked(tables: list[Array]) -> tuple[Array, Array]:
+    """Tables of different lengths as one array, the rest filled with their last line, and where that line stands."""
+    ends = np.array([len(table) - 1 for table in tables], np.int64)
+    stack = np.zeros((len(tables), ends.max() + 1, tables[0].shape[1]))
+    for place, table in enumerate(tables):
+        stack[place, : len(table)] = table
+        stack[place, len(table) :] = table[-1]
+    return stack, ends

@@ -1,0 +1,216 @@
+"""What an environment is made with, and what may differ from episode to episode: checked once, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, get_args
+
+import numpy as np
+
+from cablebot_gym.envs.outcome import REWARD_TERMS
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import Cable
+from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.task import Limits, find_limits
+from cablebot_gym.trajectories import Trajectory, find_trajectory
+
+LONGEST_PHYSICS_STEP = 1e-3
+"""Default bound of the physics step [s]. RK4's error over 0.5 s is below 1e-9 there on the paper's robots; the bound is
+not accuracy but judgement: slack and errors seen every 2 ms flatter a payload by about 0.05 kg."""
+
+DEFAULT_WEIGHTS = {"position": 1.0, "rotation": 1.0, "saturation": 0.1, "slack": 0.1, "failure": 1.0}
+"""Weights of the reward's terms."""
+
+FOREIGN_OPTIONS = ("reset_mask", "minari_autoseed")
+"""Reset options that belong to Gymnasium's vector API and to Minari."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The constructor keywords of every environment, checked. Plain JSON-able values make a JSON-able spec.
+
+    Raises:
+        ValueError: if a value is not valid; the message names the keyword.
+    """
+
+    robot: Robot
+    """True and nominal robot."""
+    payload: float | Array
+    """Default payload [kg], one or (N,); ≥ 0."""
+    payload_range: tuple[float, float] | None
+    """Uniform payload, drawn anew each episode [kg]; overrides ``payload``."""
+    payload_known: bool | Array
+    """Whether the observation tells the payload, one or (N,)."""
+    trajectory: Trajectory
+    """Default reference motion."""
+    initial_error: Array
+    """Start pose less reference pose, (n,) or (N, n) [m, rad]."""
+    initial_error_range: Array | None
+    """Half widths of a uniform start error, (n,) [m, rad]; added to ``initial_error``."""
+    limits: Limits
+    """Bounds that scale the reward."""
+    cable: Cable
+    """``unilateral``: cables only pull; ``bilateral``: the paper's equations as they stand."""
+    control_frequency: float
+    """Drive commands per second [Hz]."""
+    substeps: int
+    """Physics steps per control period."""
+    termination_radius: float
+    """Position error that ends an episode [m]."""
+    slack_time: float
+    """How long a cable may be slack before the episode ends [s]."""
+    weights: Array
+    """Weights of the reward's terms, in the order of :data:`REWARD_TERMS`."""
+
+    @property
+    def period(self) -> float:
+        """Length of a control period [s]."""
+        return 1 / self.control_frequency
+
+    @property
+    def physics_step(self) -> float:
+        """Length of a physics step [s]."""
+        return self.period / self.substeps
+
+
+def make_settings(
+    *,
+    robot: str | dict[str, Any] | Robot,
+    count: int,
+    payload: Any = 0.0,
+    payload_range: Any = None,
+    payload_known: Any = True,
+    trajectory: Any = None,
+    initial_error: Any = 0.0,
+    initial_error_range: Any = None,
+    limits: Any = None,
+    cable: str = "unilateral",
+    control_frequency: float = 500.0,
+    substeps: int | None = None,
+    termination_radius: float = 0.1,
+    slack_time: float = 0.1,
+    reward_weights: Mapping[str, float] | None = None,
+) -> Settings:
+    """Settings from an environment's keywords; see :class:`Settings` for their meaning and :func:`check_options`."""
+    robot = find_robot(robot)
+    trajectory = f"paper-{'planar' if robot.planar else 'spatial'}" if trajectory is None else trajectory
+    episode = check_options(
+        {
+            "payload": payload,
+            "payload_known": payload_known,
+            "trajectory": trajectory,
+            "initial_error": initial_error,
+            "limits": limits,
+        },
+        robot,
+        count,
+    )
+    if cable not in get_args(Cable):
+        raise ValueError(f"unknown cable {cable!r}; choose one of {', '.join(get_args(Cable))}")
+    frequency = _positive("control_frequency", control_frequency)
+    if substeps is None:
+        substeps = max(1, math.ceil(1 / (frequency * LONGEST_PHYSICS_STEP) - 1e-9))
+    if not isinstance(substeps, (int, np.integer)) or isinstance(substeps, bool) or substeps < 1:
+        raise ValueError(f"substeps must be a whole number of at least 1, not {substeps!r}")
+    return Settings(
+        robot=robot,
+        payload_range=_range("payload_range", payload_range),
+        initial_error_range=_half_widths(initial_error_range, robot.coordinates),
+        cable=cable,
+        control_frequency=frequency,
+        substeps=int(substeps),
+        termination_radius=_positive("termination_radius", termination_radius),
+        slack_time=_positive("slack_time", slack_time, zero=True),
+        weights=_weights(reward_weights),
+        **episode,
+    )
+
+
+def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -> dict[str, Any]:
+    """Episode options, checked and in their canonical form; options that belong to others are left out.
+
+    Raises:
+        ValueError: if a key is unknown, naming the known ones, or a value is not valid.
+    """
+    checks = {
+        "payload": lambda value: _payload(value, count),
+        "payload_known": lambda value: _known(value, count),
+        "trajectory": lambda value: find_trajectory(value, robot.coordinates),
+        "initial_error": lambda value: _initial_error(value, robot.coordinates, count),
+        "limits": find_limits,
+    }
+    options = {key: value for key, value in (options or {}).items() if key not in FOREIGN_OPTIONS}
+    if unknown := [key for key in options if key not in checks]:
+        raise ValueError(f"unknown option {unknown[0]!r}; the options are {', '.join(checks)}")
+    return {key: checks[key](value) for key, value in options.items()}
+
+
+def _payload(value: Any, count: int) -> Array:
+    payload = _numbers("payload", value)
+    if payload.shape not in ((), (count,)):
+        raise ValueError(f"payload must be one number of kg or {count}, one for each environment, not {payload.shape}")
+    if not np.all(np.isfinite(payload)) or np.any(payload < 0):
+        raise ValueError(f"payload must be at least 0 kg and finite, not {value!r}")
+    return payload
+
+
+def _known(value: Any, count: int) -> Array:
+    known = np.asarray(value)
+    if known.dtype != np.bool_ or known.shape not in ((), (count,)):
+        raise ValueError(f"payload_known must be True or False, or {count} of them, not {value!r}")
+    return known
+
+
+def _initial_error(value: Any, n: int, count: int) -> Array:
+    error = _numbers("initial_error", value)
+    if error.shape not in ((n,), (count, n)) and not (error.shape == () and error == 0):
+        raise ValueError(f"initial_error must hold {n} coordinates, or {count} rows of {n}, not shape {error.shape}")
+    if not np.all(np.isfinite(error)):
+        raise ValueError("initial_error must be finite")
+    return np.zeros(n) if error.shape == () else error
+
+
+def _half_widths(value: Any, n: int) -> Array | None:
+    if value is None:
+        return None
+    widths = _numbers("initial_error_range", value)
+    if widths.shape != (n,) or not np.all(np.isfinite(widths)) or np.any(widths < 0):
+        raise ValueError(f"initial_error_range must hold {n} half widths of at least 0, not {value!r}")
+    return widths
+
+
+def _range(name: str, value: Any) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    ends = _numbers(name, value)
+    if ends.shape != (2,) or not np.all(np.isfinite(ends)) or not 0 <= ends[0] <= ends[1]:
+        raise ValueError(f"{name} must be (low, high) with 0 ≤ low ≤ high, not {value!r}")
+    return float(ends[0]), float(ends[1])
+
+
+def _weights(value: Mapping[str, float] | None) -> Array:
+    weights = dict(value or {})
+    if unknown := [name for name in weights if name not in REWARD_TERMS]:
+        raise ValueError(f"unknown reward term {unknown[0]!r}; the terms are {', '.join(REWARD_TERMS)}")
+    merged = np.array([_numbers("reward_weights", (DEFAULT_WEIGHTS | weights)[name]) for name in REWARD_TERMS], float)
+    if not np.all(np.isfinite(merged)):
+        raise ValueError("reward_weights must be finite")
+    return merged
+
+
+def _positive(name: str, value: Any, *, zero: bool = False) -> float:
+    good = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    if not good or value < 0 or (value == 0 and not zero):
+        raise ValueError(f"{name} must be a finite number {'of at least' if zero else 'greater than'} 0, not {value!r}")
+    return float(value)
+
+
+def _numbers(name: str, value: Any) -> Array:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be numbers, not {value!r}") from None
+

@@ -1,0 +1,187 @@
+"""The single environment."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike
+
+from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.envs.simulation import Simulation
+from cablebot_gym.kinematics import Array
+from cablebot_gym.task import Task
+
+
+class CableBotEnv(gym.Env[Array, Array]):
+    """A cable-suspended robot carries a payload along a reference motion, within what its motors can give.
+
+    The plants are those of Korayem, Tourajizadeh and Bamdad (2010), misprints corrected: `CableBot-Planar-v0`, a point
+    mass on three cables in the horizontal plane, and `CableBot-Spatial-v0`, a platform on six cables with six degrees
+    of freedom, z pointing down. SI units and radians throughout.
+
+    ## Action space
+
+    `Box(-1, 1, (m,))`: the drive command of each motor. +1 is U⁺, the torque-speed line at the motor's present speed,
+    −1 is U⁻: the requested torque τ_s a − (τ_s/ω_n)·β̇ is held for the control period and clipped to U± at the start
+    of each physics step. Commands beyond ±1 are accepted, recorded as `info["drive_demand"]`, and clipped by the line:
+    |a| > 1 is the paper's torque violation.
+
+    ## Observation space
+
+    A flat, bounded `Box`; `env.unwrapped.layout` names its slices, and `layout.table()` prints them with their bounds.
+    n is 2 (x, y) or 6 (x, y, z, ψ, θ, φ). A component saturates at its bound.
+
+    | name | size | meaning |
+    |---|---|---|
+    | `pose` | n | X, true pose of the platform |
+    | `velocity` | n | Ẋ |
+    | `time_left` | 1 | until the reference motion ends; 0 afterwards |
+    | `reference_pose` | n | X_d at the present control instant |
+    | `reference_velocity` | n | first derivative of X_d |
+    | `reference_acceleration` | n | second derivative of X_d |
+    | `preview_20ms` | n | X_d 0.02 s ahead, less X_d now |
+    | `preview_50ms` | n | X_d 0.05 s ahead, less X_d now |
+    | `preview_100ms` | n | X_d 0.1 s ahead, less X_d now |
+    | `preview_200ms` | n | X_d 0.2 s ahead, less X_d now |
+    | `told_payload` | 1 | payload as told; 0 if it is not known |
+    | `payload_known` | 1 | 1 if the payload is told, else 0 |
+
+    ## Reward
+
+    The weighted sum of `1/(1 + e/R)` for the position error e, the same for the rotation error (spatial), minus the
+    mean of |a| beyond 1, minus the share of slack cables, minus one when the episode fails. Each term stands in `info`
+    as `reward_…`, weighted.
+
+    ## Start
+
+    On the reference's pose and velocity at time 0, plus `initial_error`.
+
+    ## Termination
+
+    1. `tracking_error`: the position error exceeds `termination_radius`;
+    2. `slack`: some cable has been slack for longer than `slack_time`;
+    3. `workspace`: the pose has left the robot's workspace;
+    4. `non_finite`: the state has ceased to be finite.
+
+    `info["termination_reason"]` names it, an empty string otherwise.
+
+    ## Truncation
+
+    By `TimeLimit` alone, after the spec's `max_episode_steps` (500). A motion may be longer or shorter: after its
+    duration the reference holds its last pose.
+
+    ## Info
+
+    The same keys at reset and at every step. Of the present instant: `time`, `tracking_error` [m], `rotation_error`
+    [rad], `payload` [kg, true]. Of the control period just passed: `tracking_error_peak`, `rotation_error_peak`
+    (largest at any physics step), `slack` (bool for each cable, at any physics step), and, at its start
+    `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin`
+    (τ_s (1 − |a|), [N·m]). At reset no period has passed and these are zero.
+
+    ## Arguments
+
+    All keyword-only, all JSON-able. Those marked * are also reset options, which hold for one episode.
+
+    | name | default | meaning |
+    |---|---|---|
+    | `payload`* | 0 | true payload [kg] |
+    | `payload_range` | None | (low, high): uniform payload, drawn anew each episode |
+    | `payload_known`* | True | whether the observation tells the payload |
+    | `trajectory`* | the paper's circle | a name, `{"name": …, …}` or a `Trajectory` |
+    | `initial_error`* | 0 | start pose less reference, n values |
+    | `initial_error_range` | None | n half widths of a uniform start error |
+    | `limits`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, scale the reward |
+    | `robot` | by id | a name, `Robot.to_dict()` data or a `Robot` |
+    | `cable` | "unilateral" | or "bilateral", cables that can push |
+    | `control_frequency` | 500 | drive commands per second [Hz] |
+    | `substeps` | physics steps ≤ 1 ms | physics steps per control period |
+    | `termination_radius` | 0.1 | [m] |
+    | `slack_time` | 0.1 | [s] |
+    | `reward_weights` | see `DEFAULT_WEIGHTS` | weights by term |
+
+    ## Version history
+
+    * v0: first release.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 50}  # noqa: RUF012 - Gymnasium's own form
+
+    def __init__(self, *, robot: Any, render_mode: str | None = None, **keywords: Any) -> None:
+        if render_mode is not None:
+            raise ValueError(f"render_mode {render_mode!r} is not available: leave it out")
+        self.render_mode = None
+        self._settings = make_settings(robot=robot, count=1, **keywords)
+        self._simulation = Simulation(self._settings, 1)
+        self.layout = self._simulation.layout
+        """Names the slices of the observation."""
+        self._cables = self._settings.robot.cables
+        self.action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
+        self.observation_space = self.layout.space()
+        self._lane = np.zeros(1, np.int64)
+        self._started = False
+
+    @property
+    def task(self) -> Task:
+        """What a policy may know of the present episode."""
+        return self._simulation.tasks[0]
+
+    @property
+    def pose(self) -> Array:
+        """True pose X, shape (n,)."""
+        return self._simulation.pose[0]
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Starts an episode; ``options`` hold for this episode only, see the class.
+
+        Raises:
+            ValueError: if an option is unknown or not valid; the present episode goes on then.
+        """
+        if seed is not None or not self._started:
+            super().reset(seed=seed)
+            self._simulation.seed([0], [self.np_random_seed])
+        self._simulation.reset(self._lane, options)
+        self._started = True
+        observation, _, _, info = self._result()
+        return observation, info
+
+    def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """One control period.
+
+        Raises:
+            ResetNeeded: before the first reset.
+            ValueError: if the action is not m finite numbers.
+        """
+        if not self._started:
+            raise ResetNeeded("call reset() before step()")
+        self._simulation.step(check_action(action, (self._cables,))[None])
+        observation, reward, terminated, info = self._result()
+        return observation, reward, terminated, False, info
+
+    def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
+        simulation = self._simulation
+        info: dict[str, Any] = info_dict(simulation.info[0].copy(), self._cables)
+        info = {name: value if value.ndim else float(value) for name, value in info.items()}
+        reason = int(simulation.reason[0])
+        info["termination_reason"] = TERMINATION_REASONS[reason]
+        return simulation.observation[0].copy(), float(simulation.reward[0]), reason > 0, info
+
+
+def check_action(action: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """The action as finite floats of the right shape.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    checked = np.asarray(action, dtype=np.float64)
+    if checked.shape != shape:
+        raise ValueError(f"an action has shape {shape}, one drive command for each motor, not {checked.shape}")
+    flat = checked.ravel()
+    if not math.isfinite(np.dot(flat, flat)):
+        raise ValueError("an action must be finite: it holds NaN or infinity")
+    return checked

@@ -1,0 +1,195 @@
+"""The vector environment: N episodes in one compiled batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.envs.simulation import Simulation
+from cablebot_gym.envs.single import check_action
+from cablebot_gym.kinematics import Array
+from cablebot_gym.task import Task
+
+_REASONS = np.array(TERMINATION_REASONS)
+
+VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+
+
+class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
+    """N :class:`~cablebot_gym.envs.single.CableBotEnv` at once, each lane equal to the single environment bit for bit.
+
+    Made by ``gym.make_vec(id, num_envs=N)``. Takes the single environment's keywords, where ``payload``,
+    ``payload_known`` and ``initial_error`` may be given per environment, with a leading axis N, and:
+
+    Args:
+        num_envs: N.
+        max_episode_steps: control steps to truncation; None for no limit.
+        autoreset_mode: an :class:`AutoresetMode` or its value. What holds beyond an autoreset is a constructor keyword;
+            options do not.
+
+    ``info`` holds arrays with a leading axis N, valid for every environment. With same-step autoreset, ``final_obs``
+    and ``final_info`` hold the last observation and info of the environments marked in ``_final_obs``. The option
+    ``reset_mask`` restarts the marked environments and leaves the others as they are.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        *,
+        robot: Any,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **keywords: Any,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"render_mode {render_mode!r} is not available: leave it out")
+        if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+            raise ValueError(f"num_envs must be a whole number of at least 1, not {num_envs!r}")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps must be at least 1 or None, not {max_episode_steps!r}")
+        try:
+            self._autoreset = AutoresetMode(autoreset_mode)
+        except ValueError:
+            modes = ", ".join(mode.value for mode in AutoresetMode)
+            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {modes}") from None
+        self.num_envs = int(num_envs)
+        self.render_mode = None
+        self.metadata = {**self.metadata, "autoreset_mode": self._autoreset}
+        self._settings = make_settings(robot=robot, count=self.num_envs, **keywords)
+        self._simulation = Simulation(self._settings, self.num_envs)
+        self.layout = self._simulation.layout
+        """Names the slices of the observation."""
+        self._cables = self._settings.robot.cables
+        self.single_action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
+        self.single_observation_space = self.layout.space()
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._limit = max_episode_steps
+        self._steps = np.zeros(self.num_envs, np.int64)
+        self._done = np.zeros(self.num_envs, np.bool_)
+        self._everyone = np.arange(self.num_envs)
+        self._started = False
+
+    @property
+    def tasks(self) -> tuple[Task, ...]:
+        """What a policy may know of the present episodes."""
+        return self._simulation.tasks
+
+    @property
+    def pose(self) -> Array:
+        """True poses X, shape (N, n)."""
+        return self._simulation.pose
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Starts episodes in all environments, or in those of ``options["reset_mask"]``; other options hold for these.
+
+        Args:
+            seed: seeds environment i with ``seed + i``, or with item i of a sequence.
+            options: as for the single environment, and ``reset_mask``, N booleans.
+
+        Raises:
+            ValueError: if an option or the number of seeds is not valid; nothing has changed then.
+        """
+        lanes = self._masked(options)
+        seeds = self._seeds(seed)
+        if not self._started:
+            missing = [lane for lane, item in enumerate(seeds) if item is None]
+            entropy = np.random.SeedSequence().generate_state(len(missing), np.uint64)
+            for lane, item in zip(missing, entropy, strict=True):
+                seeds[lane] = int(item)
+        # Seeds first, so that this episode draws from them; taken back if an option turns out to be wrong.
+        before = self._simulation.streams()
+        chosen = [lane for lane in lanes.tolist() if seeds[lane] is not None]
+        self._simulation.seed(chosen, [seeds[lane] for lane in chosen])
+        try:
+            self._simulation.reset(lanes, options)
+        except ValueError:
+            self._simulation.restore_streams(before)
+            raise
+        self._started = True
+        self._steps[lanes] = 0
+        self._done[lanes] = False
+        return self._simulation.observation.copy(), self._info(self._simulation.info.copy())
+
+    def _masked(self, options: dict[str, Any] | None) -> NDArray[np.int64]:
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return self._everyone
+        mask = np.asarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(f"reset_mask must be {self.num_envs} booleans with at least one True")
+        if not self._started:
+            raise ResetNeeded("the first reset has to start all environments: leave reset_mask out")
+        return np.flatnonzero(mask)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        seeds = [int(seed) + lane for lane in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
+        if any(item is not None and item < 0 for item in seeds):
+            raise ValueError("a seed must be at least 0")
+        return seeds
+
+    def step(self, actions: ArrayLike) -> VectorStep:
+        """One control period of every environment.
+
+        Raises:
+            ResetNeeded: before the first reset, or with autoreset disabled for an environment that has ended.
+            ValueError: if the actions are not (N, m) finite numbers.
+        """
+        if not self._started:
+            raise ResetNeeded("call reset() before step()")
+        actions = check_action(actions, (self.num_envs, self._cables))
+        if self._autoreset is AutoresetMode.DISABLED and self._done.any():
+            raise ResetNeeded("an environment has ended: restart it by reset(options={'reset_mask': …})")
+        simulation, ended = self._simulation, self._done
+        simulation.step(actions)
+        self._steps += 1
+        restarted = ended if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
+        if restarted.any():
+            self._restart(restarted)
+        reward, terminated = simulation.reward.copy(), simulation.reason > 0
+        truncated = self._steps >= self._limit if self._limit is not None else np.zeros_like(ended)
+        self._done = terminated | truncated
+        final = {}
+        if self._autoreset is AutoresetMode.SAME_STEP and self._done.any():
+            final = self._final(self._done)
+            self._restart(self._done)
+            self._done = np.zeros_like(ended)
+        info = self._info(simulation.info.copy()) | final
+        return simulation.observation.copy(), reward, terminated, truncated, info
+
+    def _restart(self, mask: NDArray[np.bool_]) -> None:
+        self._simulation.reset(np.flatnonzero(mask))
+        self._steps[mask] = 0
+
+    def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """The last observation and info of ended environments, in the form of Gymnasium's own vector environments."""
+        observations = np.full(self.num_envs, None, dtype=object)
+        for lane in np.flatnonzero(mask):
+            observations[lane] = self._simulation.observation[lane].copy()
+        info = self._info(self._simulation.info.copy())
+        info |= {f"_{name}": mask.copy() for name in info}
+        return {"final_obs": observations, "_final_obs": mask.copy(), "final_info": info, "_final_info": mask.copy()}
+
+    def _info(self, rows: Array) -> dict[str, Any]:
+        return info_dict(rows, self._cables) | {"termination_reason": _REASONS[self._simulation.reason]}

@@ -1,0 +1,82 @@
+"""What a policy may know before an episode starts: the public task, and the limits that its motion has to keep."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any
+
+from cablebot_gym.physics.textbook import Cable
+from cablebot_gym.robots import Robot
+from cablebot_gym.trajectories import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Bounds of the tracking error. The motors' limits belong to the robot.
+
+    Raises:
+        ValueError: if a bound is not a positive number.
+    """
+
+    position: float = 0.01
+    """R, largest distance from the reference at the same instant [m] (Tables 7–9); > 0."""
+    rotation: float = 0.01
+    """Largest difference of ψ, θ or φ from the reference [rad] (ours); > 0. A planar robot has no rotation."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, Real) or not math.isfinite(value) or value <= 0:
+                raise ValueError(f"limits: {field.name} must be a number greater than 0, not {value!r}")
+
+
+def find_limits(limits: Limits | dict[str, float] | None) -> Limits:
+    """Limits from themselves, from ``{"position": …, "rotation": …}``, or the default for None.
+
+    Raises:
+        ValueError: if a key is unknown or a bound is not positive.
+    """
+    if limits is None:
+        return Limits()
+    if isinstance(limits, Limits):
+        return limits
+    known = [field.name for field in fields(Limits)]
+    if not isinstance(limits, dict) or set(limits) - set(known):
+        raise ValueError(f"limits must be a Limits or a dict with keys out of {', '.join(known)}, not {limits!r}")
+    return Limits(**limits)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """One episode as the controller is told it. Never holds the true payload, true parameters or a seed."""
+
+    robot: Robot
+    """Nominal robot, without payload."""
+    trajectory: Trajectory
+    """Reference motion."""
+    limits: Limits
+    """Bounds of the tracking error."""
+    control_frequency: float
+    """Drive commands per second [Hz]."""
+    cable: Cable
+    """Whether cables can push."""
+    told_payload: float
+    """Payload that the controller is told [kg]; 0 if it is not known."""
+    payload_known: bool
+    """Whether the payload is told."""
+
+    @property
+    def steps(self) -> int:
+        """Control steps of the whole motion."""
+        return round(self.trajectory.duration * self.control_frequency)
+
+
+def as_plain(value: Any) -> Any:
+    """Trajectories, robots and limits as JSON-able data, for result files."""
+    if hasattr(value, "__dataclass_fields__"):
+        return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, (list, tuple)):
+        return [as_plain(item) for item in value]
+    return value
