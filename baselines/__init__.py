@@ -1,0 +1,1 @@
+"""Reference policies. They use the public face of :mod:`cablebot_gym` and nothing else."""

@@ -18,40 +18,52 @@ SPATIAL_COORDINATES = 6
 
 def rotation_matrix(euler: ArrayLike) -> Array:
     """``R = Rz(φ) Ry(θ) Rx(ψ)``, platform to base frame, shape (..., 3, 3), from ``(ψ, θ, φ)`` of shape (..., 3)."""
-    psi, theta, phi = np.moveaxis(np.asarray(euler, float), -1, 0)
-    cx, sx, cy, sy, cz, sz = np.cos(psi), np.sin(psi), np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
-    rows = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    (cx, cy, cz), (sx, sy, sz) = _cosines_and_sines(euler)
+    return _matrix(
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
+    )
 
 
 def euler_rate_matrix(euler: ArrayLike) -> Array:
     """The paper's P (Eq. 3), shape (..., 3, 3): ``ω_body = P [ψ̇, θ̇, φ̇]``."""
-    psi, theta, _ = np.moveaxis(np.asarray(euler, float), -1, 0)
-    zero, one = np.zeros_like(psi), np.ones_like(psi)
-    rows = [
-        [one, zero, -np.sin(theta)],
-        [zero, np.cos(psi), np.sin(psi) * np.cos(theta)],
-        [zero, -np.sin(psi), np.cos(psi) * np.cos(theta)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    (cx, cy, _), (sx, sy, _) = _cosines_and_sines(euler)
+    return _matrix([[1.0, 0.0, -sy], [0.0, cx, sx * cy], [0.0, -sx, cx * cy]])
 
 
 def euler_rate_matrix_rate(euler: ArrayLike, rates: ArrayLike) -> Array:
     """Ṗ, the time derivative of :func:`euler_rate_matrix`, shape (..., 3, 3)."""
-    psi, theta, _ = np.moveaxis(np.asarray(euler, float), -1, 0)
-    dpsi, dtheta, _ = np.moveaxis(np.asarray(rates, float), -1, 0)
-    zero = np.zeros_like(psi)
-    cx, sx, cy, sy = np.cos(psi), np.sin(psi), np.cos(theta), np.sin(theta)
-    rows = [
-        [zero, zero, -cy * dtheta],
-        [zero, -sx * dpsi, cx * cy * dpsi - sx * sy * dtheta],
-        [zero, -cx * dpsi, -sx * cy * dpsi - cx * sy * dtheta],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    (cx, cy, _), (sx, sy, _) = _cosines_and_sines(euler)
+    dpsi, dtheta, _ = _components(rates)
+    return _matrix(
+        [
+            [0.0, 0.0, -cy * dtheta],
+            [0.0, -sx * dpsi, cx * cy * dpsi - sx * sy * dtheta],
+            [0.0, -cx * dpsi, -sx * cy * dpsi - cx * sy * dtheta],
+        ]
+    )
+
+
+def _components(vector: ArrayLike) -> tuple[Array, Array, Array]:
+    vector = np.asarray(vector, float)
+    return vector[..., 0], vector[..., 1], vector[..., 2]
+
+
+def _cosines_and_sines(euler: ArrayLike) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+    euler = np.asarray(euler, float)
+    return _components(np.cos(euler)), _components(np.sin(euler))
+
+
+def _matrix(rows: list[list[Array | float]]) -> Array:
+    """3 × 3 matrices from batched entries; the last column gives the batch's shape."""
+    matrix = np.empty((*np.shape(rows[0][2]), 3, 3))
+    for i, row in enumerate(rows):
+        for j, entry in enumerate(row):
+            matrix[..., i, j] = entry
+    return matrix
 
 
 def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
@@ -75,47 +87,50 @@ def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
 
 def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
     """``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_vectors`."""
-    pose = np.asarray(pose, float)
-    vectors = cable_vectors(base, platform, pose)
-    unit = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    if pose.shape[-1] != SPATIAL_COORDINATES:
-        return unit
-    return np.concatenate([unit, _angular_part(unit, platform, pose)], axis=-1)
-
-
-def _angular_part(along: Array, platform: ArrayLike, pose: Array) -> Array:
-    """Derivative of ``along · R b`` with respect to ``(ψ, θ, φ)``, the direction ``along`` held, shape (..., m, 3)."""
-    in_platform_frame = np.einsum("...kj,...mk->...mj", rotation_matrix(pose[..., 3:]), along)
-    moment = np.cross(np.asarray(platform, float), in_platform_frame)
-    return moment @ euler_rate_matrix(pose[..., 3:])
+    return jacobian_and_rate(base, platform, pose, np.zeros_like(np.asarray(pose, float)))[0]
 
 
 def structure_jacobian_rate(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """``Ṡ``, the time derivative of S along ``velocity = Ẋ``, shape (..., m, n)."""
-    pose, velocity, platform = (np.asarray(array, float) for array in (pose, velocity, platform))
-    vectors = cable_vectors(base, platform, pose)
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit = vectors / length
-    point_velocity = _anchor_velocity(platform, pose, velocity)
-    length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
-    unit_rate = (point_velocity - unit * length_rate) / length
+    return jacobian_and_rate(base, platform, pose, velocity)[1]
+
+
+def jacobian_and_rate(
+    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike
+) -> tuple[Array, Array]:
+    """S and Ṡ together, each (..., m, n), for the price of little more than one."""
+    base, pose, velocity, platform = (np.asarray(array, float) for array in (base, pose, velocity, platform))
     if pose.shape[-1] != SPATIAL_COORDINATES:
-        return np.broadcast_to(unit_rate, np.broadcast_shapes(unit_rate.shape, unit.shape)).copy()
+        unit, unit_rate = _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :])
+        return unit, unit_rate
     euler, rates = pose[..., 3:], velocity[..., 3:]
     rotation, to_omega = rotation_matrix(euler), euler_rate_matrix(euler)
-    omega = np.einsum("...jk,...k->...j", to_omega, rates)[..., None, :]
+    turned = np.swapaxes(rotation, -1, -2)
+    omega = (to_omega @ rates[..., None])[..., 0]
+    arms = _skew(platform)  # arms @ x = b × x
+    anchor_velocity = velocity[..., None, :3] - (arms @ omega[..., None, :, None])[..., 0] @ turned
+    unit, unit_rate = _unit_and_rate(pose[..., None, :3] + platform @ turned - base, anchor_velocity)
     # d/dt (Rᵀu) = Rᵀu̇ − ω × Rᵀu, in the platform frame.
-    in_frame = np.einsum("...kj,...mk->...mj", rotation, unit)
-    in_frame_rate = np.einsum("...kj,...mk->...mj", rotation, unit_rate) - np.cross(omega, in_frame)
-    angular = np.cross(platform, in_frame_rate) @ to_omega
-    angular = angular + np.cross(platform, in_frame) @ euler_rate_matrix_rate(euler, rates)
-    return np.concatenate([unit_rate, angular], axis=-1)
+    in_frame = unit @ rotation
+    in_frame_rate = unit_rate @ rotation - in_frame @ np.swapaxes(_skew(omega), -1, -2)
+    moment, moment_rate = (arms @ in_frame[..., None])[..., 0], (arms @ in_frame_rate[..., None])[..., 0]
+    angular_rate = moment_rate @ to_omega + moment @ euler_rate_matrix_rate(euler, rates)
+    jacobian = np.concatenate([unit, moment @ to_omega], axis=-1)
+    return jacobian, np.concatenate([unit_rate, angular_rate], axis=-1)
 
 
-def _anchor_velocity(platform: Array, pose: Array, velocity: Array) -> Array:
-    """Velocity of each platform anchor in the base frame, shape (..., m, 2 or 3)."""
-    if pose.shape[-1] != SPATIAL_COORDINATES:
-        return velocity[..., None, :]
-    omega = np.einsum("...jk,...k->...j", euler_rate_matrix(pose[..., 3:]), velocity[..., 3:])
-    turning = np.cross(omega[..., None, :], platform)
-    return velocity[..., None, :3] + np.einsum("...jk,...mk->...mj", rotation_matrix(pose[..., 3:]), turning)
+def _unit_and_rate(vectors: Array, point_velocity: Array) -> tuple[Array, Array]:
+    """Cable directions and their rates."""
+    length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
+    unit = vectors / length
+    length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
+    return unit, (point_velocity - unit * length_rate) / length
+
+
+def _skew(vector: Array) -> Array:
+    """The matrix of ``vector ×``, shape (..., 3, 3)."""
+    matrix = np.zeros((*vector.shape, 3))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix

@@ -1,9 +1,9 @@
 """The paper's search for the payload (Section 5.1), as printed and as it has to be.
 
 The paper guesses a load m_e, computes the motors' torques τ_e with it and τ_n without, and takes ``m_load = C m_e``
-with the load coefficient C of Eq. 37-39. So m_e has to be the guess (the tables' m_l), not the end-effector's mass m_n:
-where the torque is affine in the load, ``τ_e = τ_n + m_e s``, and ``m_load = m_e (U − τ_n)/(τ_e − τ_n) = (U − τ_n)/s`` is
-the true m* from any guess. That is the corrected form. Printed are three other things:
+with the load coefficient C of Eq. 37-39. So m_e has to be the guess (the tables' m_l), not the end-effector's mass
+m_n: where the torque is affine in the load, ``τ_e = τ_n + m_e s``, the product ``m_e (U − τ_n)/(τ_e − τ_n)`` is
+``(U − τ_n)/s``, the true m*, from any guess. That is the corrected form. Printed are three other things:
 
 * ``τ± = U± − τ_e``: C is then ``m*/m_e − 1``, and the guess that repeats itself, C = 1, is **half** the true load.
 * abs(): a motor that is overloaded without any load counts as if it had as much to spare.

@@ -7,6 +7,7 @@ at the platform's centre of mass and leaves the rotational inertia alone.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Literal
 
@@ -79,6 +80,7 @@ def required_tensions(
     acceleration: ArrayLike,
     *,
     minimum: float = 0.0,
+    strict: bool = True,
 ) -> Array:
     """Tensions that give the acceleration: ``−Sᵀ T = D Ẍ + h`` (Eq. 16), shape (..., m) [N].
 
@@ -86,23 +88,38 @@ def required_tensions(
     least ``minimum``, see :func:`least_tensions` (Eq. 11).
     """
     pose = np.asarray(pose, float)
-    structure = jacobian(robot, pose)
+    return _tensions(robot, mass, pose, velocity, acceleration, jacobian(robot, pose), minimum, strict)
+
+
+def _tensions(
+    robot: Robot,
+    mass: ArrayLike,
+    pose: Array,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    structure: Array,
+    minimum: float,
+    strict: bool,
+) -> Array:
     load = _apply(mass_matrix(robot, mass, pose), np.asarray(acceleration, float))
     load = load + bias(robot, mass, pose, velocity)
     if robot.planar:
-        return least_tensions(structure, load, minimum)
+        return least_tensions(structure, load, minimum, strict=strict)
     return -np.linalg.solve(np.swapaxes(structure, -1, -2), load[..., None])[..., 0]
 
 
-def least_tensions(structure: Array, load: Array, minimum: float) -> Array:
+def least_tensions(structure: Array, load: Array, minimum: float, *, strict: bool = True) -> Array:
     """The least T with ``−Sᵀ T = load`` and every ``T_i ≥ minimum``, for a planar S of shape (..., m, 2).
 
     ``minimum`` in all cables, plus the two neighbouring cables between which the remaining force points: of all pairs
     of non-negative tensions that balance it, the one with the smallest sum. With m = 3 this is the paper's
     ``T = T_p + α N`` (Eq. 11) with the least α, which minimises every tension at once.
 
+    Outside the polygon of the base anchors some forces cannot be given. Without ``strict``, ``minimum`` in all cables
+    stands for them: a control law has to go on.
+
     Raises:
-        ValueError: if no pair of cables can pull in the direction asked for.
+        ValueError: if ``strict`` and no pair of cables can pull in the direction asked for.
     """
     rest = load + minimum * structure.sum(axis=-2)
     shape = np.broadcast_shapes(structure.shape[:-2], load.shape[:-1])
@@ -121,7 +138,7 @@ def least_tensions(structure: Array, load: Array, minimum: float) -> Array:
         pair = np.zeros_like(best)
         pair[..., i], pair[..., j] = first, second
         best = np.where(usable[..., None], pair, best)
-    if not np.all(np.isfinite(best_sum)):
+    if strict and not np.all(np.isfinite(best_sum)):
         raise ValueError("no positive tensions give this force: the pose lies outside the polygon of the base anchors")
     return minimum + np.maximum(best, 0.0)
 
@@ -134,9 +151,44 @@ def required_torques(
     acceleration: ArrayLike,
 ) -> Array:
     """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission, shape (..., m) [N·m]."""
+    speed = pulley_speed(robot, pose, velocity)
+    return _torques(robot, tensions, speed, pulley_acceleration(robot, pose, velocity, acceleration))
+
+
+def _torques(robot: Robot, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
     torque = robot.pulley_radius * np.asarray(tensions, float)
-    torque = torque + robot.pulley_inertia * pulley_acceleration(robot, pose, velocity, acceleration)
-    return torque + robot.damping * pulley_speed(robot, pose, velocity)
+    return torque + robot.pulley_inertia * acceleration + robot.damping * speed
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InverseDynamics:
+    """What a motion asks of cables and motors; each array has shape (..., m)."""
+
+    tensions: Array
+    """T [N], see :func:`required_tensions`."""
+    torques: Array
+    """τ [N·m], see :func:`required_torques`."""
+    speeds: Array
+    """β̇ [rad/s], see :func:`pulley_speed`."""
+
+
+def inverse_dynamics(
+    robot: Robot,
+    mass: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    *,
+    minimum: float = 0.0,
+    strict: bool = True,
+) -> InverseDynamics:
+    """Tensions, torques and speeds of a motion at once; arguments as for :func:`required_tensions`."""
+    pose, velocity, acceleration = (np.asarray(array, float) for array in (pose, velocity, acceleration))
+    structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
+    speed = -_apply(structure, velocity) / robot.pulley_radius
+    winding = -(_apply(structure, acceleration) + _apply(rate, velocity)) / robot.pulley_radius
+    tensions = _tensions(robot, mass, pose, velocity, acceleration, structure, minimum, strict)
+    return InverseDynamics(tensions=tensions, torques=_torques(robot, tensions, speed, winding), speeds=speed)
 
 
 def forward_dynamics(
@@ -184,5 +236,5 @@ def forward_dynamics(
 
 def _apply(matrix: Array, vector: Array) -> Array:
     """Batched matrix times vector."""
-    product_: Array = np.einsum("...ij,...j->...i", matrix, vector)
-    return product_
+    applied: Array = (matrix @ vector[..., None])[..., 0]
+    return applied

@@ -122,7 +122,7 @@ def test_mujocos_trajectory_excludes_an_euler_rate_matrix_wrong_in_textbook_and_
         np.testing.assert_allclose(compiled.per_cable(kernel.TORQUE), np.tile(torques, (count, 1)), rtol=1e-12)
     end = np.concatenate([compiled.pose, compiled.velocity], axis=1)
     assert np.abs(end - np.append(pose, velocity)).max() > 0.01
-    np.testing.assert_allclose(end, np.tile(np.concatenate(peer.state()), (count, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(end, np.tile(np.concatenate(peer.state()), (count, 1)), rtol=0, atol=1e-12)
 
 
 @each_robot

@@ -1,0 +1,152 @@
+"""What a policy is, and how a name, a file or ``package.module:factory`` becomes one."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_gym.robots import Robot
+
+Array = NDArray[Any]
+
+ENTRY_POINT_GROUP = "cablebot_gym.policies"
+"""A package adds policies by entry points in this group, each of which names a :class:`PolicyEntry`."""
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Stable-Baselines3's ``predict``, on one observation (size,) or on a batch (N, size).
+
+    Optional: ``begin(tasks)``, called with one :class:`~cablebot_gym.task.Task` for each observation of a batch before
+    its first step; ``unclipped = True``, which declares that commands beyond ±1 are what the law asks for, so that the
+    paper's criterion means something.
+    """
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Drive commands (m,) or (N, m), and the state to pass next time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyEntry:
+    """A policy by name, as ``cablebot list`` shows it."""
+
+    name: str
+    """What to type."""
+    kind: Literal["classical", "optimal", "learned"]
+    """How it came about."""
+    env_ids: tuple[str, ...]
+    """Environments that it is made for."""
+    factory: Callable[[Robot], Policy]
+    """Makes the policy from a nominal robot."""
+    summary: str
+    """One line."""
+
+
+class CallablePolicy:
+    """A plain ``observation -> action``, called for one observation at a time."""
+
+    unclipped = False
+
+    def __init__(self, function: Callable[[Array], Any]) -> None:
+        self._function = function
+        self.unclipped = bool(getattr(function, "unclipped", False))
+        if hasattr(function, "begin"):
+            self.begin = function.begin
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """The function's action for each observation."""
+        if observation.ndim == 1:
+            return np.asarray(self._function(observation), float), state
+        return np.stack([np.asarray(self._function(item), float) for item in observation]), state
+
+
+def as_policy(policy: Any) -> Policy:
+    """The policy itself, or a callable as one.
+
+    Raises:
+        TypeError: if it is neither.
+    """
+    if isinstance(policy, Policy):
+        return policy
+    if callable(policy):
+        return CallablePolicy(policy)
+    raise TypeError(f"a policy has predict() or is a callable observation -> action; {type(policy).__name__} is neither")
+
+
+def policy_entries() -> dict[str, PolicyEntry]:
+    """Every installed policy by name, sorted."""
+    entries = [point.load() for point in entry_points(group=ENTRY_POINT_GROUP)]
+    return {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
+
+
+def load_policy(name: str, robot: Robot) -> Policy:
+    """A policy from an installed name, a Stable-Baselines3 ``.zip``, or ``package.module:factory``.
+
+    A factory is called with the nominal robot. An SB3 file is tried as PPO, SAC, TD3, A2C and DDPG.
+
+    Raises:
+        ValueError: if the name is unknown, or what it names cannot be loaded; the message says what is valid.
+    """
+    entries = policy_entries()
+    if name in entries:
+        return entries[name].factory(robot)
+    if name.endswith(".zip"):
+        return _load_sb3(Path(name))
+    if ":" in name:
+        return as_policy(_load_factory(name)(robot))
+    raise ValueError(
+        f"unknown policy {name!r}; choose one of {', '.join(entries)}, an SB3 file ending in .zip, "
+        "or package.module:factory"
+    )
+
+
+def _load_factory(name: str) -> Callable[[Robot], Any]:
+    module_name, _, attribute = name.partition(":")
+    try:
+        factory = getattr(importlib.import_module(module_name), attribute)
+    except ImportError as error:
+        raise ValueError(f"policy {name!r}: cannot import {module_name!r} ({error})") from error
+    except AttributeError:
+        raise ValueError(f"policy {name!r}: {module_name!r} has no {attribute!r}") from None
+    if isinstance(factory, PolicyEntry):
+        return factory.factory
+    if not callable(factory):
+        raise ValueError(f"policy {name!r}: {attribute!r} must be a function robot -> policy")
+    made: Callable[[Robot], Any] = factory
+    return made
+
+
+def _load_sb3(path: Path) -> Policy:
+    if not path.is_file():
+        raise ValueError(f"policy file {str(path)!r} does not exist")
+    try:
+        import stable_baselines3 as sb3
+    except ImportError:
+        raise ValueError("an SB3 policy needs the extra: pip install 'cablebot-gym[sb3]'") from None
+    failures = []
+    for algorithm in (sb3.PPO, sb3.SAC, sb3.TD3, sb3.A2C, sb3.DDPG):
+        try:
+            model: Policy = algorithm.load(path, device="cpu")
+            return model
+        except Exception as error:
+            failures.append(f"{algorithm.__name__}: {error}")
+    raise ValueError(f"policy file {str(path)!r} is no SB3 model ({failures[0]})")
