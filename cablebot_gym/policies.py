@@ -55,6 +55,15 @@ class PolicyEntry:
     """One line."""
 
 
+class LaneError(RuntimeError):
+    """A function failed for one observation of a batch."""
+
+    def __init__(self, lane: int, message: str) -> None:
+        super().__init__(message)
+        self.lane = lane
+        """Which one, from 0."""
+
+
 class CallablePolicy:
     """A plain ``observation -> action``, called for one observation at a time."""
 
@@ -73,10 +82,22 @@ class CallablePolicy:
         episode_start: Array | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """The function's action for each observation."""
+        """The function's action for each observation.
+
+        Raises:
+            LaneError: if the function raises, or returns anything but numbers of one shape.
+        """
         if observation.ndim == 1:
             return np.asarray(self._function(observation), float), state
-        return np.stack([np.asarray(self._function(item), float) for item in observation]), state
+        actions: list[Array] = []
+        for lane, item in enumerate(observation):
+            try:
+                actions.append(np.asarray(self._function(item), float))
+            except Exception as error:
+                raise LaneError(lane, f"it raised {type(error).__name__}: {error}") from error
+            if actions[lane].shape != actions[0].shape:
+                raise LaneError(lane, f"it returned shape {actions[lane].shape} after {actions[0].shape}")
+        return np.stack(actions), state
 
 
 def as_policy(policy: Any) -> Policy:

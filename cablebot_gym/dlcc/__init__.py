@@ -1,1 +1,21 @@
-"""Dynamic load-carrying capacity: how much a robot can carry along a motion, and what limits it."""
+"""Dynamic load carrying capacity: the largest payload that a policy carries within the limits."""
+
+from cablebot_gym.dlcc.evaluator import PolicyError, evaluate_dlcc
+from cablebot_gym.dlcc.exact import ExactPayload, exact_payload
+from cablebot_gym.dlcc.monitor import CRITERIA, DLCCMonitor, Limit, Verdict
+from cablebot_gym.dlcc.result import DLCCResult
+from cablebot_gym.task import Limits, Task
+
+__all__ = [
+    "CRITERIA",
+    "DLCCMonitor",
+    "DLCCResult",
+    "ExactPayload",
+    "Limit",
+    "Limits",
+    "PolicyError",
+    "Task",
+    "Verdict",
+    "evaluate_dlcc",
+    "exact_payload",
+]

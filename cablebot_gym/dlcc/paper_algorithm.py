@@ -37,7 +37,8 @@ class LoadIteration:
     """``C m_e`` of the last guess [kg], the algorithm's answer where it converged (step 7b); ``inf``: no motor's torque
     depends on the load."""
     converged: bool
-    """Whether the last guess and ``payload`` differ by no more than the tolerance."""
+    """Whether the last guess and ``payload`` differ by no more than the tolerance. Not if the guesses ran out, or the
+    next would have left the robot without mass: the motion is too fast for any payload."""
     motor: int | None
     """Motor with the least coefficient at the last guess, counted from 1; None if no torque depends on the load."""
     time: float | None
@@ -116,7 +117,7 @@ def iterate_load(
         payload = float(coefficient[k, motor]) * abs(probe)
         limited = math.isfinite(payload)
         converged = not limited or abs(payload - guess) <= tolerance
-        if converged or len(loads) == max_iterations:
+        if converged or len(loads) == max_iterations or (guess + payload) / 2 <= -robot.mass:
             return LoadIteration(
                 loads=tuple(loads),
                 payload=payload,

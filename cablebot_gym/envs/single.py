@@ -116,11 +116,12 @@ class CableBotEnv(gym.Env[Array, Array]):
         if render_mode is not None:
             raise ValueError(f"render_mode {render_mode!r} is not available: leave it out")
         self.render_mode = None
-        self._settings = make_settings(robot=robot, count=1, **keywords)
-        self._simulation = Simulation(self._settings, 1)
+        self.settings = make_settings(robot=robot, count=1, **keywords)
+        """What the environment was made with."""
+        self._simulation = Simulation(self.settings, 1)
         self.layout = self._simulation.layout
         """Names the slices of the observation."""
-        self._cables = self._settings.robot.cables
+        self._cables = self.settings.robot.cables
         self.action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
         self.observation_space = self.layout.space()
         self._lane = np.zeros(1, np.int64)

@@ -67,11 +67,12 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         self.num_envs = int(num_envs)
         self.render_mode = None
         self.metadata = {**self.metadata, "autoreset_mode": self._autoreset}
-        self._settings = make_settings(robot=robot, count=self.num_envs, **keywords)
-        self._simulation = Simulation(self._settings, self.num_envs)
+        self.settings = make_settings(robot=robot, count=self.num_envs, **keywords)
+        """What the environment was made with."""
+        self._simulation = Simulation(self.settings, self.num_envs)
         self.layout = self._simulation.layout
         """Names the slices of the observation."""
-        self._cables = self._settings.robot.cables
+        self._cables = self.settings.robot.cables
         self.single_action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
         self.single_observation_space = self.layout.space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)

@@ -206,7 +206,7 @@ def test_stronger_motors_never_lower_the_payload(name: str, minimum: float, fact
 
 # --- bisection ----------------------------------------------------------------------------------------------------
 
-FREQUENCY = 60.0
+FREQUENCY = 40.0
 
 
 def random_planar(cables: int) -> Callable[[np.random.Generator], tuple[Robot, Trajectory, float]]:
@@ -278,7 +278,7 @@ def feasible(robot: Robot, trajectory: Trajectory, minimum: float, total_masses:
 
 
 def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[float, float]:
-    """Ends (lowest, largest) of the interval of feasible payloads at or nearest to zero, from a scan up to 100 kg."""
+    """Ends (lowest, largest) of the interval of feasible payloads at or nearest to zero, from a scan up to 60 kg."""
 
     def edge(good: float, bad: float) -> float:
         for _ in range(40):
@@ -287,7 +287,7 @@ def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[floa
             good, bad = (middle, bad) if carried else (good, middle)
         return good - robot.mass
 
-    scan = np.linspace(1e-9, 100, 2001)
+    scan = np.linspace(1e-9, 60, 401)
     good = feasible(robot, trajectory, minimum, scan)
     if not np.any(good):
         return math.inf, -math.inf

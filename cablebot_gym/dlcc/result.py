@@ -1,0 +1,108 @@
+"""What an evaluation found: prints itself, saves itself, draws itself."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cablebot_gym.dlcc.monitor import Criterion, Limit
+from cablebot_gym.kinematics import Array
+from cablebot_gym.task import Task
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class History:
+    """One episode, step by step; arrays after :meth:`closed`, with the control steps as first axis."""
+
+    NAMES = ("command_time", "drive_demand", "torques", "tensions", "motor_speeds", "tracking_error", "rotation_error")
+
+    def __init__(self) -> None:
+        self._rows: list[dict[str, Any]] = []
+
+    def append(self, info: dict[str, Any], pose: Array) -> None:
+        """Adds one step of the first environment of a batch."""
+        self._rows.append({name: np.array(info[name][0]) for name in self.NAMES} | {"pose": np.array(pose)})
+
+    def closed(self) -> dict[str, Array]:
+        """Everything as arrays by name; ``pose`` and the errors are those at the end of each step."""
+        return {name: np.array([row[name] for row in self._rows]) for name in (*self.NAMES, "pose")}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DLCCResult:
+    """The dynamic load carrying capacity of a policy in an environment. ``print(result)`` gives the essentials."""
+
+    env_id: str
+    """Environment."""
+    policy: str
+    """Policy."""
+    criterion: Criterion
+    """``task`` or ``paper``."""
+    payload: float | None
+    """Largest payload in the feasible interval that contains zero [kg]; None if not even zero is carried."""
+    total_mass: float | None
+    """Platform and payload [kg]."""
+    resolution: float
+    """Gap to the least payload above that failed [kg]; 0 if none was searched."""
+    limit: Limit
+    """What gives way first beyond the payload, or at zero if that is not carried."""
+    margins: dict[str, float]
+    """What is left at the payload: shares of torque, position and rotation bounds, least tension [N]."""
+    feasible: tuple[tuple[float, float], ...]
+    """Every interval of payloads carried on the scan's points; the first one's end is refined [kg]."""
+    payload_max: float
+    """End of the scan [kg]."""
+    limits: dict[str, float | None]
+    """Bounds of position [m] and rotation [rad]; None where the criterion or the robot has none."""
+    payload_known: bool
+    """Whether the policy was told the payload."""
+    seed: int
+    """Of the environments."""
+    environment: dict[str, Any]
+    """Robot, trajectory, control frequency and cable mode, as plain data."""
+    versions: dict[str, str]
+    """Of Python and of the packages that make the number."""
+    task: Task = field(repr=False)
+    """The public task, for drawing."""
+    history: dict[str, Array] = field(repr=False)
+    """The episode at the payload (at zero if none is carried), see :class:`History`."""
+
+    @property
+    def score(self) -> float:
+        """The payload, or 0 if not even zero is carried [kg]."""
+        return self.payload or 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able data; without the history."""
+        skipped = {"task", "history"}
+        data = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in skipped}
+        return data | {"limit": asdict(self.limit), "feasible": [list(pair) for pair in self.feasible]}
+
+    def to_json(self) -> str:
+        """The result as JSON, indented."""
+        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+
+    def __str__(self) -> str:
+        head = f"{self.env_id}, {self.policy}, {self.criterion} criterion"
+        told = "payload told" if self.payload_known else "payload not told"
+        if self.payload is None:
+            others = "; it does carry " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)
+            text = f"not even zero payload is carried: {self.limit}{others if self.feasible else ''}"
+        else:
+            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg), then {self.limit}"
+        return f"{head}, {told}: {text}"
+
+    def plot(self) -> Figure:
+        """Torques against their limits and the path against its tube, as the paper's Figs. 10–13.
+
+        Raises:
+            ImportError: if matplotlib is missing; the message names the command that installs it.
+        """
+        from cablebot_gym.dlcc.figures import draw_result
+
+        return draw_result(self)
