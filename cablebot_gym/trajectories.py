@@ -93,9 +93,9 @@ class _Motion:
 class PaperCircle(_Motion):
     """The paper's circle (Tables 1 and 3): speeds up over one half turn and slows down over the other.
 
-    With u = t / duration: ``(x, y) = radius (cos 4πu², sin 4πu²)`` before u = 0.5, then
+    With u = t / duration: ``(x, y) = radius (cos 4πu², sin 4πu²)`` for u ≤ 0.5, then
     ``radius (cos 4π(1−u)², −sin 4π(1−u)²)``, about ``center``. The angular acceleration jumps from +8π to −8π rad per
-    duration² at u = 0.5, where the second branch holds, and vanishes at neither end. Only position and velocity are
+    duration² right after u = 0.5, where the first branch still holds, and vanishes at neither end. Only position and velocity are
     continuous, so no robot with flexible joints can follow it exactly.
 
     Raises:
@@ -123,7 +123,7 @@ class PaperCircle(_Motion):
 
     def _derivatives(self, time: Array) -> Array:
         u = time / self.duration
-        first = u < 0.5
+        first = u <= 0.5
         from_rest = np.where(first, u, 1 - u)
         acceleration = np.where(first, 8 * np.pi, -8 * np.pi)
         zero = np.zeros_like(u)
