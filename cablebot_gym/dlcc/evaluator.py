@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.monitor import Criterion, Judge, Limit, Verdict, find_criterion
 from cablebot_gym.dlcc.result import DLCCResult, History
-from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.envs import env_robot
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LaneError, Policy, as_policy, load_policy
 from cablebot_gym.task import Limits, Task, as_plain, find_limits
@@ -71,8 +71,7 @@ def evaluate_dlcc(
         PolicyError: if the policy raises or returns anything but finite drive commands.
     """
     criterion_ = find_criterion(criterion)
-    if env_id not in ENV_IDS:
-        raise ValueError(f"unknown environment {env_id!r}; choose one of {', '.join(ENV_IDS)}")
+    env_robot(env_id)
     if not 0 < resolution < math.inf:
         raise ValueError(f"resolution must be greater than 0 kg, not {resolution}")
     limits = find_limits(limits)

@@ -59,8 +59,9 @@ def exact_payload(
 
     The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``. They are looked at
     where a simulated episode looks: at the control instants ``t_k = k / frequency`` for k = 0 … K − 1 with
-    K = round(duration · frequency). The infimum is over these instants; ``duration`` itself is none of them, and at
-    half time the second branch of the paper's circles holds.
+    K = round(duration · frequency). The infimum is over these instants, and ``duration`` itself is none of them. The
+    acceleration of the paper's circles jumps at half time: of its two sides only the one that the trajectory takes
+    there is seen, the other is missed by up to one period.
 
     The feasible payloads of a spatial robot are one interval, since its tensions are affine in the mass. The least
     tensions of a planar robot have kinks, and there may be more intervals; the one taken holds zero payload, or is the

@@ -25,3 +25,14 @@ def register_envs() -> None:
                 max_episode_steps=MAX_EPISODE_STEPS,
                 kwargs={"robot": robot},
             )
+
+
+def env_robot(env_id: str) -> str:
+    """The robot's name of an id.
+
+    Raises:
+        ValueError: if the id is unknown, naming the known ones.
+    """
+    if env_id not in ENV_ROBOTS:
+        raise ValueError(f"unknown environment {env_id!r}; choose one of {', '.join(ENV_IDS)}")
+    return ENV_ROBOTS[env_id]

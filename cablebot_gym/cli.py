@@ -1,0 +1,278 @@
+"""``cablebot``: payloads, lists and recordings from the command line.
+
+Exit status: 0 done, 1 ran and failed, 2 bad input, 130 interrupted. Results go to standard output, everything else to
+standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+app = typer.Typer(
+    name="cablebot",
+    help="How many kilograms does a controller carry on a cable robot?",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+_errors = Console(stderr=True)
+_BOTH = "both"
+
+
+class CriterionChoice(StrEnum):
+    """Choices of ``--criterion``."""
+
+    task = "task"
+    paper = "paper"
+    both = _BOTH
+
+
+EnvId = Annotated[str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")]
+PolicyName = Annotated[
+    str, typer.Option("--policy", help="Installed name, SB3 file ending in .zip, or package.module:factory.")
+]
+TrajectoryName = Annotated[
+    str | None,
+    typer.Option("--trajectory", help="Name, or JSON such as '{\"name\": \"circle-spatial\", \"duration\": 1.5}'."),
+]
+Known = Annotated[bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy is told the payload.")]
+Frequency = Annotated[float, typer.Option("--control-frequency", help="Drive commands per second [Hz].")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
+
+
+@app.command()
+def dlcc(
+    env_id: EnvId,
+    policy: PolicyName,
+    criterion: Annotated[CriterionChoice, typer.Option(help="Which limits count.")] = CriterionChoice.both,
+    trajectory: TrajectoryName = None,
+    payload_known: Known = True,
+    position_bound: Annotated[float, typer.Option(help="Largest position error [m].")] = 0.01,
+    rotation_bound: Annotated[float, typer.Option(help="Largest rotation error, task criterion [rad].")] = 0.01,
+    payload_max: Annotated[float | None, typer.Option(help="End of the scan [kg]: 10 planar, 20 spatial.")] = None,
+    resolution: Annotated[float, typer.Option(help="Gap between carried and not carried [kg].")] = 1e-3,
+    control_frequency: Frequency = 500.0,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder for result.json and the figures.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False,
+) -> None:
+    """The largest payload that a policy carries, what gives way first beyond it, and when.
+
+    Example: cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
+    """
+    from cablebot_gym.dlcc import CRITERIA, evaluate_dlcc
+    from cablebot_gym.envs import env_robot
+    from cablebot_gym.files import usable_folder, write_whole
+    from cablebot_gym.policies import load_policy
+    from cablebot_gym.robots import find_robot
+
+    save_figures: Callable[..., Any] | None = None
+    if out is not None:
+        from cablebot_gym.dlcc.figures import import_matplotlib, save_figures
+
+        import_matplotlib()
+        usable_folder(out)
+    loaded = load_policy(policy, find_robot(env_robot(env_id)))
+    chosen = list(CRITERIA) if criterion.value == _BOTH else [criterion.value]
+    left_out = []
+    if criterion.value == _BOTH and not getattr(loaded, "unclipped", False):
+        left_out = ["paper"]
+        chosen.remove("paper")
+    results = []
+    with _progress() as step:
+        for place, one in enumerate(chosen):
+            results.append(
+                evaluate_dlcc(
+                    loaded,
+                    env_id,
+                    criterion=one,
+                    limits={"position": position_bound, "rotation": rotation_bound},
+                    payload_max=payload_max,
+                    resolution=resolution,
+                    seed=seed,
+                    name=policy,
+                    trajectory=_trajectory(trajectory),
+                    payload_known=payload_known,
+                    control_frequency=control_frequency,
+                    progress=lambda done, total, place=place, one=one: step(
+                        f"{one} criterion", place + done / total, len(chosen)
+                    ),
+                )
+            )
+    text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
+    if out is not None and save_figures is not None:
+        write_whole(out / "result.json", lambda path: _write_text(path, text + "\n"))
+        written = [out / "result.json", *(path for result in results for path in save_figures(result, out))]
+        _errors.print("wrote " + ", ".join(str(path) for path in written), soft_wrap=True, highlight=False)
+    if as_json:
+        print(text)
+    else:
+        _print_table(results, left_out)
+
+
+def _print_table(results: list[Any], left_out: list[str]) -> None:
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    first = results[0]
+    told = "payload told" if first.payload_known else "payload not told"
+    table = Table(
+        title=f"{first.env_id}, {first.policy}, {first.environment['trajectory'].get('name', '')}, {told}",
+        title_justify="left",
+    )
+    for column, justify in (
+        ("criterion", "left"),
+        ("payload", "right"),
+        ("total mass", "right"),
+        ("what fails first beyond it", "left"),
+        ("left at that payload", "left"),
+    ):
+        table.add_column(column, justify=justify)  # type: ignore[arg-type]
+    for result in results:
+        if result.payload is None:
+            payload, total = "none", "–"
+            intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
+            margins = f"not even zero is carried; carried: {intervals or 'nothing'}"
+        else:
+            payload, total = f"{result.payload:.3f} kg", f"{result.total_mass:.3f} kg"
+            margins = _margins_text(result)
+        table.add_row(result.criterion, payload, total, str(result.limit), margins)
+    for name in left_out:
+        table.add_row(name, "n/a", "–", "not applicable: the policy does not declare unclipped", "–")
+    console.print(table)
+    bounds = f"position {first.limits['position'] * 1e3:g} mm"
+    rotation = next((result.limits["rotation"] for result in results if result.limits["rotation"] is not None), None)
+    if rotation is not None:
+        bounds += f", rotation {rotation * 1e3:g} mrad (task only)"
+    console.print(f"bounds: {bounds}; resolution {first.resolution * 1e3:.2g} g; index counts from 1", highlight=False)
+
+
+def _margins_text(result: Any) -> str:
+    parts = [f"torque {result.margins['torque']:.1%}", f"position {result.margins['position']:.1%}"]
+    if result.limits["rotation"] is not None:
+        parts.append(f"rotation {result.margins['rotation']:.1%}")
+    return ", ".join([*parts, f"tension ≥ {result.margins['tension']:.1f} N"])
+
+
+@app.command(name="list")
+def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False) -> None:
+    """Environments, trajectories and installed policies.
+
+    Example: cablebot list --json
+    """
+    from cablebot_gym.envs import ENV_IDS
+    from cablebot_gym.policies import policy_entries
+    from cablebot_gym.trajectories import trajectory_names
+
+    entries = policy_entries().values()
+    if as_json:
+        policies = [{"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in entries]
+        data = {"env_ids": list(ENV_IDS), "trajectories": trajectory_names(), "policies": policies}
+        print(json.dumps(data, indent=2))
+        return
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    console.print("environments: " + ", ".join(ENV_IDS))
+    console.print("trajectories: " + ", ".join(trajectory_names()))
+    console.print("policies:")
+    for item in entries:
+        console.print(f"  {item.name} ({item.kind}): {item.summary}; for {', '.join(item.env_ids)}")
+
+
+@app.command()
+def rollout(
+    env_id: EnvId,
+    policy: PolicyName,
+    out: Annotated[Path, typer.Option(help="Recording, ending in .npz or .csv.")],
+    payload: Annotated[float, typer.Option(help="[kg]")] = 0.0,
+    trajectory: TrajectoryName = None,
+    payload_known: Known = True,
+    control_frequency: Frequency = 500.0,
+    seed: Seed = 0,
+) -> None:
+    """One episode of a policy, recorded step by step.
+
+    Example: cablebot rollout CableBot-Planar-v0 --policy fl --payload 1.5 --out run.csv
+    """
+    from cablebot_gym.files import usable_folder
+    from cablebot_gym.rollout import check_suffix, record_rollout
+
+    check_suffix(out)
+    usable_folder(out.parent)
+    if out.is_dir():
+        raise ValueError(f"cannot write {str(out)!r}: it is a folder; name a file in it")
+    record = record_rollout(
+        policy,
+        env_id,
+        payload=payload,
+        seed=seed,
+        trajectory=_trajectory(trajectory),
+        payload_known=payload_known,
+        control_frequency=control_frequency,
+    )
+    record.save(out)
+    verdict = record.verdict
+    outcome = "carried" if verdict.carried else f"not carried: {verdict.limit}"
+    ended = f" (ended early: {record.reason})" if record.reason else ""
+    print(f"{env_id}, {policy}, {payload:g} kg, task criterion: {outcome}{ended}; recorded in {out}")
+
+
+def _trajectory(text: str | None) -> Any:
+    if text is None or not text.lstrip().startswith("{"):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"--trajectory is no valid JSON: {error}") from error
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float, int], None]]:
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=_errors, transient=True) as bar:
+        task = bar.add_task("preparing", total=1.0)
+
+        def step(description: str, done: float, total: int) -> None:
+            bar.update(task, description=description, completed=done, total=total)
+
+        yield step
+
+
+def main() -> None:
+    """Entry point: turns errors into one sentence and an exit status."""
+    from cablebot_gym.dlcc.evaluator import PolicyError
+
+    try:
+        app(standalone_mode=False)
+    except KeyboardInterrupt:
+        _fail("interrupted: nothing was written", 130)
+    except (ValueError, TypeError, ImportError) as error:
+        _fail(str(error), 2)
+    except PolicyError as error:
+        _fail(str(error), 1)
+    except Exception as error:
+        show = getattr(error, "format_message", None)  # what the option parser found wrong
+        if show is None:
+            raise
+        _fail(show(), getattr(error, "exit_code", 2))
+
+
+def _fail(message: str, status: int) -> None:
+    _errors.print(f"cablebot: {message}", style="red", highlight=False, markup=False, soft_wrap=True)
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()
