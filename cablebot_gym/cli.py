@@ -38,15 +38,19 @@ class CriterionChoice(StrEnum):
     both = _BOTH
 
 
-EnvId = Annotated[str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")]
+EnvId = Annotated[
+    str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")
+]
 PolicyName = Annotated[
     str, typer.Option("--policy", help="Installed name, SB3 file ending in .zip, or package.module:factory.")
 ]
 TrajectoryName = Annotated[
     str | None,
-    typer.Option("--trajectory", help="Name, or JSON such as '{\"name\": \"circle-spatial\", \"duration\": 1.5}'."),
+    typer.Option("--trajectory", help='Name, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'.'),
 ]
-Known = Annotated[bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy is told the payload.")]
+Known = Annotated[
+    bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy is told the payload.")
+]
 Frequency = Annotated[float, typer.Option("--control-frequency", help="Drive commands per second [Hz].")]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
 
@@ -240,7 +244,12 @@ def _write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, float, int], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=_errors, transient=True) as bar:
         task = bar.add_task("preparing", total=1.0)
 

@@ -19,7 +19,9 @@ def usable_folder(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise ValueError(f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another") from error
+        raise ValueError(
+            f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another"
+        ) from error
     return folder
 
 

@@ -110,7 +110,9 @@ def as_policy(policy: Any) -> Policy:
         return policy
     if callable(policy):
         return CallablePolicy(policy)
-    raise TypeError(f"a policy has predict() or is a callable observation -> action; {type(policy).__name__} is neither")
+    raise TypeError(
+        f"a policy has predict() or is a callable observation -> action; {type(policy).__name__} is neither"
+    )
 
 
 def policy_entries() -> dict[str, PolicyEntry]:

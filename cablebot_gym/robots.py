@@ -195,7 +195,9 @@ def _frozen(values: Any) -> Array:
 def _check_shapes(robot: Robot) -> None:
     columns = {len(anchor) for anchor in robot.base_anchors}
     if columns not in ({2}, {3}):
-        raise ValueError("base_anchors must hold one (x, y) per cable for a planar robot or one (x, y, z) for a spatial")
+        raise ValueError(
+            "base_anchors must hold one (x, y) per cable for a planar robot or one (x, y, z) for a spatial"
+        )
     m, n = robot.cables, robot.coordinates
     if robot.planar and (robot.platform_anchors or robot.inertia):
         raise ValueError("a planar robot is a point mass: leave platform_anchors and inertia empty")
@@ -238,7 +240,11 @@ def _check_values(robot: Robot) -> None:
         moments = sorted(robot.inertia)
         if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
             raise ValueError(f"inertia {robot.inertia}: no body has one principal moment above the sum of the others")
-    for field, points in (("base_anchors", robot.base), ("platform_anchors", robot.platform), ("home_pose", robot.home)):
+    for field, points in (
+        ("base_anchors", robot.base),
+        ("platform_anchors", robot.platform),
+        ("home_pose", robot.home),
+    ):
         if not np.all(np.isfinite(points)):
             raise ValueError(f"{field} must be finite")
     low, high = robot.pose_bounds

@@ -1,13 +1,11 @@
-"""The speed peer: the environment a competent user would write over MuJoCo for the same robot, and how fast it is.
+"""The speed peer: the environment that a competent user would write over MuJoCo for the same robot.
 
-Run ``python scripts/mujoco_peer.py`` for RK4 steps per second and ``env.step`` calls per second. Nothing in the
-package imports this file.
+``bench_throughput.py`` measures it. Nothing in the package imports this file.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import gymnasium
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.kinematics import structure_jacobian
 from cablebot_gym.physics.mujoco_model import MujocoRobot
-from cablebot_gym.robots import PLANAR, SPATIAL, Robot
+from cablebot_gym.robots import Robot
 
 Array = NDArray[np.float64]
 
@@ -169,55 +167,8 @@ def holding_torques(robot: Robot) -> Array:
     return np.asarray(tensions * robot.pulley_radius, np.float64)
 
 
-def _uneven(torques: Array) -> Array:
-    """Nearly the same torques, so that the robot moves and turns a little: zeros must not flatter a measurement."""
-    return torques * np.linspace(0.998, 1.002, len(torques))
-
-
 def home_table(robot: Robot, instants: int = 501, previews: int = 2) -> Array:
     """A reference that stays at home, with the columns of a real one."""
     n = robot.coordinates
     row = np.concatenate([robot.home, np.zeros(2 * n), np.tile(robot.home, previews)])
     return np.tile(row, (instants, 1))
-
-
-def rk4_steps_per_second(robot: Robot, seconds: float = 2.0, at_once: int = 300) -> float:
-    """MuJoCo's best rate of RK4 steps at 1 ms, ``at_once`` per call from the home pose near holding torques."""
-    plant = MujocoRobot(robot)
-    torques, best = _uneven(holding_torques(robot)), 0.0
-    end = time.perf_counter() + seconds
-    while (start := time.perf_counter()) < end:
-        for _ in range(10):
-            plant.set_state(robot.home, np.zeros(robot.coordinates))
-            plant.step(torques, at_once)
-        best = max(best, 10 * at_once / (time.perf_counter() - start))
-    return best
-
-
-def env_steps_per_second(env: MujocoCableBotEnv, action: Array, seconds: float = 2.0, block: int = 500) -> float:
-    """Best rate of ``env.step`` over blocks, resets included."""
-    best = 0.0
-    env.reset(seed=0)
-    end = time.perf_counter() + seconds
-    while (start := time.perf_counter()) < end:
-        for _ in range(block):
-            _, _, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
-                env.reset()
-        best = max(best, block / (time.perf_counter() - start))
-    return best
-
-
-def main() -> None:
-    """Print the rates of both robots."""
-    for robot in (SPATIAL, PLANAR):
-        action, table = _uneven(holding_torques(robot)) / robot.stall_torque, home_table(robot)
-        print(f"{robot.name:8} RK4 at 1 ms: {rk4_steps_per_second(robot):9,.0f} steps/s")
-        for clip in (False, True):
-            env = MujocoCableBotEnv(robot, table, clip_each_step=clip)
-            label = "clipped each substep" if clip else "one mj_step call"
-            print(f"{robot.name:8} env.step, ten substeps, {label}: {env_steps_per_second(env, action):8,.0f} steps/s")
-
-
-if __name__ == "__main__":
-    main()

@@ -171,16 +171,16 @@ class _Run:
             carrying = f"with a payload of {payloads[error.lane]:g} kg"
             raise PolicyError(f"policy {self.name!r} failed {at} {carrying}: {error}") from error.__cause__
         except Exception as error:
-            raise PolicyError(
-                f"policy {self.name!r} raised {type(error).__name__} {at} {everyone}: {error}"
-            ) from error
+            raise PolicyError(f"policy {self.name!r} raised {type(error).__name__} {at} {everyone}: {error}") from error
         expected = (len(payloads), self.task.robot.cables)
         if action.shape != expected:
             raise PolicyError(f"policy {self.name!r} returned shape {action.shape} {at} {everyone}; needed: {expected}")
         action[failed] = 0.0  # judged already: what comes of it does not matter
         if not np.all(np.isfinite(action)):
             lane = int(np.argmin(np.isfinite(action).all(axis=1)))
-            raise PolicyError(f"policy {self.name!r} returned NaN or infinity {at} with a payload of {payloads[lane]:g} kg")
+            raise PolicyError(
+                f"policy {self.name!r} returned NaN or infinity {at} with a payload of {payloads[lane]:g} kg"
+            )
         return action, state
 
 

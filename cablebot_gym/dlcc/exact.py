@@ -21,6 +21,9 @@ from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
 
+_GRID = 2000.0
+"""Instants per second that stand for all times [Hz]; smooth extrema are met to the square of their distance."""
+
 _LIMITS: tuple[tuple[Kind, Line], ...] = (("torque", "upper"), ("torque", "lower"), ("tension", "lower"))
 """The last axis of :func:`_margins`."""
 
@@ -40,7 +43,7 @@ class ExactPayload:
     motor: int | None
     """Motor that a larger payload saturates, or whose cable it slackens, counted from 1; None if nothing limits."""
     time: float | None
-    """Control instant at which it does [s]; the earliest, if there are more."""
+    """When it does [s]; the earliest, if there are more."""
     kind: Kind | None
     """Whether the motor's torque or the cable's tension is the limit."""
     line: Line | None
@@ -53,15 +56,14 @@ class ExactPayload:
 
 
 def exact_payload(
-    robot: Robot, trajectory: Trajectory, *, minimum_tension: float = 0.0, frequency: float = 500.0
+    robot: Robot, trajectory: Trajectory, *, minimum_tension: float = 0.0, frequency: float | None = None
 ) -> ExactPayload:
     """The largest payload with which ``robot`` follows ``trajectory`` exactly inside its motors' limits.
 
-    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``. They are looked at
-    where a simulated episode looks: at the control instants ``t_k = k / frequency`` for k = 0 … K − 1 with
-    K = round(duration · frequency). The infimum is over these instants, and ``duration`` itself is none of them. The
-    acceleration of the paper's circles jumps at half time: of its two sides only the one that the trajectory takes
-    there is seen, the other is missed by up to one period.
+    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``. The infimum is over
+    all times from 0 to ``duration``, that itself left out: over a fine grid with both sides of each of its instants, so
+    that where the paper's circles jump, both accelerations count. With ``frequency`` it is over the control instants of
+    a simulated episode alone, which sees one side of a jump and comes close to the other.
 
     The feasible payloads of a spatial robot are one interval, since its tensions are affine in the mass. The least
     tensions of a planar robot have kinks, and there may be more intervals; the one taken holds zero payload, or is the
@@ -71,14 +73,16 @@ def exact_payload(
         robot: with a rigid transmission.
         trajectory: for a robot with as many coordinates.
         minimum_tension: that every cable has to keep [N]; ≥ 0. Planar: the least tensions of all that keep it are used.
-        frequency: control instants per second [Hz].
+        frequency: control instants per second [Hz]; None for all times.
 
     Raises:
         ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.
     """
     if not 0 <= minimum_tension < np.inf:
         raise ValueError(f"minimum_tension must be finite and at least 0 N, not {minimum_tension}")
-    times, reference = control_instants(robot, trajectory, frequency)
+    times, reference = (
+        _all_times(robot, trajectory) if frequency is None else control_instants(robot, trajectory, frequency)
+    )
     masses = _nodes(robot, reference, minimum_tension)
     margins = _margins(robot, reference, masses, minimum_tension)
     starts, ends, where = _broken(masses, margins)
@@ -103,6 +107,16 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
     if not 0 < frequency < np.inf or round(trajectory.duration * frequency) < 1:
         raise ValueError(f"frequency must give at least one instant in {trajectory.duration} s, not {frequency} Hz")
     times = np.arange(round(trajectory.duration * frequency)) / frequency
+    return times, trajectory(times)
+
+
+def _all_times(robot: Robot, trajectory: Trajectory) -> tuple[Array, Reference]:
+    """A grid that stands for all times, each instant with its two sides; half time, where circles jump, is on it."""
+    trajectory = find_trajectory(trajectory, robot.coordinates)
+    count = 2 * max(500, round(_GRID * trajectory.duration / 2))
+    grid = np.arange(count) * (trajectory.duration / count)
+    side = 1e-9 * trajectory.duration
+    times = np.stack([grid - side, grid, grid + side], axis=1).ravel()[1:]
     return times, trajectory(times)
 
 
@@ -184,7 +198,7 @@ def _result(robot: Robot, payload: float, lowest: float, times: Array, where: Ar
     if where is None:
         motor, time, kind, line = None, None, None, None
     else:
-        motor, time = int(where[1]) + 1, float(times[where[0]])
+        motor, time = int(where[1]) + 1, round(float(times[where[0]]), 7)
         kind, line = _LIMITS[where[2]]
     return ExactPayload(
         payload=payload, lowest=lowest, platform_mass=robot.mass, motor=motor, time=time, kind=kind, line=line

@@ -84,7 +84,14 @@ def outcome(
     some cable has been slack [s].
     """
     m, n = stall.shape[0], workspace.shape[1]
-    pose, velocity, peak_position, peak_rotation, first_cable, cable_rows = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    pose, velocity, peak_position, peak_rotation, first_cable, cable_rows = (
+        rows[0],
+        rows[1],
+        rows[2],
+        rows[3],
+        rows[4],
+        rows[5],
+    )
     demand_row, torque_row, tension_row, speed_row, slack_row = rows[6], rows[7], rows[8], rows[9], rows[10]
     spatial = n > 2
     for place in range(index.shape[0]):

@@ -213,4 +213,3 @@ def _numbers(name: str, value: Any) -> Array:
         return np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be numbers, not {value!r}") from None
-

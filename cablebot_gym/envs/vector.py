@@ -143,7 +143,9 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        seeds = [int(seed) + lane for lane in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
+        seeds = (
+            [int(seed) + lane for lane in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
+        )
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
         if any(item is not None and item < 0 for item in seeds):

@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import math
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 from cablebot_gym.physics.compiling import announce_compilation
 
@@ -41,7 +42,19 @@ POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13,
 DEMAND, TORQUE, TENSION, SPEED, SLACK = 0, 1, 2, 3, 4
 CABLE_RECORDS = 5
 RECORD_ROWS = np.array(
-    [POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD, CABLE_RECORDS, DEMAND, TORQUE, TENSION, SPEED, SLACK]
+    [
+        POSE,
+        VELOCITY,
+        POSITION_PEAK,
+        ROTATION_PEAK,
+        FIRST_CABLE_RECORD,
+        CABLE_RECORDS,
+        DEMAND,
+        TORQUE,
+        TENSION,
+        SPEED,
+        SLACK,
+    ]
 )
 """The numbers above, for compiled readers of the record in other files."""
 
@@ -71,14 +84,28 @@ def scratch_rows(cables: int) -> int:
 # ---------------------------------------------------------------------------------------------- small helpers
 
 
+@intrinsic
+def _fma(context, a, b, c):
+    """a b + c in one rounding, said explicitly: left to the compiler, one lane and a tile would round differently."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
 @_inline
 def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return _fma(a[2], b[2], _fma(a[1], b[1], a[0] * b[0]))
 
 
 @_inline
 def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        _fma(a[1], b[2], -(a[2] * b[1])),
+        _fma(a[2], b[0], -(a[0] * b[2])),
+        _fma(a[0], b[1], -(a[1] * b[0])),
+    )
 
 
 @_inline
@@ -101,14 +128,14 @@ def _sincos(angle):
     x = angle - turns * 1.5707963267341256
     x = x - turns * 6.077100506506192e-11
     z = x * x
-    tail = -1.98412698298579493134e-04 + z * (
-        2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
-    )
-    sine = x + x * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * tail))
-    tail = 2.48015872894767294178e-05 + z * (
-        -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
-    )
-    cosine = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * tail))
+    sine = _fma(z, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
+    sine = _fma(z, _fma(z, sine, 2.75573137070700676789e-06), -1.98412698298579493134e-04)
+    sine = _fma(z, _fma(z, sine, 8.33333333332248946124e-03), -1.66666666666666324348e-01)
+    sine = _fma(x * z, sine, x)
+    cosine = _fma(z, -1.13596475577881948265e-11, 2.08757232129817482790e-09)
+    cosine = _fma(z, _fma(z, cosine, -2.75573143513906633035e-07), 2.48015872894767294178e-05)
+    cosine = _fma(z, _fma(z, cosine, -1.38888888888741095749e-03), 4.16666666666666019037e-02)
+    cosine = _fma(z * z, cosine, _fma(z, -0.5, 1.0))
     quadrant = turns - 4.0 * np.floor(turns * 0.25)
     odd = (quadrant == 1.0) | (quadrant == 3.0)
     s = cosine if odd else sine
@@ -194,7 +221,8 @@ def _known_tension(p, w, at, lanes, i):
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
     drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
-    return drive + p[(par + INERTIA_PER_RADIUS2) * lanes + at] * w[(row + _BIAS) * lanes + at] + damping
+    inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
+    return _fma(inertia, w[(row + _BIAS) * lanes + at], drive + damping)
 
 
 @_inline
@@ -206,35 +234,38 @@ def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
     mu_u, mu_n = (mu * u[0], mu * u[1], mu * u[2]), (mu * n[0], mu * n[1], mu * n[2])
     a = _add_outer(a, mu_u, u)
     c = _add_outer(c, mu_n, n)
-    b = (
-        (b[0][0] + mu_u[0] * n[0], b[0][1] + mu_u[0] * n[1], b[0][2] + mu_u[0] * n[2]),
-        (b[1][0] + mu_u[1] * n[0], b[1][1] + mu_u[1] * n[1], b[1][2] + mu_u[1] * n[2]),
-        (b[2][0] + mu_u[2] * n[0], b[2][1] + mu_u[2] * n[1], b[2][2] + mu_u[2] * n[2]),
-    )
-    f = (f[0] - known * u[0], f[1] - known * u[1], f[2] - known * u[2])
-    g = (g[0] - known * n[0], g[1] - known * n[1], g[2] - known * n[2])
+    b = (_ahead(mu_u[0], n, b[0]), _ahead(mu_u[1], n, b[1]), _ahead(mu_u[2], n, b[2]))
+    f, g = _ahead(-known, u, f), _ahead(-known, n, g)
     return a, b, c, f, g
+
+
+@_inline
+def _ahead(factor, x, base):
+    """base + factor x."""
+    return _fma(factor, x[0], base[0]), _fma(factor, x[1], base[1]), _fma(factor, x[2], base[2])
 
 
 @_inline
 def _add_outer(a, x, y):
     """a + x yᵀ for parallel x, y; a symmetric, held as (xx, xy, xz, yy, yz, zz)."""
     return (
-        a[0] + x[0] * y[0],
-        a[1] + x[0] * y[1],
-        a[2] + x[0] * y[2],
-        a[3] + x[1] * y[1],
-        a[4] + x[1] * y[2],
-        a[5] + x[2] * y[2],
+        _fma(x[0], y[0], a[0]),
+        _fma(x[0], y[1], a[1]),
+        _fma(x[0], y[2], a[2]),
+        _fma(x[1], y[1], a[3]),
+        _fma(x[1], y[2], a[4]),
+        _fma(x[2], y[2], a[5]),
     )
 
 
 @_inline
 def _inverse(a):
     """Inverse of a symmetric 3 × 3, by cofactors: one division."""
-    xx, xy, xz = a[3] * a[5] - a[4] * a[4], a[2] * a[4] - a[1] * a[5], a[1] * a[4] - a[2] * a[3]
-    per = 1.0 / (a[0] * xx + a[1] * xy + a[2] * xz)
-    yy, yz, zz = a[0] * a[5] - a[2] * a[2], a[1] * a[2] - a[0] * a[4], a[0] * a[3] - a[1] * a[1]
+    xx, xy, xz = _cross((a[1], a[3], a[4]), (a[2], a[4], a[5]))
+    per = 1.0 / _dot((a[0], a[1], a[2]), (xx, xy, xz))
+    yy = _fma(a[0], a[5], -(a[2] * a[2]))
+    yz = _fma(a[1], a[2], -(a[0] * a[4]))
+    zz = _fma(a[0], a[3], -(a[1] * a[1]))
     return xx * per, xy * per, xz * per, yy * per, yz * per, zz * per
 
 
@@ -242,9 +273,9 @@ def _inverse(a):
 def _times(a, x):
     """Symmetric 3 × 3 times a vector."""
     return (
-        a[0] * x[0] + a[1] * x[1] + a[2] * x[2],
-        a[1] * x[0] + a[3] * x[1] + a[4] * x[2],
-        a[2] * x[0] + a[4] * x[1] + a[5] * x[2],
+        _dot((a[0], a[1], a[2]), x),
+        _dot((a[1], a[3], a[4]), x),
+        _dot((a[2], a[4], a[5]), x),
     )
 
 
@@ -286,11 +317,7 @@ def _spatial_solve(p, w, at, lanes):
         _Y,
         at,
         lanes,
-        (
-            push[0] - e0[0] * turn[0] - e1[0] * turn[1] - e2[0] * turn[2],
-            push[1] - e0[1] * turn[0] - e1[1] * turn[1] - e2[1] * turn[2],
-            push[2] - e0[2] * turn[0] - e1[2] * turn[1] - e2[2] * turn[2],
-        ),
+        _ahead(-turn[0], e0, _ahead(-turn[1], e1, _ahead(-turn[2], e2, push))),
     )
     _store(w, _Y + 3, at, lanes, turn)
 
@@ -313,11 +340,7 @@ def _spatial_acceleration(w, at, lanes):
         _RATE,
         at,
         lanes,
-        (
-            first[0] * y[0] + second[0] * y[1] + third[0] * y[2],
-            first[1] * y[0] + second[1] * y[1] + third[1] * y[2],
-            first[2] * y[0] + second[2] * y[1] + third[2] * y[2],
-        ),
+        _ahead(y[0], first, _ahead(y[1], second, (third[0] * y[2], third[1] * y[2], third[2] * y[2]))),
     )
     _store(w, _RATE + 3, at, lanes, (x + sy * yaw, cx * y_ - sx * z, yaw))
 

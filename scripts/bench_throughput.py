@@ -1,0 +1,194 @@
+"""How fast the environments are, beside MuJoCo's RK4 with the same robots, in one run.
+
+Every contender takes a short turn after the other, round after round, so that a change of the machine's speed hits all
+of them; the table gives medians over the rounds and medians of the ratios within a round. Steps of ours are complete:
+observation, reward, termination and info included. Example: python scripts/bench_throughput.py --rounds 7 --json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import cablebot_gym  # noqa: F401 - registers the ids
+from cablebot_gym.robots import PLANAR, SPATIAL, Robot
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the peer beside this file, wherever it is run from
+try:
+    from mujoco_peer import MujocoCableBotEnv, holding_torques, home_table
+
+    from cablebot_gym.physics.mujoco_model import MujocoRobot
+except ImportError as error:
+    raise SystemExit(f"the speed peer is missing ({error}): pip install 'cablebot-gym[mujoco]'") from error
+
+SUBSTEPS = 10
+"""RK4 steps of 1 ms in each control step."""
+
+SIZES = (1, 64, 1024, 8192)
+"""Sizes of the vector environment."""
+
+Turn = Callable[[], int]
+"""Does some work and returns how many units it was."""
+
+PEER = "MuJoCo RK4, 300 steps a call"
+PEER_ENV = "MuJoCo env, torques clipped each RK4 step as ours"
+PEER_ENV_ONCE = "MuJoCo env, one call, no clipping"
+OURS_ENV = "our env"
+
+
+def action_near_holding(robot: Robot) -> np.ndarray:
+    """Drive commands under which the robot moves and turns a little: zeros must not flatter a measurement."""
+    return holding_torques(robot) / robot.stall_torque * np.linspace(0.998, 1.002, robot.cables)
+
+
+def mujoco_turn(robot: Robot) -> Turn:
+    """RK4 steps of MuJoCo alone."""
+    plant, torques = MujocoRobot(robot), action_near_holding(robot) * robot.stall_torque
+
+    def turn() -> int:
+        plant.set_state(robot.home, np.zeros(robot.coordinates))
+        plant.step(torques, 300)
+        return 300
+
+    return turn
+
+
+def env_turn(env: gym.Env[Any, Any], robot: Robot) -> Turn:
+    """Calls of ``env.step``, resets included."""
+    action = action_near_holding(robot)
+    env.reset(seed=0)
+
+    def turn() -> int:
+        for _ in range(100):
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        return 100
+
+    return turn
+
+
+def vector_turn(env_id: str, robot: Robot, count: int) -> Turn:
+    """RK4 steps of our vector environment."""
+    keywords = {"control_frequency": 100.0, "substeps": SUBSTEPS, "trajectory": f"hold-{robot.name}"}
+    env = gym.make_vec(env_id, num_envs=count, max_episode_steps=50, **keywords)
+    actions = np.tile(action_near_holding(robot), (count, 1))
+    env.reset(seed=0)
+
+    def turn() -> int:
+        for _ in range(5):
+            env.step(actions)
+        return 5 * SUBSTEPS * count
+
+    return turn
+
+
+def our_env(env_id: str, robot: Robot) -> gym.Env[Any, Any]:
+    """Our single environment with ten RK4 steps of 1 ms in each control step."""
+    return gym.make(env_id, control_frequency=100.0, substeps=SUBSTEPS, trajectory=f"hold-{robot.name}").unwrapped
+
+
+def rate(turn: Turn, seconds: float) -> float:
+    """Units per second of one contender's turn."""
+    units, start = 0, time.perf_counter()
+    while (spent := time.perf_counter() - start) < seconds:
+        units += turn()
+    return units / spent
+
+
+def warm_start_seconds(env_id: str) -> float:
+    """Wall time of a new process that imports the package, makes, resets and steps once, everything compiled."""
+    code = f"import gymnasium, cablebot_gym; e = gymnasium.make({env_id!r}); e.reset(); e.step(e.action_space.sample())"
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    return time.perf_counter() - start
+
+
+def measure(rounds: int, seconds: float) -> dict[str, Any]:
+    """Medians and ratios for both robots."""
+    report: dict[str, Any] = {}
+    for env_id, robot in (("CableBot-Planar-v0", PLANAR), ("CableBot-Spatial-v0", SPATIAL)):
+        table = home_table(robot)
+        contenders = {
+            PEER: mujoco_turn(robot),
+            **{f"our vector env, N = {count}": vector_turn(env_id, robot, count) for count in SIZES},
+            PEER_ENV: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS, clip_each_step=True), robot),
+            PEER_ENV_ONCE: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS), robot),
+            OURS_ENV: env_turn(our_env(env_id, robot), robot),
+        }
+        for turn in contenders.values():
+            turn()  # compiles and warms up
+        rates: dict[str, list[float]] = {name: [] for name in contenders}
+        for _ in track(range(rounds), f"{robot.name} robot", console=Console(stderr=True), transient=True):
+            for name, turn in contenders.items():
+                rates[name].append(rate(turn, seconds))
+        rows = []
+        for name, values in rates.items():
+            single = name in (OURS_ENV, PEER_ENV, PEER_ENV_ONCE)
+            peer = PEER_ENV if single else PEER
+            ratios = [ours / theirs for ours, theirs in zip(values, rates[peer], strict=True)]
+            rows.append(
+                {
+                    "contender": name,
+                    "unit": "env.step/s" if single else "RK4 steps/s",
+                    "median": statistics.median(values),
+                    "ratio": statistics.median(ratios),
+                    "to": peer,
+                }
+            )
+        starts = [warm_start_seconds(env_id) for _ in range(rounds)]
+        report[env_id] = {"rows": rows, "warm_start_seconds": statistics.median(starts)}
+    packages = ("cablebot-gym", "mujoco", "numba", "numpy", "gymnasium")
+    report["versions"] = {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    report["rounds"], report["seconds"] = rounds, seconds
+    return report
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """The medians as tables."""
+    console = Console(width=None if sys.stdout.isatty() else 130)
+    for env_id, part in report.items():
+        if not isinstance(part, dict) or "rows" not in part:
+            continue
+        table = Table(title=f"{env_id}: medians of {report['rounds']} rounds", title_justify="left")
+        for column in ("contender", "unit", "per second", "×", "of"):
+            table.add_column(column, justify="right" if column in ("per second", "×") else "left")
+        for row in part["rows"]:
+            table.add_row(row["contender"], row["unit"], f"{row['median']:,.0f}", f"{row['ratio']:.1f}", row["to"])
+        console.print(table)
+        console.print(f"new process to first step, compiled before: {part['warm_start_seconds']:.2f} s\n")
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7, help="turns of each contender (default 7)")
+    parser.add_argument("--seconds", type=float, default=0.3, help="length of a turn (default 0.3)")
+    parser.add_argument("--json", action="store_true", help="print only JSON")
+    arguments = parser.parse_args()
+    if arguments.rounds < 1 or arguments.seconds <= 0:
+        parser.error("--rounds must be at least 1 and --seconds greater than 0")
+    report = measure(arguments.rounds, arguments.seconds)
+    if arguments.json:
+        print(json.dumps(report, indent=2))
+    else:
+        print_report(report)
+
+
+if __name__ == "__main__":
+    main()
