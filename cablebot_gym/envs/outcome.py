@@ -29,6 +29,8 @@ INFO_SCALARS = (
     "rotation_error_peak",
 )
 INFO_CABLES = ("tensions", "torques", "motor_speeds", "drive_demand", "torque_margin", "slack")
+INFO_NAMES = (*INFO_SCALARS, *(f"reward_{name}" for name in REWARD_TERMS))
+SLACK_MARK = 0.5
 FIRST_TERM = len(INFO_SCALARS)
 FIRST_CABLE_INFO = FIRST_TERM + len(REWARD_TERMS)
 
@@ -187,13 +189,15 @@ def info_columns(cables: int) -> int:
     return FIRST_CABLE_INFO + len(INFO_CABLES) * cables
 
 
+def cable_columns(cables: int) -> dict[str, slice]:
+    """Columns of each cable quantity by name; ``slack`` holds 0 or 1, to be compared with :data:`SLACK_MARK`."""
+    firsts = {name: FIRST_CABLE_INFO + place * cables for place, name in enumerate(INFO_CABLES)}
+    return {name: slice(first, first + cables) for name, first in firsts.items()}
+
+
 def info_dict(rows: np.ndarray, cables: int) -> dict[str, np.ndarray]:
-    """Info arrays by name, views of ``rows`` (..., columns)."""
-    named = {name: rows[..., place] for place, name in enumerate(INFO_SCALARS)}
-    for place, name in enumerate(REWARD_TERMS):
-        named[f"reward_{name}"] = rows[..., FIRST_TERM + place]
-    for place, name in enumerate(INFO_CABLES):
-        first = FIRST_CABLE_INFO + place * cables
-        named[name] = rows[..., first : first + cables]
-    named["slack"] = named["slack"] > 0.5
+    """Info arrays by name, views of ``rows`` (N, columns)."""
+    named = {name: rows[:, place] for place, name in enumerate(INFO_NAMES)}
+    named |= {name: rows[:, columns] for name, columns in cable_columns(cables).items()}
+    named["slack"] = named["slack"] > SLACK_MARK
     return named

@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
-from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.outcome import FIRST_CABLE_INFO, INFO_NAMES, SLACK_MARK, TERMINATION_REASONS, cable_columns
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
@@ -122,6 +122,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         self.layout = self._simulation.layout
         """Names the slices of the observation."""
         self._cables = self.settings.robot.cables
+        self._cable_columns = tuple(cable_columns(self._cables).items())
         self.action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
         self.observation_space = self.layout.space()
         self._lane = np.zeros(1, np.int64)
@@ -166,9 +167,12 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation = self._simulation
-        info: dict[str, Any] = info_dict(simulation.info[0].copy(), self._cables)
-        info = {name: value if value.ndim else float(value) for name, value in info.items()}
-        reason = int(simulation.reason[0])
+        row, reason = simulation.info[0].copy(), int(simulation.reason[0])
+        # The arrays are views of this step's own copy; the scalars become Python floats all at once.
+        info: dict[str, Any] = dict(zip(INFO_NAMES, row[:FIRST_CABLE_INFO].tolist(), strict=True))
+        for name, columns in self._cable_columns:
+            info[name] = row[columns]
+        info["slack"] = info["slack"] > SLACK_MARK
         info["termination_reason"] = TERMINATION_REASONS[reason]
         return simulation.observation[0].copy(), float(simulation.reward[0]), reason > 0, info
 

@@ -92,8 +92,10 @@ class Plant:
             self.step_index[self.count :] = 0
 
     def set_demand(self, demand: Array) -> None:
-        """Drive commands of all robots, shape (N, m)."""
-        if self.width == self.count:
+        """Drive commands of all robots, shape (N, m); (m,) will do for one."""
+        if self.lanes == 1:
+            self._demand[0, :, 0] = demand
+        elif self.width == self.count:
             self._demand[...] = demand.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
         else:
             first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND

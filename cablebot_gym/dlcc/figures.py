@@ -1,0 +1,281 @@
+"""What an evaluation found, drawn: torques against U± as in the paper's Figs. 10 and 12, paths as in Figs. 11 and 13.
+
+Needs the extra ``plot``. Figures belong to no window and no global state; show them in a notebook, or save them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cablebot_gym.dlcc.result import DLCCResult
+from cablebot_gym.kinematics import Array
+from cablebot_gym.robots import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
+
+BLUE, VERMILLION, SKY, GREY, SHADE = "#0072B2", "#D55E00", "#CFE8F7", "#767676", "#E8E8E8"
+"""Colours of Okabe and Ito, the sky blue paler, and greys."""
+
+DPI = 150
+"""Of saved figures, dots per inch."""
+
+_WIDTH = 9.6
+"""Of every figure [inch]."""
+
+_FITS = 2.5
+"""How many times as wide as the path the base may be, to be drawn beside it."""
+
+
+def draw_torques(result: DLCCResult) -> Figure:
+    """Each motor's torque against its limits U±, and the tightest instant of the episode.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    figure = _new_figure(_torques_height(result.task.robot))
+    _torques(figure, result)
+    _entitle(figure, result)
+    return figure
+
+
+def draw_path(result: DLCCResult) -> Figure:
+    """The path against the tube around its reference, and the tracking errors against their bounds.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    figure = _new_figure(_PATH_HEIGHT)
+    _path(figure, result)
+    _entitle(figure, result)
+    return figure
+
+
+def draw_result(result: DLCCResult) -> Figure:
+    """Torques and path in one figure.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    heights = [_torques_height(result.task.robot), _PATH_HEIGHT]
+    figure = _new_figure(sum(heights))
+    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    _torques(above, result)
+    _path(below, result)
+    _entitle(figure, result)
+    return figure
+
+
+def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
+    """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``; an interrupt leaves no half-written file.
+
+    Args:
+        result: what to draw.
+        folder: where to; made if it does not exist.
+
+    Returns:
+        The files.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    figures = {"torques": draw_torques(result), "path": draw_path(result)}
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, figure in figures.items():
+        paths.append(folder / f"{name}-{result.criterion}.png")
+        write_whole(paths[-1], lambda path, figure=figure: figure.savefig(path, dpi=DPI, format="png"))  # type: ignore[misc]
+    return paths
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Calls ``write`` with a temporary name beside ``path`` and renames, so that ``path`` is old or new, never half."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def tightest(result: DLCCResult) -> tuple[int, int]:
+    """Step and motor, both from 0, where least of the torque was left: the first largest |a| of the episode."""
+    demand = np.abs(result.history["drive_demand"])
+    step, motor = np.unravel_index(np.argmax(demand), demand.shape)
+    return int(step), int(motor)
+
+
+def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
+    """U₋ and U₊ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
+    robot = result.task.robot
+    at_speed = robot.speed_slope * result.history["motor_speeds"]
+    return -robot.stall_torque - at_speed, robot.stall_torque - at_speed
+
+
+def demanded_torque(result: DLCCResult) -> Array:
+    """``τ_s a − (τ_s/ω_n) β̇``, what the policy asked for, (steps, m) [N·m]; beyond U± where |a| > 1."""
+    robot, history = result.task.robot, result.history
+    return np.asarray(robot.stall_torque * history["drive_demand"] - robot.speed_slope * history["motor_speeds"])
+
+
+_PATH_HEIGHT = 4.4
+
+
+def _torques_height(robot: Robot) -> float:
+    return 1.4 + 2.0 * math.ceil(robot.cables / 3)
+
+
+def _new_figure(height: float) -> Figure:
+    try:
+        from matplotlib import figure
+    except ImportError as error:
+        raise ImportError("drawing needs matplotlib: pip install 'cablebot-gym[plot]'") from error
+    return figure.Figure(figsize=(_WIDTH, height), layout="constrained")
+
+
+def _entitle(figure: FigureBase, result: DLCCResult) -> None:
+    if result.payload is None:
+        found = f"not even zero payload is carried (drawn: zero payload): {result.limit}"
+    else:
+        found = (
+            f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg; "
+            f"first limit above it: {result.limit}"
+        )
+    head = f"{result.env_id}, policy {result.policy}, {result.criterion} criterion"
+    figure.suptitle(f"{head}\n{found}", fontsize=11, wrap=True, parse_math=False)
+
+
+def _torques(figure: FigureBase, result: DLCCResult) -> None:
+    time, robot = result.history["command_time"], result.task.robot
+    lower, upper = torque_limits(result)
+    columns = min(3, robot.cables)
+    rows = math.ceil(robot.cables / columns)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes in grid.flat[robot.cables :]:
+        axes.remove()
+    low, high = _torque_range(result)
+    for motor, axes in enumerate(grid.flat[: robot.cables]):
+        axes.set_title(f"motor {motor + 1}", fontsize=11)
+        shade = {"color": SHADE, "linewidth": 0}
+        axes.fill_between(time, upper[:, motor], high, label="infeasible", **shade)
+        axes.fill_between(time, low, lower[:, motor], **shade)
+        axes.plot(time, upper[:, motor], color="black", linewidth=1.0, label="limits U±")
+        axes.plot(time, lower[:, motor], color="black", linewidth=1.0)
+        # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
+        axes.plot(time, demanded_torque(result)[:, motor], "--", color=VERMILLION, linewidth=1.4, label="demanded")
+        axes.plot(time, result.history["torques"][:, motor], color=BLUE, linewidth=1.8, label="applied torque")
+        axes.set(xlim=(0, result.task.trajectory.duration), ylim=(low, high))
+        below = motor + columns >= robot.cables
+        axes.tick_params(labelbottom=below)
+        if below:
+            axes.set_xlabel("time [s]")
+        if motor % columns == 0:
+            axes.set_ylabel("torque [N·m]")
+    step, motor = tightest(result)
+    _mark_tightest(grid.flat[motor], result, step, motor)
+    _add_legend(figure, grid.flat[motor])
+
+
+def _torque_range(result: DLCCResult) -> tuple[float, float]:
+    """What to show of the torques: the limits, and demands beyond them up to half as far again."""
+    (lower, upper), demand = torque_limits(result), demanded_torque(result)
+    stall = float(result.task.robot.stall_torque.max())
+    low = max(min(lower.min(), demand.min()), lower.min() - stall / 2)
+    high = min(max(upper.max(), demand.max()), upper.max() + stall / 2)
+    return float(low - 0.15 * stall), float(high + 0.15 * stall)
+
+
+def _mark_tightest(axes: Axes, result: DLCCResult, step: int, motor: int) -> None:
+    time, torque = result.history["command_time"][step], result.history["torques"][step, motor]
+    demand = abs(result.history["drive_demand"][step, motor])
+    label = f"t = {time:.3f} s: " + (f"{demand - 1:.1%} beyond" if demand > 1 else f"{1 - demand:.1%} left")
+    early = time < result.task.trajectory.duration / 2
+    positive = result.history["drive_demand"][step, motor] > 0
+    axes.plot(time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label="tightest instant")
+    axes.annotate(
+        label,
+        (time, torque),
+        xytext=(0.96 if early else 0.04, 0.22 if positive else 0.78),
+        textcoords="axes fraction",
+        horizontalalignment="right" if early else "left",
+        verticalalignment="center",
+        arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.8, "shrinkB": 4},
+        bbox={"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": GREY, "linewidth": 0.6},
+    )
+
+
+def _add_legend(figure: FigureBase, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+
+
+def _path(figure: FigureBase, result: DLCCResult) -> None:
+    rotates = not result.task.robot.planar
+    mosaic = [["plane", "position"], ["plane", "rotation"]] if rotates else [["plane", "position"]]
+    panels = figure.subplot_mosaic(mosaic, width_ratios=[1, 1.25])
+    _plane(panels["plane"], result)
+    position, rotation = result.limits["position"], result.limits["rotation"]
+    history, last = result.history, panels["position"]
+    _error(last, result, history["tracking_error"], position, "position", "mm")
+    if rotates:
+        last = panels["rotation"]
+        last.sharex(panels["position"])
+        panels["position"].tick_params(labelbottom=False)
+        _error(last, result, history["rotation_error"], rotation, "rotation", "mrad")
+    last.set_xlabel("time [s]")
+    _add_legend(figure, panels["plane"])
+
+
+def _plane(axes: Axes, result: DLCCResult) -> None:
+    """The path in the x–y plane."""
+    from matplotlib.collections import PolyCollection
+
+    trajectory, robot = result.task.trajectory, result.task.robot
+    reference = trajectory(np.linspace(0.0, trajectory.duration, 2001)).position[:, :2]
+    travelled = result.history["pose"][:, :2]
+    radius = result.limits["position"] or 0.0
+    # Discs rather than offset curves: right for a reference that stays, stops or turns on the spot as well.
+    turn = np.linspace(0, 2 * np.pi, 33)
+    discs = reference[:, None] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    tube = PolyCollection(list(discs), color=SKY, linewidth=0, label=f"tube, R = {radius * 1e3:g} mm", zorder=0)
+    axes.add_collection(tube, autolim=False)
+    axes.plot(*travelled.T, color=BLUE, linewidth=1.8, label="travelled")
+    axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
+    seen = np.concatenate([reference - radius, reference + radius, travelled])
+    base = robot.base[:, :2]
+    if np.ptp(base, axis=0).max() <= _FITS * np.ptp(reference, axis=0).max():
+        axes.plot(*base[[*range(robot.cables), 0]].T, "-s", color=GREY, linewidth=0.8, markersize=4, label="base")
+        seen = np.concatenate([seen, base])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    pad = 0.06 * (high - low).max()
+    axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, name: str, unit: str) -> None:
+    """An error against its bound; ``unit`` is a thousandth of the SI unit."""
+    end_of_step = result.history["command_time"] + 1 / result.task.control_frequency
+    axes.plot(end_of_step, 1e3 * error, color=BLUE, linewidth=1.8)
+    top = 1e3 * float(error.max())
+    if bound is not None:
+        axes.axhline(1e3 * bound, color="black", linewidth=1.0)
+        axes.annotate(
+            f"bound {1e3 * bound:g} {unit}",
+            (0.99, 1e3 * bound),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, -3),
+            textcoords="offset points",
+            horizontalalignment="right",
+            verticalalignment="top",
+        )
+        top = max(top, 1e3 * bound)
+    else:
+        axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
+    axes.set(xlim=(0, result.task.trajectory.duration), ylim=(0, 1.12 * top or 1.0), ylabel=f"{name} error [{unit}]")
