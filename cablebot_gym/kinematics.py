@@ -7,10 +7,13 @@ Nothing here knows masses or motors.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
+"""An array of float64, unless a docstring says otherwise."""
 
 SPATIAL_COORDINATES = 6
 """Number of coordinates of a spatial pose."""
@@ -82,12 +85,14 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
 
 def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
     """``q_i(X) = ‖A_i − (p + R b_i)‖``, shape (..., m). Arguments as in :func:`cable_vectors`."""
-    return np.linalg.norm(cable_vectors(base, platform, pose), axis=-1)
+    lengths: Array = np.linalg.norm(cable_vectors(base, platform, pose), axis=-1)
+    return lengths
 
 
 def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
     """``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_vectors`."""
-    return jacobian_and_rate(base, platform, pose, np.zeros_like(np.asarray(pose, float)))[0]
+    still = np.zeros_like(np.asarray(pose, float))
+    return jacobian_and_rate(base, platform, pose, still)[0]
 
 
 def structure_jacobian_rate(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:

@@ -30,9 +30,6 @@ DPI = 150
 _WIDTH = 9.6
 """Of every figure [inch]."""
 
-_FITS = 2.5
-"""How many times as wide as the path the base may be, to be drawn beside it."""
-
 
 def draw_torques(result: DLCCResult) -> Figure:
     """Each motor's torque against its limits U±, and the tightest instant of the episode.
@@ -169,11 +166,19 @@ def _torques(figure: FigureBase, result: DLCCResult) -> None:
         axes.plot(time, upper[:, motor], color="black", linewidth=1.0, label="limits U±")
         axes.plot(time, lower[:, motor], color="black", linewidth=1.0)
         # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
-        axes.plot(time, demanded_torque(result)[:, motor], "--", color=VERMILLION, linewidth=1.4, label="demanded")
+        axes.plot(
+            time,
+            demanded_torque(result)[:, motor],
+            "--",
+            color=VERMILLION,
+            linewidth=1.4,
+            label="demanded, where beyond",
+        )
         axes.plot(time, result.history["torques"][:, motor], color=BLUE, linewidth=1.8, label="applied torque")
         axes.set(xlim=(0, result.task.trajectory.duration), ylim=(low, high))
         below = motor + columns >= robot.cables
         axes.tick_params(labelbottom=below)
+        axes.locator_params(axis="x", nbins=5, prune="upper")  # the last label would touch the next panel's first
         if below:
             axes.set_xlabel("time [s]")
         if motor % columns == 0:
@@ -197,13 +202,16 @@ def _mark_tightest(axes: Axes, result: DLCCResult, step: int, motor: int) -> Non
     demand = abs(result.history["drive_demand"][step, motor])
     label = f"t = {time:.3f} s: " + (f"{demand - 1:.1%} beyond" if demand > 1 else f"{1 - demand:.1%} left")
     early = time < result.task.trajectory.duration / 2
+    # Between the motor's torque and the limit on the other side.
+    (lower, upper), torques = torque_limits(result), result.history["torques"][:, motor]
     positive = result.history["drive_demand"][step, motor] > 0
+    free = (lower[:, motor].max(), torques.min()) if positive else (torques.max(), upper[:, motor].min())
     axes.plot(time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label="tightest instant")
     axes.annotate(
         label,
         (time, torque),
-        xytext=(0.96 if early else 0.04, 0.22 if positive else 0.78),
-        textcoords="axes fraction",
+        xytext=(0.96 if early else 0.04, sum(free) / 2),
+        textcoords=axes.get_yaxis_transform(),
         horizontalalignment="right" if early else "left",
         verticalalignment="center",
         arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.8, "shrinkB": 4},
@@ -237,7 +245,7 @@ def _plane(axes: Axes, result: DLCCResult) -> None:
     """The path in the x–y plane."""
     from matplotlib.collections import PolyCollection
 
-    trajectory, robot = result.task.trajectory, result.task.robot
+    trajectory = result.task.trajectory
     reference = trajectory(np.linspace(0.0, trajectory.duration, 2001)).position[:, :2]
     travelled = result.history["pose"][:, :2]
     radius = result.limits["position"] or 0.0
@@ -249,10 +257,6 @@ def _plane(axes: Axes, result: DLCCResult) -> None:
     axes.plot(*travelled.T, color=BLUE, linewidth=1.8, label="travelled")
     axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
     seen = np.concatenate([reference - radius, reference + radius, travelled])
-    base = robot.base[:, :2]
-    if np.ptp(base, axis=0).max() <= _FITS * np.ptp(reference, axis=0).max():
-        axes.plot(*base[[*range(robot.cables), 0]].T, "-s", color=GREY, linewidth=0.8, markersize=4, label="base")
-        seen = np.concatenate([seen, base])
     low, high = seen.min(axis=0), seen.max(axis=0)
     pad = 0.06 * (high - low).max()
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
@@ -270,12 +274,12 @@ def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, na
             f"bound {1e3 * bound:g} {unit}",
             (0.99, 1e3 * bound),
             xycoords=("axes fraction", "data"),
-            xytext=(0, -3),
+            xytext=(0, 2),
             textcoords="offset points",
             horizontalalignment="right",
-            verticalalignment="top",
+            verticalalignment="bottom",
         )
         top = max(top, 1e3 * bound)
     else:
         axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
-    axes.set(xlim=(0, result.task.trajectory.duration), ylim=(0, 1.12 * top or 1.0), ylabel=f"{name} error [{unit}]")
+    axes.set(xlim=(0, result.task.trajectory.duration), ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")

@@ -120,24 +120,24 @@ class Judge:
         tension = info["tensions"].min(axis=1)
         np.minimum(self.least_tension, tension, out=self.least_tension, where=watched)
         if self.criterion == "paper":
-            for lane in np.flatnonzero(watched & (demand.max(axis=1) > 1 + _ROUNDING)):
+            for lane in _lanes(watched & (demand.max(axis=1) > 1 + _ROUNDING)):
                 motor = int(np.argmax(demand[lane]))
                 excess = float((demand[lane, motor] - 1) * self._stall[motor])
                 self._fail(lane, "torque", motor + 1, info["command_time"][lane], excess)
-        for lane in np.flatnonzero(~self.failed & info["slack"].any(axis=1)):
+        for lane in _lanes(~self.failed & info["slack"].any(axis=1)):
             self._fail(lane, "slack", int(np.argmax(info["slack"][lane])) + 1, info["time"][lane], None)
         self._errors(info, watched)
-        for lane in np.flatnonzero(~self.failed & terminated):
+        for lane in _lanes(~self.failed & terminated):
             self._fail(lane, "terminated", None, info["time"][lane], None)
 
     def _errors(self, info: dict[str, Any], watched: NDArray[np.bool_]) -> None:
         position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
         np.maximum(self.position_peak, position, out=self.position_peak, where=watched)
         np.maximum(self.rotation_peak, rotation, out=self.rotation_peak, where=watched)
-        for lane in np.flatnonzero(~self.failed & (position > self.limits.position)):
+        for lane in _lanes(~self.failed & (position > self.limits.position)):
             self._fail(lane, "position", None, info["time"][lane], float(position[lane] - self.limits.position))
         if self.criterion == "task":
-            for lane in np.flatnonzero(~self.failed & (rotation > self.limits.rotation)):
+            for lane in _lanes(~self.failed & (rotation > self.limits.rotation)):
                 self._fail(lane, "rotation", None, info["time"][lane], float(rotation[lane] - self.limits.rotation))
 
     def _fail(self, lane: int, kind: LimitKind, index: int | None, time: float, excess: float | None) -> None:
@@ -210,6 +210,12 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
             self._judge.observe(_batched(info), np.array([terminated]))
             self._steps += 1
         return observation, reward, terminated, truncated, info | {"dlcc_carried": self.verdict.carried}
+
+
+def _lanes(mask: NDArray[np.bool_]) -> list[int]:
+    """Where a mask holds."""
+    lanes: list[int] = np.flatnonzero(mask).tolist()
+    return lanes
 
 
 def _batched(info: dict[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any, get_args
@@ -108,8 +108,9 @@ def make_settings(
         robot,
         count,
     )
-    if cable not in get_args(Cable):
-        raise ValueError(f"unknown cable {cable!r}; choose one of {', '.join(get_args(Cable))}")
+    modes: tuple[Cable, ...] = get_args(Cable)
+    if cable not in modes:
+        raise ValueError(f"unknown cable {cable!r}; choose one of {', '.join(modes)}")
     frequency = _positive("control_frequency", control_frequency)
     if substeps is None:
         substeps = max(1, math.ceil(1 / (frequency * LONGEST_PHYSICS_STEP) - 1e-9))
@@ -119,7 +120,7 @@ def make_settings(
         robot=robot,
         payload_range=_range("payload_range", payload_range),
         initial_error_range=_half_widths(initial_error_range, robot.coordinates),
-        cable=cable,
+        cable=modes[modes.index(cable)],
         control_frequency=frequency,
         substeps=int(substeps),
         termination_radius=_positive("termination_radius", termination_radius),
@@ -135,7 +136,7 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
     Raises:
         ValueError: if a key is unknown, naming the known ones, or a value is not valid.
     """
-    checks = {
+    checks: dict[str, Callable[[Any], Any]] = {
         "payload": lambda value: _payload(value, count),
         "payload_known": lambda value: _known(value, count),
         "trajectory": lambda value: find_trajectory(value, robot.coordinates),

@@ -136,7 +136,8 @@ class CableBotEnv(gym.Env[Array, Array]):
     @property
     def pose(self) -> Array:
         """True pose X, shape (n,)."""
-        return self._simulation.pose[0]
+        pose: Array = self._simulation.pose[0]
+        return pose
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Starts an episode; ``options`` hold for this episode only, see the class.

@@ -27,4 +27,4 @@ class _Announcer(event.Listener):
 
 def announce_compilation() -> None:
     """Installs the announcer; called once, when the kernel is imported."""
-    event.register("numba:compile", _Announcer())
+    event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]

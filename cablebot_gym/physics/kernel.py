@@ -18,6 +18,7 @@ change in another one. ``forceinline`` and ``error_model="numpy"`` are what lets
 from __future__ import annotations
 
 import math
+from typing import Any
 import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
@@ -84,14 +85,16 @@ def scratch_rows(cables: int) -> int:
 # ---------------------------------------------------------------------------------------------- small helpers
 
 
-@intrinsic
-def _fma(context, a, b, c):
+def _fused(context, a, b, c):
     """a b + c in one rounding, said explicitly: left to the compiler, one lane and a tile would round differently."""
 
     def generate(context, builder, signature, arguments):
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), generate
+
+
+_fma: Any = intrinsic(_fused)
 
 
 @_inline

@@ -156,7 +156,7 @@ def required_torques(
 
 
 def _torques(robot: Robot, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
-    torque = robot.pulley_radius * np.asarray(tensions, float)
+    torque: Array = robot.pulley_radius * np.asarray(tensions, float)
     return torque + robot.pulley_inertia * acceleration + robot.damping * speed
 
 
