@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -109,9 +110,7 @@ def dlcc(
                     trajectory=_trajectory(trajectory),
                     payload_known=payload_known,
                     control_frequency=control_frequency,
-                    progress=lambda done, total, place=place, one=one: step(
-                        f"{one} criterion", place + done / total, len(chosen)
-                    ),
+                    progress=partial(step, f"{one} criterion", place, len(chosen)),
                 )
             )
     text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
@@ -243,7 +242,7 @@ def _write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, float, int], None]]:
+def _progress() -> Iterator[Callable[[str, int, int, int, int], None]]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -253,8 +252,8 @@ def _progress() -> Iterator[Callable[[str, float, int], None]]:
     with Progress(*columns, console=_errors, transient=True) as bar:
         task = bar.add_task("preparing", total=1.0)
 
-        def step(description: str, done: float, total: int) -> None:
-            bar.update(task, description=description, completed=done, total=total)
+        def step(description: str, place: int, places: int, done: int, expected: int) -> None:
+            bar.update(task, description=description, completed=place + done / expected, total=places)
 
         yield step
 

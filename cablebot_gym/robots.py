@@ -193,8 +193,8 @@ def _frozen(values: Any) -> Array:
 
 
 def _check_shapes(robot: Robot) -> None:
-    columns = {len(anchor) for anchor in robot.base_anchors}
-    if columns not in ({2}, {3}):
+    points = robot.base_anchors
+    if not isinstance(points, tuple) or {len(a) if isinstance(a, tuple) else 0 for a in points} not in ({2}, {3}):
         raise ValueError(
             "base_anchors must hold one (x, y) per cable for a planar robot or one (x, y, z) for a spatial"
         )
@@ -216,6 +216,13 @@ def _check_shapes(robot: Robot) -> None:
         raise ValueError(f"workspace must hold one (low, high) for each of the {n} coordinates, or be empty")
 
 
+def _numbers(field: str, value: Any) -> Array:
+    values = np.asarray(value)
+    if values.dtype.kind not in "iuf":
+        raise ValueError(f"{field} must be a number, not {value!r}")
+    return values.astype(float)
+
+
 def _check_values(robot: Robot) -> None:
     positive = {
         "mass": robot.mass,
@@ -230,12 +237,16 @@ def _check_values(robot: Robot) -> None:
         "gravity": robot.gravity,
     }
     for field, value in (positive | not_negative).items():
-        values = np.asarray(value, float)
+        values = _numbers(field, value)
+        if field in ("mass", "gravity") and values.shape != ():
+            raise ValueError(f"{field} must be one number, not {value!r}")
         if field.startswith(("motors", "transmission")) and values.shape not in ((), (robot.cables,)):
             raise ValueError(f"{field} must be one number or one for each of the {robot.cables} motors")
         strict = field in positive
         if not np.all(np.isfinite(values)) or np.any(values <= 0 if strict else values < 0):
             raise ValueError(f"{field} must be {'greater than' if strict else 'at least'} 0 and finite, not {value}")
+    if not np.all(np.isfinite(robot.speed_slope)):
+        raise ValueError(f"motors.free_speed {robot.motors.free_speed} is too small: τ_s/ω_n is not finite")
     if not robot.planar:
         moments = sorted(robot.inertia)
         if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
@@ -250,10 +261,12 @@ def _check_values(robot: Robot) -> None:
     low, high = robot.pose_bounds
     if not np.all(np.isfinite(robot.pose_bounds)) or np.any(low >= high):
         raise ValueError("workspace must have low < high and be finite for each coordinate")
+    if not robot.planar and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
+        raise ValueError("workspace: θ must stay within ± π/2, where the Euler angles are singular")
     ends = np.concatenate([robot.base, robot.platform], axis=1)
     for i in range(robot.cables):
         for j in range(i):
-            if np.allclose(ends[i], ends[j], atol=1e-9):
+            if np.allclose(ends[i], ends[j], rtol=0, atol=1e-9):
                 raise ValueError(f"cables {j + 1} and {i + 1} coincide: give them different anchors")
 
 
@@ -339,6 +352,6 @@ def find_robot(robot: str | dict[str, Any] | Robot) -> Robot:
         return robot
     if isinstance(robot, dict):
         return Robot.from_dict(robot)
-    if robot not in ROBOTS:
+    if not isinstance(robot, str) or robot not in ROBOTS:
         raise ValueError(f"unknown robot {robot!r}; choose one of {', '.join(ROBOTS)}, or pass a Robot")
     return ROBOTS[robot]

@@ -95,8 +95,8 @@ class PaperCircle(_Motion):
 
     With u = t / duration: ``(x, y) = radius (cos 4πu², sin 4πu²)`` for u ≤ 0.5, then
     ``radius (cos 4π(1−u)², −sin 4π(1−u)²)``, about ``center``. The angular acceleration jumps from +8π to −8π rad per
-    duration² right after u = 0.5, where the first branch still holds, and vanishes at neither end. Only position and velocity are
-    continuous, so no robot with flexible joints can follow it exactly.
+    duration² right after u = 0.5, where the first branch still holds, and vanishes at neither end. Only position and
+    velocity are continuous, so no robot with flexible joints can follow it exactly.
 
     Raises:
         ValueError: if a value is no length, time or pose.

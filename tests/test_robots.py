@@ -124,12 +124,10 @@ def test_a_message_that_names_the_field_excludes_a_robot_of_the_wrong_shape(robo
         robot.replace(**changes)
 
 
-def numbered(field, value):
-    """Changes that put the value into the field ``owner.name`` or ``name``."""
+def numbered(robot, field, value):
+    """The robot with the value in its field ``name`` or ``owner.name``."""
     owner, _, name = field.partition(".")
-    return (lambda robot: {owner: dataclasses.replace(getattr(robot, owner), **{name: value})}) if name else (
-        lambda robot: {owner: value}
-    )
+    return robot.replace(**{owner: dataclasses.replace(getattr(robot, owner), **{name: value}) if name else value})
 
 
 POSITIVE = ["mass", "motors.stall_torque", "motors.free_speed", "transmission.pulley_radius"]
@@ -144,21 +142,21 @@ NOT_NEGATIVE = ["transmission.pulley_inertia", "transmission.damping", "gravity"
 )
 def test_a_message_that_names_the_field_excludes_a_number_that_is_not_physical(robot, field, value):
     with pytest.raises(ValueError, match=f"{field} must be"):
-        robot.replace(**numbered(field, value)(robot))
+        numbered(robot, field, value)
 
 
 @pytest.mark.parametrize("field", [*POSITIVE[1:], *NOT_NEGATIVE[:2]])
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
 def test_one_value_per_motor_excludes_too_few_too_many_and_a_single_bad_one(robot, field):
     values = tuple(np.linspace(0.5, 1.0, robot.cables).tolist())
-    changed = robot.replace(**numbered(field, values)(robot))
+    changed = numbered(robot, field, values)
     assert len(set(changed.per_motor(values).tolist())) == robot.cables
     for wrong in (values[1:], (*values, 1.0)):
-        with pytest.raises(ValueError, match=f"{field} must be one number or one for each of the {robot.cables} motors"):
-            robot.replace(**numbered(field, wrong)(robot))
+        with pytest.raises(ValueError, match=f"{field} must be one number or one for each of the {robot.cables}"):
+            numbered(robot, field, wrong)
     for bad in (-1.0, NAN):
         with pytest.raises(ValueError, match=f"{field} must be"):
-            robot.replace(**numbered(field, (*values[1:], bad))(robot))
+            numbered(robot, field, (*values[1:], bad))
 
 
 @pytest.mark.parametrize("field", ["base_anchors", "platform_anchors", "home_pose"])
@@ -170,7 +168,6 @@ def test_a_message_that_names_the_field_excludes_points_that_are_not_finite(fiel
         SPATIAL.replace(**{field: spoilt})
 
 
-@pytest.mark.xfail(strict=True, reason="robots.py takes them: no shape check of mass and gravity; remove when it has one")
 @pytest.mark.parametrize("field", ["mass", "gravity"])
 @pytest.mark.parametrize("value", [(1.0, 2.0), (), "3"], ids=repr)
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
@@ -269,7 +266,7 @@ place = st.floats(-1, 1).map(lambda value: round(value, 3))
 point = st.tuples(place, place)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.lists(point, min_size=3, max_size=5), point)
 def test_a_linear_program_excludes_planar_homes_that_nothing_holds_and_refusals_of_good_ones(anchors, home):
     ends = np.array([*anchors, home])
@@ -286,10 +283,10 @@ def test_a_linear_program_excludes_planar_homes_that_nothing_holds_and_refusals_
             PLANAR.replace(**changes)
 
 
-factor = st.floats(-0.5, 2.0)
+factor = st.floats(-0.5, 2.0).map(lambda value: round(value, 6))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(factor, min_size=8, max_size=8), st.lists(st.floats(-0.6, 0.6), min_size=6, max_size=6), st.randoms())
 def test_random_spatial_robots_exclude_one_that_passes_and_is_not_physical(factors, shift, random):
     mass, gravity, stall, speed, radius, inertia, damping, moment = factors
@@ -297,7 +294,7 @@ def test_random_spatial_robots_exclude_one_that_passes_and_is_not_physical(facto
         "mass": 10 * mass,
         "gravity": 9.81 * gravity,
         "motors": Motors(stall_torque=10 * stall, free_speed=100 * speed),
-        "transmission": Transmission(pulley_radius=0.05 * radius, pulley_inertia=8e-4 * inertia, damping=0.01 * damping),
+        "transmission": Transmission(pulley_radius=radius, pulley_inertia=inertia, damping=damping),
         "inertia": (0.58, 0.58, 1.16 * moment),
         "home_pose": tuple((np.array(shift) * [0.4, 0.4, 0.4, 0.3, 0.3, 0.3] + [0, 0, 0.3, 0, 0, 0]).tolist()),
     }
@@ -316,7 +313,7 @@ def test_random_spatial_robots_exclude_one_that_passes_and_is_not_physical(facto
     assert largest_common_tension(structure_jacobian(robot.base, robot.platform, robot.home), weight) > 0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(st.floats(0.05, 2), st.floats(0.05, 2), st.floats(0.1, 2), st.floats(0, 3), st.floats(0, 3))
 def test_physical_values_exclude_a_check_that_refuses_too_much(mass, stall, radius, inertia, damping):
     robot = SPATIAL.replace(
@@ -350,7 +347,7 @@ def test_a_json_round_trip_excludes_a_field_that_is_lost(robot):
         ({"motors": {"stall_torque": 1.0, "free_speed": 1.0, "colour": 1.0}}, "no robot.*colour"),
         ({"motors": 3.0}, "no robot"),
         ({"transmission": {"pulley_radius": 0.05}}, "no robot.*pulley_inertia"),
-        ({"base_anchors": 3.0}, "no robot"),
+        ({"base_anchors": 3.0}, "base_anchors must hold"),
         ({"mass": -1.0}, "mass must be greater than 0"),
     ],
 )

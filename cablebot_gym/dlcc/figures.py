@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,7 +64,7 @@ def draw_result(result: DLCCResult) -> Figure:
     """
     heights = [_torques_height(result.task.robot), _PATH_HEIGHT]
     figure = _new_figure(sum(heights))
-    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     _torques(above, result)
     _path(below, result)
     _entitle(figure, result)
@@ -88,7 +89,7 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         paths.append(folder / f"{name}-{result.criterion}.png")
-        write_whole(paths[-1], lambda path, figure=figure: figure.savefig(path, dpi=DPI, format="png"))  # type: ignore[misc]
+        write_whole(paths[-1], partial(figure.savefig, dpi=DPI, format="png"))
     return paths
 
 
@@ -151,7 +152,7 @@ def _entitle(figure: FigureBase, result: DLCCResult) -> None:
 
 def _torques(figure: FigureBase, result: DLCCResult) -> None:
     time, robot = result.history["command_time"], result.task.robot
-    lower, upper = torque_limits(result)
+    (lower, upper), demand = torque_limits(result), demanded_torque(result)
     columns = min(3, robot.cables)
     rows = math.ceil(robot.cables / columns)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -166,14 +167,7 @@ def _torques(figure: FigureBase, result: DLCCResult) -> None:
         axes.plot(time, upper[:, motor], color="black", linewidth=1.0, label="limits U±")
         axes.plot(time, lower[:, motor], color="black", linewidth=1.0)
         # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
-        axes.plot(
-            time,
-            demanded_torque(result)[:, motor],
-            "--",
-            color=VERMILLION,
-            linewidth=1.4,
-            label="demanded, where beyond",
-        )
+        axes.plot(time, demand[:, motor], "--", color=VERMILLION, linewidth=1.4, label="demanded, where beyond")
         axes.plot(time, result.history["torques"][:, motor], color=BLUE, linewidth=1.8, label="applied torque")
         axes.set(xlim=(0, result.task.trajectory.duration), ylim=(low, high))
         below = motor + columns >= robot.cables
@@ -225,20 +219,17 @@ def _add_legend(figure: FigureBase, axes: Axes) -> None:
 
 
 def _path(figure: FigureBase, result: DLCCResult) -> None:
-    rotates = not result.task.robot.planar
-    mosaic = [["plane", "position"], ["plane", "rotation"]] if rotates else [["plane", "position"]]
-    panels = figure.subplot_mosaic(mosaic, width_ratios=[1, 1.25])
-    _plane(panels["plane"], result)
-    position, rotation = result.limits["position"], result.limits["rotation"]
-    history, last = result.history, panels["position"]
-    _error(last, result, history["tracking_error"], position, "position", "mm")
+    rotates, history = not result.task.robot.planar, result.history
+    grid = figure.add_gridspec(2 if rotates else 1, 2, width_ratios=[1, 1.25])
+    plane, last = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+    _plane(plane, result)
+    _error(last, result, history["tracking_error"], result.limits["position"], "position", "mm")
     if rotates:
-        last = panels["rotation"]
-        last.sharex(panels["position"])
-        panels["position"].tick_params(labelbottom=False)
-        _error(last, result, history["rotation_error"], rotation, "rotation", "mrad")
+        last.tick_params(labelbottom=False)
+        last = figure.add_subplot(grid[1, 1], sharex=last)
+        _error(last, result, history["rotation_error"], result.limits["rotation"], "rotation", "mrad")
     last.set_xlabel("time [s]")
-    _add_legend(figure, panels["plane"])
+    _add_legend(figure, plane)
 
 
 def _plane(axes: Axes, result: DLCCResult) -> None:

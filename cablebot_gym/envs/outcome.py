@@ -128,6 +128,8 @@ def outcome(
         position = math.sqrt(square)
         position_peak = max(position, r[peak_position * lanes + at])
         rotation_peak = max(rotation, r[peak_rotation * lanes + at])
+        if not finite:  # a comparison with NaN would hide it
+            position = rotation = position_peak = rotation_peak = LARGEST
         for j in range(out.shape[0]):
             out[j] = _saturated(out[j], bounds[0, j], bounds[1, j])
 

@@ -1,4 +1,4 @@
-"""A batch of episodes: plant, references, seeded draws, and what each step returns. The two env classes are its faces."""
+"""A batch of episodes: plant, references, seeded draws, and what each step returns. Two env classes are its faces."""
 
 from __future__ import annotations
 

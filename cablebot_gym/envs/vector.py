@@ -143,6 +143,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
+        seeds: list[int | None]
         seeds = (
             [int(seed) + lane for lane in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
         )

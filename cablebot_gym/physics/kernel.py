@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from typing import Any
+
 import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic

@@ -142,8 +142,13 @@ class Plant:
     def evaluate(self, torques: Array) -> tuple[Array, Array]:
         """Accelerations Ẍ (N, n) and tensions T (N, m) at the present state under motor torques (N, m).
 
-        For a batch of two or more; the state stays as it is.
+        The state stays as it is.
+
+        Raises:
+            ValueError: for a batch of one, whose memory the compiled form does not fit.
         """
+        if self.lanes == 1:
+            raise ValueError("evaluate() needs a batch of two or more")
         first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
         self._write(self.record, first, np.arange(self.count), np.asarray(torques, float), kernel.CABLE_RECORDS)
         acceleration = np.zeros((self.record.shape[0], self.robot.coordinates * self.lanes))

@@ -102,7 +102,9 @@ def test_differences_of_the_jacobian_exclude_a_wrong_term_in_its_rate(robot):
         moved = pose + time * velocity + time**2 / 2 * acceleration
         return kinematics.structure_jacobian(robot.base, robot.platform, moved)
 
-    found = kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity)
+    both, found = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
+    np.testing.assert_allclose(both, jacobian(0), rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(found, kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity))
     assert np.abs(found).max() > 1
     np.testing.assert_allclose(found, along(jacobian, 1e-4), rtol=1e-9, atol=1e-9)
 
@@ -144,7 +146,9 @@ def test_the_rotations_rate_excludes_an_omega_in_the_base_frame():
     base = rate @ np.swapaxes(rotation, 1, 2)
     for crossed, vector in ((body, omega), (base, np.einsum("nij,nj->ni", rotation, omega))):
         np.testing.assert_allclose(crossed + np.swapaxes(crossed, 1, 2), 0, atol=1e-10)
-        np.testing.assert_allclose(np.stack([crossed[:, 2, 1], crossed[:, 0, 2], crossed[:, 1, 0]], 1), vector, atol=1e-10)
+        np.testing.assert_allclose(
+            np.stack([crossed[:, 2, 1], crossed[:, 0, 2], crossed[:, 1, 0]], 1), vector, atol=1e-10
+        )
 
 
 def test_differences_exclude_a_wrong_rate_of_the_euler_rate_matrix():
