@@ -28,7 +28,7 @@ class Limits:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, Real) or not math.isfinite(value) or value <= 0:
+            if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value) or value <= 0:
                 raise ValueError(f"limits: {field.name} must be a number greater than 0, not {value!r}")
 
 

@@ -129,7 +129,8 @@ def outcome(
         position_peak = max(position, r[peak_position * lanes + at])
         rotation_peak = max(rotation, r[peak_rotation * lanes + at])
         if not finite:  # a comparison with NaN would hide it
-            position = rotation = position_peak = rotation_peak = LARGEST
+            position = position_peak = LARGEST
+            rotation = rotation_peak = LARGEST if spatial else 0.0
         for j in range(out.shape[0]):
             out[j] = _saturated(out[j], bounds[0, j], bounds[1, j])
 

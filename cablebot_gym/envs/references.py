@@ -9,6 +9,9 @@ from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Trajectory
 
+LONGEST_MOTION = 1000.0
+"""Longest motion that is tabulated [s]; the observation's clock ends there too."""
+
 
 class ReferenceTables:
     """The motions that some lane of a batch follows now, tabulated once each.
@@ -25,22 +28,32 @@ class ReferenceTables:
         self.physics = self.control = np.zeros((0, 0, 0))
         self.physics_ends = self.control_ends = np.zeros(0, np.int64)
 
+    def prepare(self, trajectory: Trajectory) -> None:
+        """Tabulates a motion, if it is new, for the next :meth:`follow`.
+
+        Raises:
+            ValueError: if the motion is too long, or not finite numbers of the right shape; nothing has changed then.
+        """
+        if not any(table[0] is trajectory for table in self._tables):
+            self._tables = [*self._tables, (trajectory, *self._tabulate(trajectory))]
+
     def follow(self, lanes: NDArray[np.int64], trajectory: Trajectory, which: NDArray[np.int64]) -> None:
-        """Lets ``lanes`` follow a motion; ``which`` (width,) is brought up to date, fill lanes included."""
+        """Lets ``lanes`` follow a prepared motion; ``which`` (width,) is brought up to date, fill lanes included."""
         if all(self._followed.get(lane) is trajectory for lane in lanes.tolist()):
             return
         self._followed.update(dict.fromkeys(lanes.tolist(), trajectory))
-        wanted = list({id(motion): motion for motion in self._followed.values()}.values())
-        kept = {id(table[0]): table for table in self._tables}
-        self._tables = [kept.get(id(motion)) or (motion, *self._tabulate(motion)) for motion in wanted]
+        wanted = {id(motion): motion for motion in self._followed.values()}
+        self._tables = [table for table in self._tables if id(table[0]) in wanted]
         self.physics, self.physics_ends = _stacked([table[1] for table in self._tables])
         self.control, self.control_ends = _stacked([table[2] for table in self._tables])
-        places = {id(motion): place for place, motion in enumerate(wanted)}
+        places = {id(table[0]): place for place, table in enumerate(self._tables)}
         for lane, motion in self._followed.items():
             which[lane] = places[id(motion)]
         which[len(self._followed) :] = which[len(self._followed) - 1]
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
+        if not 0 < trajectory.duration <= LONGEST_MOTION:
+            raise ValueError(f"a motion lasts up to {LONGEST_MOTION:g} s here, not {trajectory.duration} s")
         steps = int(np.ceil(trajectory.duration * self._frequency - 1e-9)) + 1
         rate = self._frequency * self._substeps
         physics = trajectory(np.arange(steps * self._substeps + 1) / rate).position
@@ -49,7 +62,12 @@ class ReferenceTables:
         left = np.maximum(trajectory.duration - times, 0.0)
         ahead = [trajectory(times + preview).position - now.position for preview in PREVIEWS]
         columns = [left[:, None], now.position, now.velocity, now.acceleration, *ahead]
-        return np.ascontiguousarray(physics), np.concatenate(columns, axis=1)
+        control = np.concatenate(columns, axis=1)
+        if physics.shape != (steps * self._substeps + 1, trajectory.coordinates) or not np.all(np.isfinite(physics)):
+            raise ValueError(f"trajectory {trajectory.name!r} must give finite poses (..., {trajectory.coordinates})")
+        if not np.all(np.isfinite(control)):
+            raise ValueError(f"trajectory {trajectory.name!r} must give finite velocities and accelerations")
+        return np.ascontiguousarray(physics), control
 
 
 def _stacked(tables: list[Array]) -> tuple[Array, Array]:

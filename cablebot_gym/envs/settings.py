@@ -143,6 +143,8 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "initial_error": lambda value: _initial_error(value, robot.coordinates, count),
         "limits": find_limits,
     }
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"options must be a dict with keys out of {', '.join(checks)}, not {options!r}")
     options = {key: value for key, value in (options or {}).items() if key not in FOREIGN_OPTIONS}
     if unknown := [key for key in options if key not in checks]:
         raise ValueError(f"unknown option {unknown[0]!r}; the options are {', '.join(checks)}")
@@ -159,7 +161,7 @@ def _payload(value: Any, count: int) -> Array:
 
 
 def _known(value: Any, count: int) -> Array:
-    known = np.asarray(value)
+    known = np.array(value)
     if known.dtype != np.bool_ or known.shape not in ((), (count,)):
         raise ValueError(f"payload_known must be True or False, or {count} of them, not {value!r}")
     return known
@@ -193,13 +195,15 @@ def _range(name: str, value: Any) -> tuple[float, float] | None:
 
 
 def _weights(value: Mapping[str, float] | None) -> Array:
+    if value is not None and not isinstance(value, Mapping):
+        raise ValueError(f"reward_weights must be a dict with keys out of {', '.join(REWARD_TERMS)}, not {value!r}")
     weights = dict(value or {})
     if unknown := [name for name in weights if name not in REWARD_TERMS]:
         raise ValueError(f"unknown reward term {unknown[0]!r}; the terms are {', '.join(REWARD_TERMS)}")
-    merged = np.array([_numbers("reward_weights", (DEFAULT_WEIGHTS | weights)[name]) for name in REWARD_TERMS], float)
-    if not np.all(np.isfinite(merged)):
-        raise ValueError("reward_weights must be finite")
-    return merged
+    merged = [_numbers("reward_weights", (DEFAULT_WEIGHTS | weights)[name]) for name in REWARD_TERMS]
+    if any(weight.shape != () or not np.isfinite(weight) for weight in merged):
+        raise ValueError(f"reward_weights must be one finite number for each term, not {value!r}")
+    return np.array(merged)
 
 
 def _positive(name: str, value: Any, *, zero: bool = False) -> float:
@@ -211,6 +215,9 @@ def _positive(name: str, value: Any, *, zero: bool = False) -> float:
 
 def _numbers(name: str, value: Any) -> Array:
     try:
-        return np.array(value, dtype=float)
+        numbers = np.array(value)
+        if numbers.dtype.kind in "iuf":
+            return numbers.astype(float)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers, not {value!r}") from None
+        pass
+    raise ValueError(f"{name} must be numbers, not {value!r}")

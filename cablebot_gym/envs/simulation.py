@@ -109,6 +109,7 @@ class Simulation:
             payload = np.array([low + (high - low) * self._draw(lane, _PAYLOAD_STREAM, 1)[0] for lane in lanes])
         known = self._of(lanes, given.get("payload_known", settings.payload_known))
         error = np.broadcast_to(given.get("initial_error", settings.initial_error), (self.count, robot.coordinates))
+        self._tables.prepare(trajectory)
         start = trajectory(0.0)
         pose = start.position + error[lanes]
         if settings.initial_error_range is not None and "initial_error" not in given:

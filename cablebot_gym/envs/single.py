@@ -80,8 +80,8 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     The same keys at reset and at every step. Of the present instant: `time`, `tracking_error` [m], `rotation_error`
     [rad], `payload` [kg, true]. Of the control period just passed: `tracking_error_peak`, `rotation_error_peak`
-    (largest at any physics step), `slack` (bool for each cable, at any physics step), and, at its start
-    `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin`
+    (largest at any physics step), `slack` (bool for each cable, at any physics step: it hangs loose or, if bilateral,
+    pushes), and, at its start `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin`
     (τ_s (1 − |a|), [N·m]). At reset no period has passed and these are zero.
 
     ## Arguments
@@ -145,10 +145,16 @@ class CableBotEnv(gym.Env[Array, Array]):
         Raises:
             ValueError: if an option is unknown or not valid; the present episode goes on then.
         """
-        if seed is not None or not self._started:
-            super().reset(seed=seed)
-            self._simulation.seed([0], [self.np_random_seed])
-        self._simulation.reset(self._lane, options)
+        before = self._np_random, self._np_random_seed, self._simulation.streams()
+        try:
+            if seed is not None or not self._started:
+                super().reset(seed=seed)
+                self._simulation.seed([0], [self.np_random_seed])
+            self._simulation.reset(self._lane, options)
+        except Exception:  # a refused reset takes nothing, not even its seed
+            self._np_random, self._np_random_seed, streams = before
+            self._simulation.restore_streams(streams)
+            raise
         self._started = True
         observation, _, _, info = self._result()
         return observation, info

@@ -93,6 +93,11 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         """True poses X, shape (N, n)."""
         return self._simulation.pose
 
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seed of each environment, as Gymnasium's own vector environments give it."""
+        return tuple(self._simulation.streams()[0].tolist())
+
     def reset(
         self,
         *,
@@ -121,7 +126,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         self._simulation.seed(chosen, [seeds[lane] for lane in chosen])
         try:
             self._simulation.reset(lanes, options)
-        except ValueError:
+        except Exception:
             self._simulation.restore_streams(before)
             raise
         self._started = True
@@ -143,14 +148,16 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
+        whole = (int, np.integer)
         seeds: list[int | None]
-        seeds = (
-            [int(seed) + lane for lane in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
-        )
+        if isinstance(seed, whole):
+            seeds = [int(seed) + lane for lane in range(self.num_envs)]
+        else:
+            seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [-1]
+        if any(item is not None and (not isinstance(item, whole) or item < 0) for item in seeds):
+            raise ValueError(f"a seed must be a whole number of at least 0, not {seed!r}")
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
-        if any(item is not None and item < 0 for item in seeds):
-            raise ValueError("a seed must be at least 0")
         return seeds
 
     def step(self, actions: ArrayLike) -> VectorStep:

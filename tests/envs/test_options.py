@@ -1,0 +1,644 @@
+"""Reset options and constructor keywords: each has an effect, lasts as long as it should, and is refused in words."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import cablebot_gym
+from baselines.classical import FeedbackLinearization
+from cablebot_gym.envs.outcome import REWARD_TERMS
+from cablebot_gym.envs.settings import DEFAULT_WEIGHTS, FOREIGN_OPTIONS, check_options, make_settings
+from cablebot_gym.envs.single import CableBotEnv
+from cablebot_gym.envs.vector import CableBotVectorEnv
+from cablebot_gym.kinematics import structure_jacobian
+from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.task import Limits
+from cablebot_gym.trajectories import Reference
+
+ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
+IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
+each_kind = pytest.mark.parametrize("kind", list(ROBOTS))
+
+
+def make(kind, **keywords):
+    """A bare environment; a longer name would stand in every line."""
+    return gym.make(IDS[kind], **keywords).unwrapped
+
+
+def episode(env, action, steps, **reset):
+    """Everything that a reset and some steps under one command return, by where it came from."""
+    observation, info = env.reset(**reset)
+    seen = {"reset observation": [observation], "observation": [], "reward": [], "flags": [], "reset info": [info]}
+    infos = []
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(np.full(env.action_space.shape, action))
+        seen["observation"].append(observation)
+        seen["reward"].append(reward)
+        seen["flags"].append((terminated, truncated))
+        infos.append(info)
+    for key in info:
+        seen[f"info {key}"] = [one[key] for one in infos]
+    return seen
+
+
+def differing(one, other):
+    """Names of the results of two episodes that differ in any bit."""
+    return {name for name in one if plain(one[name]) != plain(other[name])}
+
+
+def plain(values):
+    """Arrays, and infos full of arrays, as lists that compare exactly."""
+    if isinstance(values, dict):
+        return {name: plain(value) for name, value in values.items()}
+    if isinstance(values, (list, tuple)):
+        return [plain(value) for value in values]
+    return values.tolist() if isinstance(values, np.ndarray) else values
+
+
+def millimetre(kind):
+    """A start error of one millimetre in x."""
+    return [0.001] + [0.0] * (ROBOTS[kind].coordinates - 1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A value other than the default, what has to change with it, and what must not."""
+
+    value: Any
+    """Callable: of the robot's kind."""
+    changes: tuple[str, ...]
+    keeps: tuple[str, ...] = ()
+    base: dict[str, Any] = field(default_factory=dict)
+    """Keywords of both environments."""
+    action: float = 0.3
+    steps: int = 2
+
+    def of(self, kind):
+        return self.value(kind) if callable(self.value) else self.value
+
+
+# A new option or keyword without a case here fails the two completeness tests.
+OPTIONS = {
+    "payload": Case(2.0, ("reset observation", "observation", "reward", "info payload", "info tracking_error")),
+    "payload_known": Case(
+        False, ("reset observation", "observation"), ("reward", "info payload", "info tracking_error"), {"payload": 2.0}
+    ),
+    "trajectory": Case(lambda kind: f"line-{kind}", ("reset observation", "observation", "reward", "info tensions")),
+    "initial_error": Case(
+        millimetre, ("reset observation", "observation", "reward", "info tracking_error", "reset info")
+    ),
+    "limits": Case({"position": 0.02, "rotation": 0.02}, ("reward", "info reward_position"), ("observation",)),
+}
+KEYWORDS = OPTIONS | {
+    "payload_range": Case((1.0, 2.0), ("reset observation", "observation", "info payload")),
+    "initial_error_range": Case(millimetre, ("reset observation", "observation", "info tracking_error")),
+    "robot": Case(
+        lambda kind: ROBOTS[kind].replace(mass=ROBOTS[kind].mass * 1.5).to_dict(),
+        ("observation", "info tensions"),
+        ("reset observation",),
+    ),
+    "cable": Case("bilateral", ("observation", "info tensions"), ("reset observation",), action=-0.3),
+    "control_frequency": Case(250.0, ("observation", "info time", "info tracking_error")),
+    "substeps": Case(7, ("observation",), ("reset observation", "info time"), action=0.5, steps=5),
+    "termination_radius": Case(1e-6, ("flags", "reward", "info termination_reason"), ("observation",)),
+    "slack_time": Case(0.0, ("flags", "reward", "info termination_reason"), ("observation",), action=-0.3),
+    "reward_weights": Case({"position": 3.0}, ("reward", "info reward_position"), ("observation", "flags")),
+}
+
+
+def test_every_reset_option_has_a_case():
+    with pytest.raises(ValueError, match="the options are") as caught:
+        check_options({"?": 0}, PLANAR, 1)
+    known = str(caught.value).split("the options are ")[1].split(", ")
+    assert set(known) == set(OPTIONS)
+
+
+def test_every_constructor_keyword_has_a_case():
+    assert set(inspect.signature(make_settings).parameters) - {"count"} == set(KEYWORDS)
+    vector = {
+        name
+        for name, parameter in inspect.signature(CableBotVectorEnv).parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    }
+    assert vector == {"robot", "num_envs", "max_episode_steps", "autoreset_mode", "render_mode"}  # see test_vector.py
+
+
+@each_kind
+@pytest.mark.parametrize("name", list(KEYWORDS))
+def test_no_constructor_keyword_is_without_effect(kind, name):
+    case = KEYWORDS[name]
+    usual = episode(make(kind, **case.base), case.action, case.steps, seed=0)
+    changed = episode(make(kind, **case.base, **{name: case.of(kind)}), case.action, case.steps, seed=0)
+    found = differing(usual, changed)
+    assert set(case.changes) <= found
+    assert not set(case.keeps) & found
+
+
+@each_kind
+@pytest.mark.parametrize("name", list(OPTIONS))
+def test_no_option_is_discarded_and_none_outlives_its_episode(kind, name):
+    case = OPTIONS[name]
+    env = make(kind, **case.base)
+    usual = episode(env, case.action, case.steps, seed=0)
+    changed = episode(env, case.action, case.steps, seed=0, options={name: case.of(kind)})
+    found = differing(usual, changed)
+    assert set(case.changes) <= found
+    assert not set(case.keeps) & found
+    assert differing(usual, episode(env, case.action, case.steps)) == set()  # the next episode
+    constructed = episode(make(kind, **case.base, **{name: case.of(kind)}), case.action, case.steps, seed=0)
+    assert differing(changed, constructed) == set()  # an option does what the keyword of its name does
+
+
+@each_kind
+def test_constructor_defaults_outlast_an_episode_of_options(kind):
+    env = make(
+        kind,
+        payload=1.5,
+        payload_known=False,
+        trajectory=f"line-{kind}",
+        initial_error=millimetre(kind),
+        limits={"position": 0.05},
+    )
+    others = {"payload": 0.5, "payload_known": True, "trajectory": f"hold-{kind}", "limits": {"position": 0.001}}
+    usual = episode(env, 0.3, 3, seed=0)
+    assert usual["info payload"][0] == 1.5
+    assert {"reset observation", "reward", "info payload"} <= differing(usual, episode(env, 0.3, 3, options=others))
+    for _ in range(3):
+        assert differing(usual, episode(env, 0.3, 3)) == set()
+
+
+@each_kind
+def test_an_option_spares_what_it_does_not_name(kind):
+    env = make(kind, payload=1.5, limits={"position": 0.05})
+    _, info = env.reset(options={"trajectory": f"line-{kind}"})
+    assert info["payload"] == 1.5
+    assert env.task.limits.position == 0.05
+    assert env.task.trajectory.name == f"line-{kind}"
+
+
+@each_kind
+def test_foreign_options_pass_and_change_nothing(kind):
+    usual = episode(make(kind), 0.3, 3, seed=0)
+    options = {"minari_autoseed": True, "reset_mask": np.array([True])}
+    assert set(options) == set(FOREIGN_OPTIONS)
+    assert differing(usual, episode(make(kind), 0.3, 3, seed=0, options=options)) == set()
+
+
+def test_options_and_keyword_values_are_read_and_never_changed():
+    options = {"payload": np.array([1.0]), "limits": {"position": 0.02}, "trajectory": {"name": "hold-planar"}}
+    before = {key: np.copy(value) for key, value in options.items()}
+    env = make("planar")
+    env.reset(options=options)
+    assert list(options) == list(before)
+    assert options["payload"] == before["payload"]
+    assert options["trajectory"] == {"name": "hold-planar"}
+
+
+# ------------------------------------------------------------------------------------------------------- sampler
+
+
+def draws(env, count, key="payload"):
+    """Payloads, or start errors, of the next episodes."""
+    found = []
+    for _ in range(count):
+        observation, info = env.reset()
+        part = env.layout.split(observation)
+        found.append(info["payload"] if key == "payload" else part["pose"] - part["reference_pose"])
+    return np.array(found)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(low=st.floats(0, 10), width=st.floats(0, 10), seed=st.integers(0, 2**40))
+def test_payload_draws_stay_in_the_range_and_follow_the_seed(low, width, seed):
+    ends = (low, low + width)
+    env, again = (make("planar", payload_range=ends) for _ in range(2))
+    env.reset(seed=seed)
+    again.reset(seed=seed)
+    found = draws(env, 10)
+    assert np.all((found >= low) & (found <= ends[1]))
+    np.testing.assert_array_equal(found, draws(again, 10))
+    if width > 1e-6:
+        again.reset(seed=seed + 1)
+        assert not np.array_equal(found, draws(again, 10))
+
+
+def test_payload_draws_fill_the_range_instead_of_repeating():
+    env = make("planar", payload_range=(2.0, 3.0))
+    env.reset(seed=0)
+    found = draws(env, 400)
+    assert len(set(found)) == 400
+    assert found.min() < 2.02
+    assert found.max() > 2.98
+    assert found.mean() == pytest.approx(2.5, abs=4 * np.sqrt(1 / 12 / 400))
+    assert abs(np.corrcoef(found[1:], found[:-1])[0, 1]) < 0.2  # episode number alone does not order them
+
+
+@pytest.mark.parametrize("payload", [0.0, 2.5, 1e-300, 1 / 3])
+def test_a_range_of_one_point_gives_that_point(payload):
+    env = make("planar", payload_range=(payload, payload))
+    env.reset(seed=0)
+    assert set(draws(env, 5)) == {payload}
+
+
+@each_kind
+def test_drawn_payloads_do_not_compound_over_resets(kind):
+    env = make(kind, payload_range=(1.0, 1.0), initial_error_range=np.zeros(ROBOTS[kind].coordinates))
+    first = episode(env, 0.3, 3, seed=0)
+    for _ in range(50):
+        env.reset()
+    assert differing(first, episode(env, 0.3, 3)) == set()
+    assert set(episode(make(kind, payload=1.0), 0.3, 3, seed=0)["info payload"]) == {1.0}
+    assert differing(first, episode(make(kind, payload=1.0), 0.3, 3, seed=0)) == set()
+
+
+def test_draws_do_not_depend_on_how_long_an_episode_was():
+    widths = [0.001, 0.002]
+    patient, hasty = (make("planar", payload_range=(0.0, 5.0), initial_error_range=widths) for _ in range(2))
+    for number in range(6):
+        reset = {"seed": 9} if number == 0 else {}
+        one, other = patient.reset(**reset), hasty.reset(**reset)
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1]["payload"] == other[1]["payload"]
+        for _ in range(7 * number):
+            patient.step(np.full(3, 0.2))
+
+
+@pytest.mark.parametrize(("key", "name"), [("payload", "payload_range"), ("start", "initial_error_range")])
+def test_switching_one_sampler_on_leaves_the_other_purposes_draws(key, name):
+    keywords = {"payload_range": (0.0, 5.0), "initial_error_range": [0.001, 0.002]}
+    alone, both = make("planar", **{name: keywords[name]}), make("planar", **keywords)
+    alone.reset(seed=5)
+    both.reset(seed=5)
+    np.testing.assert_array_equal(draws(alone, 6, key), draws(both, 6, key))
+
+
+def test_purposes_do_not_share_a_stream():
+    env = make("planar", payload_range=(-0.0, 1.0), initial_error_range=[0.01, 0.01])
+    env.reset(seed=5)
+    payloads, starts = [], []
+    for _ in range(20):
+        observation, info = env.reset()
+        part = env.layout.split(observation)
+        payloads.append(info["payload"])
+        starts.append((part["pose"] - part["reference_pose"]) / 0.01)
+    uniform = (np.array(starts) + 1) / 2
+    assert np.abs(uniform - np.array(payloads)[:, None]).min(axis=0).min() > 1e-6
+    assert abs(np.corrcoef(uniform[:, 0], payloads)[0, 1]) < 0.7
+
+
+def test_an_episode_with_a_payload_of_its_own_leaves_the_later_draws():
+    env, twin = (make("planar", payload_range=(0.0, 5.0)) for _ in range(2))
+    env.reset(seed=5)
+    twin.reset(seed=5)
+    _, info = env.reset(options={"payload": 7.0})
+    assert info["payload"] == 7.0  # the option beats the range
+    twin.reset()
+    np.testing.assert_array_equal(draws(env, 5), draws(twin, 5))
+
+
+def test_the_first_episode_of_a_seed_does_not_depend_on_what_was_before():
+    env = make("planar", payload_range=(0.0, 5.0))
+    _, first = env.reset(seed=5)
+    draws(env, 3)
+    _, again = env.reset(seed=5)
+    assert first["payload"] == again["payload"]
+    following = draws(env, 3)
+    fresh = make("planar", payload_range=(0.0, 5.0))
+    fresh.reset(seed=5)
+    np.testing.assert_array_equal(following, draws(fresh, 3))
+
+
+def test_unseeded_environments_and_their_episodes_differ():
+    env, other = (make("planar", payload_range=(0.0, 5.0)) for _ in range(2))
+    assert len({*draws(env, 4), *draws(other, 4)}) == 8
+
+
+@each_kind
+def test_start_errors_are_drawn_symmetrically_within_their_half_widths(kind):
+    n = ROBOTS[kind].coordinates
+    widths = np.array([0.002, 0.0, 0.001, 0.003, 0.0, 0.001])[:n]
+    env = make(kind, trajectory=f"hold-{kind}", initial_error_range=widths)
+    env.reset(seed=0)
+    found = draws(env, 200, "start")
+    assert np.all(np.abs(found) <= widths + 1e-15)
+    np.testing.assert_allclose(np.abs(found).max(axis=0), widths, rtol=0.1)
+    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=4 * widths.max() / np.sqrt(3 * 200))
+    given = make(kind, trajectory=f"hold-{kind}", initial_error_range=widths, initial_error=np.full(n, 0.01))
+    given.reset(seed=0)
+    np.testing.assert_allclose(draws(given, 5, "start"), found[:5] + 0.01, atol=1e-15)  # added to initial_error
+
+
+# ------------------------------------------------------------------------------------------------------- physics
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(payload=st.floats(0, 10))
+def test_payload_is_mass_in_the_plants_equations(payload):
+    """Let go from rest with taut cables of no torque: (M + payload + Σ J/r² s²) z̈ = (M + payload) g, by symmetry."""
+    frequency = 1e4
+    env = make("spatial", payload=payload, trajectory="hold-spatial", control_frequency=frequency, cable="bilateral")
+    observation, info = env.reset()
+    observation, _, _, _, info = env.step(np.zeros(6))
+    column = structure_jacobian(SPATIAL.base, SPATIAL.platform, SPATIAL.home)[:, 2]
+    mass = SPATIAL.mass + payload
+    reflected = np.sum(SPATIAL.pulley_inertia / SPATIAL.pulley_radius**2 * column**2)
+    expected = mass * SPATIAL.gravity / (mass + reflected)
+    falls = env.layout.split(observation)["velocity"][2] * frequency
+    assert falls == pytest.approx(expected, rel=1e-4)
+    assert info["payload"] == payload
+
+
+@each_kind
+def test_a_heavier_load_answers_the_same_pull_more_slowly(kind):
+    speeds = []
+    for payload in (0.0, 1.0, 5.0):
+        env = make(kind, trajectory=f"hold-{kind}")
+        env.reset(options={"payload": payload})
+        pull = np.full(env.action_space.shape, 0.9)
+        pull[0] = 0.2
+        speeds.append(np.abs(env.layout.split(env.step(pull)[0])["velocity"][:2]).max())
+    assert speeds[0] > 1.02 * speeds[1] > 1.02**2 * speeds[2]
+
+
+def test_a_heavier_load_needs_more_torque_to_hang():
+    torques = []
+    for payload in (0.0, 3.0):
+        env = make("spatial", trajectory="hold-spatial", payload=payload)
+        policy = FeedbackLinearization(SPATIAL)
+        observation, _ = env.reset()
+        for _ in range(5):
+            observation, _, _, _, info = env.step(policy.predict(observation)[0])
+        assert info["tracking_error"] < 1e-9
+        torques.append(info["torques"])
+    np.testing.assert_allclose(torques[1] / torques[0], 13 / 10, rtol=1e-6)
+
+
+def test_an_untold_payload_makes_the_controller_sag():
+    errors = {}
+    for known in (True, False):
+        env = make("spatial", trajectory="hold-spatial", payload=3.0, payload_known=known)
+        policy = FeedbackLinearization(SPATIAL)
+        observation, _ = env.reset()
+        for _ in range(50):
+            observation, _, _, _, info = env.step(policy.predict(observation)[0])
+        errors[known] = info["tracking_error"]
+    assert errors[True] < 1e-9
+    assert errors[False] > 1e-3
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(error=st.lists(st.floats(-0.04, 0.04), min_size=6, max_size=6), spatial=st.booleans())
+def test_initial_error_displaces_the_start_by_exactly_that(error, spatial):
+    kind = "spatial" if spatial else "planar"
+    error = np.array(error[: ROBOTS[kind].coordinates])
+    env = make(kind, trajectory=f"hold-{kind}")
+    observation, info = env.reset(options={"initial_error": error})
+    home = np.array(env.task.trajectory.pose)
+    np.testing.assert_array_equal(env.layout.split(observation)["pose"], home + error)
+    assert info["tracking_error"] == pytest.approx(np.linalg.norm(error[:3]), abs=1e-15)
+    assert info["tracking_error_peak"] == info["tracking_error"]
+    assert not env.layout.split(observation)["velocity"].any()
+
+
+@pytest.mark.parametrize(
+    ("frequency", "substeps"), [(500.0, 2), (1000.0, 1), (100.0, 10), (333.0, 4), (2000.0, 1), (1500, 1)]
+)
+def test_default_physics_step_is_never_coarser_than_a_millisecond(frequency, substeps):
+    env = make("planar", control_frequency=frequency)
+    assert env.settings.substeps == substeps
+    assert env.settings.physics_step <= 1e-3 * (1 + 1e-9)
+    env.reset()
+    for step in range(1, 4):
+        info = env.step(np.full(3, 0.2))[4]
+        assert info["time"] == pytest.approx(step / frequency, rel=1e-12)
+        assert info["command_time"] == pytest.approx((step - 1) / frequency, rel=1e-12)
+
+
+@each_kind
+def test_two_physics_steps_a_period_are_as_good_as_twenty(kind):
+    """Closed loop over the paper's whole circle. Measured: 5e-12 m, 2e-10 m/s; one step alone is 16 times worse."""
+    paths = {}
+    for substeps in (1, 2, 20):
+        env = make(kind, substeps=substeps)
+        policy = FeedbackLinearization(ROBOTS[kind])
+        observation, _ = env.reset()
+        path = []
+        for _ in range(500):
+            observation = env.step(policy.predict(observation)[0])[0]
+            path.append(observation)
+        paths[substeps] = env.layout.split(np.array(path))
+    error = {s: {k: np.abs(paths[s][k] - paths[20][k]).max() for k in ("pose", "velocity")} for s in (1, 2)}
+    assert error[2]["pose"] < 5e-11
+    assert error[2]["velocity"] < 2e-9
+    assert 10 < error[1]["pose"] / error[2]["pose"] < 25  # fourth order, and the keyword reaches the plant
+
+
+# ----------------------------------------------------------------------------------------------------- bad input
+
+ALL_OPTIONS = ("payload", "payload_known", "trajectory", "initial_error", "limits")
+
+BAD_OPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "unknown key": ({"paylaod": 1.0}, ("paylaod", *ALL_OPTIONS)),
+    "unknown key beside a good one": ({"payload": 1.0, "seed": 3}, ("seed", *ALL_OPTIONS)),
+    "negative payload": ({"payload": -0.1}, ("payload", "at least 0", "-0.1")),
+    "NaN payload": ({"payload": float("nan")}, ("payload", "finite")),
+    "infinite payload": ({"payload": float("inf")}, ("payload", "finite")),
+    "payload array of the wrong length": ({"payload": [1.0, 2.0]}, ("payload", "(2,)")),
+    "payload in words": ({"payload": "heavy"}, ("payload", "numbers", "heavy")),
+    "payload missing": ({"payload": None}, ("payload", "None")),
+    "payload_known as a number": ({"payload_known": 0.5}, ("payload_known", "True or False")),
+    "payload_known of the wrong length": ({"payload_known": [True, False]}, ("payload_known",)),
+    "unknown trajectory": ({"trajectory": "spiral"}, ("spiral", "paper-planar", "line-planar", "lemniscate-planar")),
+    "trajectory of the other robot": ({"trajectory": "paper-spatial"}, ("paper-spatial", "paper-planar")),
+    "unknown trajectory field": ({"trajectory": {"name": "hold-planar", "speed": 1}}, ("speed", "pose", "duration")),
+    "trajectory without a duration": ({"trajectory": {"name": "hold-planar", "duration": 0}}, ("duration", "0")),
+    "trajectory of the wrong type": ({"trajectory": 3}, ("3", "paper-planar")),
+    "limits of zero": ({"limits": {"position": 0.0}}, ("limits", "position", "greater than 0")),
+    "limits NaN": ({"limits": {"rotation": float("nan")}}, ("limits", "rotation")),
+    "unknown limit": ({"limits": {"force": 1.0}}, ("limits", "position", "rotation", "force")),
+    "limits as a number": ({"limits": 0.01}, ("limits", "position", "rotation")),
+    "start error of the wrong length": ({"initial_error": [0.0, 0.0, 0.0]}, ("initial_error", "2", "(3,)")),
+    "start error as one number": ({"initial_error": 0.01}, ("initial_error", "2")),
+    "NaN in the start error": ({"initial_error": [0.0, float("nan")]}, ("initial_error", "finite")),
+}
+
+BAD_ACTIONS = {
+    "too few": (np.zeros(2), ("(3,)", "(2,)")),
+    "a batch": (np.zeros((1, 3)), ("(3,)", "(1, 3)")),
+    "a number": (0.5, ("(3,)", "()")),
+    "NaN": (np.array([0.0, np.nan, 0.0]), ("finite", "NaN")),
+    "infinity": (np.array([0.0, 0.0, -np.inf]), ("finite", "infinity")),
+}
+
+BAD_KEYWORDS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    **{name: (options, words) for name, (options, words) in BAD_OPTIONS.items() if not name.startswith("unknown key")},
+    "unknown cable": ({"cable": "rope"}, ("rope", "unilateral", "bilateral")),
+    "no substeps": ({"substeps": 0}, ("substeps", "at least 1", "0")),
+    "half a substep": ({"substeps": 1.5}, ("substeps", "whole", "1.5")),
+    "True substeps": ({"substeps": True}, ("substeps", "whole")),
+    "no control frequency": ({"control_frequency": 0.0}, ("control_frequency", "greater than 0")),
+    "negative control frequency": ({"control_frequency": -500}, ("control_frequency", "-500")),
+    "NaN control frequency": ({"control_frequency": float("nan")}, ("control_frequency", "finite")),
+    "control frequency in words": ({"control_frequency": "fast"}, ("control_frequency", "fast")),
+    "no termination radius": ({"termination_radius": 0}, ("termination_radius", "greater than 0")),
+    "negative slack time": ({"slack_time": -0.1}, ("slack_time", "at least 0")),
+    "unknown reward term": ({"reward_weights": {"energy": 1.0}}, ("energy", *REWARD_TERMS)),
+    "NaN reward weight": ({"reward_weights": {"slack": float("nan")}}, ("reward_weights", "finite")),
+    "reward weight in words": ({"reward_weights": {"slack": "much"}}, ("reward_weights", "much")),
+    "unknown robot": ({"robot": "delta"}, ("delta", "planar", "spatial")),
+    "robot field unknown": ({"robot": {**PLANAR.to_dict(), "colour": "red"}}, ("colour", "mass")),
+    "robot not physical": ({"robot": {**PLANAR.to_dict(), "mass": -1.0}}, ("mass", "greater than 0")),
+    "payload range upside down": ({"payload_range": (2.0, 1.0)}, ("payload_range", "low", "high")),
+    "payload range below zero": ({"payload_range": (-1.0, 1.0)}, ("payload_range", "0")),
+    "payload range of one end": ({"payload_range": 3.0}, ("payload_range", "low", "high")),
+    "NaN payload range": ({"payload_range": (0.0, float("nan"))}, ("payload_range",)),
+    "negative half widths": ({"initial_error_range": [-0.1, 0.0]}, ("initial_error_range", "half widths")),
+    "half widths of the wrong length": ({"initial_error_range": [0.1]}, ("initial_error_range", "2")),
+    "render mode": ({"render_mode": "hologram"}, ("render_mode", "hologram")),
+}
+
+
+def check_message(error, words):
+    """One clear sentence that names the valid choices."""
+    message = str(error)
+    for word in words:
+        assert word in message
+    assert "\n" not in message
+    assert ". " not in message  # one sentence
+    assert not message.endswith(".") or message.endswith("…")
+    assert len(message) < 320  # the longest lists every trajectory
+
+
+@pytest.mark.parametrize("name", list(BAD_OPTIONS))
+def test_a_bad_option_is_named_and_the_episode_goes_on_to_the_last_bit(name):
+    options, words = BAD_OPTIONS[name]
+    keywords = {"payload_range": (0.0, 2.0), "initial_error_range": [0.01, 0.01]}
+    env, twin = make("planar", **keywords), make("planar", **keywords)
+    rng = np.random.default_rng(0)
+    env.reset(seed=4)
+    twin.reset(seed=4)
+    for step in range(12):
+        if step in (0, 6):
+            with pytest.raises(ValueError, match=r"\w") as caught:
+                env.reset(options=options)
+            check_message(caught.value, words)
+            assert env.task.told_payload == twin.task.told_payload
+        action = rng.uniform(-1, 1, 3)
+        same_step(env, twin, action)
+    same_reset(env, twin)  # the streams stand where they stood
+    same_step(env, twin, action)
+
+
+def same_step(env, twin, action):
+    ours, theirs = env.step(action), twin.step(action)
+    np.testing.assert_array_equal(ours[0], theirs[0])
+    assert ours[1:4] == theirs[1:4]
+    assert plain(ours[4]) == plain(theirs[4])
+
+
+def same_reset(env, twin, **reset):
+    ours, theirs = env.reset(**reset), twin.reset(**reset)
+    np.testing.assert_array_equal(ours[0], theirs[0])
+    assert plain(ours[1]) == plain(theirs[1])
+
+
+@pytest.mark.parametrize("option", [{"payload": -1.0}, {"paylaod": 1.0}])
+def test_a_refused_reset_does_not_take_its_seed(option):
+    env, twin = make("planar", payload_range=(0.0, 5.0)), make("planar", payload_range=(0.0, 5.0))
+    env.reset(seed=4)
+    twin.reset(seed=4)
+    with pytest.raises(ValueError, match=r"pay(load|laod)"):
+        env.reset(seed=99, options=option)
+    same_reset(env, twin)
+
+
+class NotVectorised:
+    """A motion of one's own that works for one time and not for an array of times, as they are often written."""
+
+    name, duration, coordinates = "not vectorised", 1.0, 2
+
+    def __call__(self, times):
+        position = np.array([0.05, 0.0]) if times < 0.5 else np.array([0.0, 0.05])
+        zero = np.zeros(2)
+        return Reference(position=position, velocity=zero, acceleration=zero, jerk=zero, snap=zero)
+
+
+def test_a_motion_that_fails_for_an_array_of_times_leaves_the_episode_as_it_was():
+    env, twin = make("planar"), make("planar")
+    same_reset(env, twin, seed=0)
+    same_step(env, twin, np.full(3, 0.4))
+    with pytest.raises(ValueError, match=r"\w"):
+        env.reset(options={"trajectory": NotVectorised(), "payload": 3.0, "limits": {"position": 0.5}})
+    assert env.task.trajectory.name == "paper-planar"
+    assert env.task.told_payload == 0.0
+    same_step(env, twin, np.full(3, 0.4))
+
+
+@pytest.mark.parametrize("name", list(BAD_ACTIONS))
+def test_a_bad_action_is_named_and_the_episode_goes_on_to_the_last_bit(name):
+    action, words = BAD_ACTIONS[name]
+    env, twin = make("planar"), make("planar")
+    same_reset(env, twin, seed=0)
+    same_step(env, twin, np.full(3, 0.4))
+    with pytest.raises(ValueError, match="action") as caught:
+        env.step(action)
+    check_message(caught.value, words)
+    same_step(env, twin, np.full(3, 0.4))
+
+
+def test_a_huge_but_finite_action_is_not_called_infinite():
+    env = make("planar")
+    env.reset()
+    _, reward, _, _, info = env.step(np.full(3, 1e160))
+    assert info["drive_demand"].tolist() == [1e160] * 3
+    assert np.isfinite(reward)
+
+
+@pytest.mark.parametrize("name", list(BAD_KEYWORDS))
+def test_a_bad_keyword_is_named_together_with_what_would_do(name):
+    keywords, words = BAD_KEYWORDS[name]
+    with pytest.raises(ValueError, match=r"\w") as caught:
+        from_class(**keywords)
+    check_message(caught.value, words)
+
+
+def from_class(robot="planar", **keywords):
+    """Without gym.make, which has words of its own about a render mode."""
+    return CableBotEnv(robot=robot, **keywords)
+
+
+def test_a_misspelt_keyword_does_not_pass_in_silence():
+    with pytest.raises(TypeError, match="paylaod"):
+        from_class(paylaod=1.0)
+
+
+def test_step_before_reset_says_what_to_do():
+    env = make("planar")
+    with pytest.raises(gym.error.ResetNeeded, match=r"reset\(\)"):
+        env.step(np.zeros(3))
+    with pytest.raises(ValueError, match="paylaod"):
+        env.reset(options={"paylaod": 1.0})
+    with pytest.raises(gym.error.ResetNeeded, match=r"reset\(\)"):  # a refused reset starts nothing
+        env.step(np.zeros(3))
+
+
+def test_limits_objects_and_arrays_are_welcome_too():
+    env = make("planar", limits=Limits(position=0.02))
+    assert env.task.limits == Limits(position=0.02, rotation=0.01)
+    env.reset(options={"limits": {"position": 0.03}, "payload": np.float32(1.5), "payload_known": np.True_})
+    assert env.task.limits.position == 0.03
+    assert env.task.told_payload == 1.5
+
+
+def test_default_weights_are_those_of_every_term():
+    assert list(DEFAULT_WEIGHTS) == list(REWARD_TERMS)
+    assert make("planar", reward_weights={}).settings.weights.tolist() == list(DEFAULT_WEIGHTS.values())
+    assert cablebot_gym.ENV_IDS[:2] == tuple(IDS.values())
