@@ -81,8 +81,8 @@ class CableBotEnv(gym.Env[Array, Array]):
     The same keys at reset and at every step. Of the present instant: `time`, `tracking_error` [m], `rotation_error`
     [rad], `payload` [kg, true]. Of the control period just passed: `tracking_error_peak`, `rotation_error_peak`
     (largest at any physics step), `slack` (bool for each cable, at any physics step: it hangs loose or, if bilateral,
-    pushes), and, at its start `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin`
-    (τ_s (1 − |a|), [N·m]). At reset no period has passed and these are zero.
+    pushes), and, at its start `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s],
+    `torque_margin` (τ_s (1 − |a|), [N·m]). At reset no period has passed and these are zero.
 
     ## Arguments
 
