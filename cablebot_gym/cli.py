@@ -29,6 +29,8 @@ app = typer.Typer(
 )
 _errors = Console(stderr=True)
 _BOTH = "both"
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
 
 
 class CriterionChoice(StrEnum):
@@ -249,7 +251,7 @@ def _progress() -> Iterator[Callable[[str, int, int, int, int], None]]:
         TextColumn("{task.percentage:3.0f} %"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=_errors, transient=True) as bar:
+    with Progress(*columns, console=_errors, transient=True, disable=not _errors.is_terminal) as bar:
         task = bar.add_task("preparing", total=1.0)
 
         def step(description: str, place: int, places: int, done: int, expected: int) -> None:
@@ -260,12 +262,15 @@ def _progress() -> Iterator[Callable[[str, int, int, int, int], None]]:
 
 def main() -> None:
     """Entry point: turns errors into one sentence and an exit status."""
-    from cablebot_gym.dlcc.evaluator import PolicyError
+    from cablebot_gym.policies import PolicyError
 
     try:
-        app(standalone_mode=False)
+        status = app(standalone_mode=False)  # a number where the parser ended the command itself, as Ctrl-C does
+        if status == INTERRUPTED:
+            raise KeyboardInterrupt
+        sys.exit(status if isinstance(status, int) else 0)
     except KeyboardInterrupt:
-        _fail("interrupted: nothing was written", 130)
+        _fail("interrupted: nothing was left half-written", INTERRUPTED)
     except (ValueError, TypeError, ImportError) as error:
         _fail(str(error), 2)
     except PolicyError as error:

@@ -8,36 +8,44 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def usable_folder(folder: Path) -> Path:
-    """The folder, made if need be.
+def usable_folder(folder: Path) -> None:
+    """Finds out whether files can be written to a folder, or the folder be made; leaves nothing behind.
 
     Raises:
-        ValueError: if nothing can be written there.
+        ValueError: if not.
     """
+    there = folder.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        with tempfile.TemporaryFile(dir=there):
             pass
     except OSError as error:
         raise ValueError(
             f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another"
         ) from error
-    return folder
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Lets ``write`` fill a temporary file beside ``path`` and moves it there when it is complete.
 
-    An interrupt or an error leaves what was at ``path`` before. The temporary name keeps the suffix, by which some
-    writers choose their format.
+    The folder is made if need be. An interrupt or an error leaves what was at ``path`` before. The temporary name keeps
+    the suffix, by which some writers choose their format.
     """
+    path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     os.close(handle)
     temporary = Path(name)
     try:
         write(temporary)
-        os.chmod(temporary, 0o644)
+        os.chmod(temporary, 0o666 & ~_umask())  # as an ordinary new file; temporary ones are private
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

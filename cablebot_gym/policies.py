@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
 
 Array = NDArray[Any]
 
@@ -53,6 +54,10 @@ class PolicyEntry:
     """Makes the policy from a nominal robot."""
     summary: str
     """One line."""
+
+
+class PolicyError(RuntimeError):
+    """A policy raised, or returned what is no drive command; the message names the payload and the time."""
 
 
 class LaneError(RuntimeError):
@@ -115,6 +120,77 @@ def as_policy(policy: Any) -> Policy:
     )
 
 
+def commands(
+    policy: Policy,
+    name: str,
+    observation: Array,
+    state: Any,
+    start: NDArray[np.bool_],
+    *,
+    cables: int,
+    payloads: Array,
+    time: float,
+    ignored: NDArray[np.bool_] | None = None,
+) -> tuple[Array, Any]:
+    """The policy's drive commands (N, m) for a batch of observations, checked, and its next state.
+
+    Args:
+        policy: asked with ``deterministic=True``.
+        name: of the policy, for messages.
+        observation: (N, size).
+        state: what the policy returned last time, None at first.
+        start: (N,) True at an episode's first step.
+        cables: m.
+        payloads: true payload of each episode, (N,) [kg], for messages.
+        time: [s], for messages.
+        ignored: (N,) episodes whose commands no longer matter; they become 0.
+
+    Raises:
+        PolicyError: if the policy raises, or returns anything but finite numbers of that shape.
+    """
+    at, everyone = f"at t = {time:.3f} s", f"with payloads of {payloads.min():g} to {payloads.max():g} kg"
+    if len(payloads) == 1:
+        everyone = f"with a payload of {payloads[0]:g} kg"
+    try:
+        raw, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
+        action = np.array(raw, dtype=float)
+    except LaneError as error:
+        lane = f"with a payload of {payloads[error.lane]:g} kg"
+        raise PolicyError(f"policy {name!r} failed {at} {lane}: {error}") from error.__cause__
+    except Exception as error:
+        raise PolicyError(f"policy {name!r} raised {type(error).__name__} {at} {everyone}: {error}") from error
+    if action.shape != (len(payloads), cables):
+        expected = (len(payloads), cables)
+        raise PolicyError(f"policy {name!r} returned shape {action.shape} {at} {everyone}; needed: {expected}")
+    if ignored is not None:
+        action[ignored] = 0.0
+    if not np.all(np.isfinite(action)):
+        lane = f"with a payload of {payloads[np.argmin(np.isfinite(action).all(axis=1))]:g} kg"
+        raise PolicyError(f"policy {name!r} returned NaN or infinity {at} {lane}")
+    return action, state
+
+
+def begin(policy: Policy, name: str, tasks: tuple[Task, ...]) -> None:
+    """Tells a policy that plans what is coming, see :class:`Policy`.
+
+    Raises:
+        PolicyError: if it raises.
+    """
+    if not hasattr(policy, "begin"):
+        return
+    try:
+        policy.begin(tasks)
+    except Exception as error:
+        raise PolicyError(f"policy {name!r} raised {type(error).__name__} in begin(): {error}") from error
+
+
+def name_of(policy: Any) -> str:
+    """What to call a policy in results and messages: a name itself, its ``name``, its function's or its class's."""
+    if isinstance(policy, str):
+        return policy
+    return str(getattr(policy, "name", None) or getattr(policy, "__name__", None) or type(policy).__name__)
+
+
 def policy_entries() -> dict[str, PolicyEntry]:
     """Every installed policy by name, sorted."""
     entries = [point.load() for point in entry_points(group=ENTRY_POINT_GROUP)]
@@ -135,7 +211,12 @@ def load_policy(name: str, robot: Robot) -> Policy:
     if name.endswith(".zip"):
         return _load_sb3(Path(name))
     if ":" in name:
-        return as_policy(_load_factory(name)(robot))
+        factory = _load_factory(name)
+        try:
+            made = factory(robot)
+        except Exception as error:
+            raise ValueError(f"policy {name!r}: the factory raised {type(error).__name__}: {error}") from error
+        return as_policy(made)
     raise ValueError(
         f"unknown policy {name!r}; choose one of {', '.join(entries)}, an SB3 file ending in .zip, "
         "or package.module:factory"
@@ -145,11 +226,12 @@ def load_policy(name: str, robot: Robot) -> Policy:
 def _load_factory(name: str) -> Callable[[Robot], Any]:
     module_name, _, attribute = name.partition(":")
     try:
-        factory = getattr(importlib.import_module(module_name), attribute)
-    except ImportError as error:
+        module = importlib.import_module(module_name)
+    except Exception as error:
         raise ValueError(f"policy {name!r}: cannot import {module_name!r} ({error})") from error
-    except AttributeError:
-        raise ValueError(f"policy {name!r}: {module_name!r} has no {attribute!r}") from None
+    if not hasattr(module, attribute):
+        raise ValueError(f"policy {name!r}: {module_name!r} has no {attribute!r}")
+    factory = getattr(module, attribute)
     if isinstance(factory, PolicyEntry):
         return factory.factory
     if not callable(factory):

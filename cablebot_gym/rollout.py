@@ -13,7 +13,7 @@ from cablebot_gym.dlcc.monitor import DLCCMonitor, Verdict
 from cablebot_gym.envs import env_robot
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import as_policy, load_policy
+from cablebot_gym.policies import as_policy, begin, commands, load_policy, name_of
 from cablebot_gym.task import Task
 
 SUFFIXES = (".npz", ".csv")
@@ -32,6 +32,7 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
 
     Raises:
         ValueError: if an argument is not valid.
+        cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
     """
     env_robot(env_id)
     env = DLCCMonitor(gym.make(env_id, max_episode_steps=-1, payload=payload, **keywords))
@@ -39,17 +40,26 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
         observation, info = env.reset(seed=seed)
         task: Task = env.get_wrapper_attr("task")
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
-        if hasattr(loaded, "begin"):
-            loaded.begin((task,))
+        label = name_of(policy)
+        begin(loaded, label, (task,))
         layout = env.get_wrapper_attr("layout")
         rows: list[dict[str, Any]] = []
         state, start, ended = None, np.ones(1, np.bool_), False
         while len(rows) < task.steps and not ended:
             parts = layout.split(observation)
-            action, state = loaded.predict(observation, state=state, episode_start=start, deterministic=True)
+            action, state = commands(
+                loaded,
+                label,
+                observation[None],
+                state,
+                start,
+                cables=task.robot.cables,
+                payloads=np.array([payload]),
+                time=len(rows) / task.control_frequency,
+            )
             start = np.zeros(1, np.bool_)
             before = {name: parts[name].copy() for name in ("pose", "velocity", "reference_pose")}
-            observation, reward, ended, _, info = env.step(action)
+            observation, reward, ended, _, info = env.step(action[0])
             numbers = {name: value for name, value in info.items() if not isinstance(value, str)}
             rows.append(before | numbers | {"reward": reward})
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}

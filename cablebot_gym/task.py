@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any
 
+import numpy as np
+
 from cablebot_gym.physics.textbook import Cable
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Trajectory
@@ -30,6 +32,7 @@ class Limits:
             value = getattr(self, field.name)
             if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value) or value <= 0:
                 raise ValueError(f"limits: {field.name} must be a number greater than 0, not {value!r}")
+            object.__setattr__(self, field.name, float(value))
 
 
 def find_limits(limits: Limits | dict[str, float] | None) -> Limits:
@@ -74,9 +77,13 @@ class Task:
 
 
 def as_plain(value: Any) -> Any:
-    """Trajectories, robots and limits as JSON-able data, for result files."""
+    """A trajectory as JSON-able data, for result files; of one that is no dataclass, what the protocol promises."""
+    if isinstance(value, Trajectory) and not hasattr(value, "__dataclass_fields__"):
+        return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
     if hasattr(value, "__dataclass_fields__"):
         return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, (list, tuple)):
         return [as_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
     return value

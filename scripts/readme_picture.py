@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.evaluator import evaluate_dlcc
-from cablebot_gym.dlcc.figures import BLUE, GREY, SHADE, VERMILLION, demanded_torque, torque_limits, write_whole
+from cablebot_gym.dlcc.figures import BLUE, SHADE, VERMILLION, demanded_torque, torque_limits
 from cablebot_gym.dlcc.result import DLCCResult
+from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import cable_vectors
 
 Array = NDArray[np.float64]
@@ -26,10 +27,10 @@ MOTOR = 1
 """The one that saturates first, from 0: motor 2."""
 
 GREEN = "#009E73"
-AZIMUTH, ELEVATION = np.radians(-14), np.radians(38)
+AZIMUTH, ELEVATION = np.radians(22), np.radians(38)
 """Where the drawing looks from."""
 
-HANG = 0.42
+HANG = 0.36
 """How far below the platform the payload is drawn [m]; in the model it is part of the platform."""
 
 
@@ -65,7 +66,7 @@ def draw_robot(axes: Axes, result: DLCCResult) -> None:
     start = reference[0]
     anchors = robot.base + cable_vectors(robot.base, robot.platform, start)
     base, platform = projected(robot.base), projected(anchors)
-    payload = projected(start[:3] + [0, 0, HANG])
+    payload = projected(start[:3] + HANG * np.array([0, 0, 1]))
     axes.fill(*base.T, facecolor="#F3F3F3", edgecolor="#B0B0B0", linewidth=1.2, zorder=1)
     axes.plot(*projected(reference[:, :3]).T, color=VERMILLION, linewidth=1.6, linestyle="--", zorder=2)
     axes.fill(*platform.T, facecolor="#F0E442", edgecolor="black", linewidth=1.4, alpha=0.85, zorder=3)
@@ -75,9 +76,10 @@ def draw_robot(axes: Axes, result: DLCCResult) -> None:
     axes.plot(*np.transpose([projected(start[:3]), payload]), color="black", linewidth=1.2, zorder=5)
     axes.plot(*payload, "o", color="black", markersize=17, zorder=5)
     _label(axes, "payload", payload, (13, 0), "left", "center")
-    _label(axes, "base", base[:3].mean(axis=0), (-60, 28), "center", "center")
+    _label(axes, "base", base[5], (10, 3), "left", "center")
     _label(axes, f"cable {MOTOR + 1}", (base[MOTOR] + platform[MOTOR]) / 2, (-8, 6), "right", "bottom")
-    _label(axes, "reference", projected(reference[200, :3]), (-8, -8), "right", "top")
+    _label(axes, "reference", max(projected(reference[:, :3]), key=lambda point: point[1]), (-3, 2), "center", "bottom")
+    axes.margins(0.06)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_axis_off()
     axes.set_title("six cables, one motor each", fontsize=11)
@@ -91,15 +93,17 @@ def draw_motor(axes: Axes, empty: DLCCResult, paper: DLCCResult, task: DLCCResul
     axes.plot(time, demanded_torque(task)[:, MOTOR], ":", color=VERMILLION, linewidth=1.8)
     for result, color, label in (
         (empty, GREEN, "no payload"),
-        (paper, BLUE, f"{paper.payload:.2f} kg, paper criterion"),
-        (task, VERMILLION, f"{task.payload:.2f} kg, task criterion"),
+        (paper, BLUE, f"paper: {paper.score:.2f} kg"),
+        (task, VERMILLION, f"task: {task.score:.2f} kg"),
     ):
         torque = result.history["torques"][:, MOTOR]
-        axes.plot(time, torque, color=color, linewidth=2.2)
-        _label(axes, label, np.array([0.0, torque[0]]), (5, 3), "left", "bottom")
+        axes.plot(time, torque, color=color, linewidth=2.0)
+        _label(axes, label, np.array([0.0, torque[0]]), (5, 2), "left", "bottom")
     _label(axes, "more than the motor has", np.array([0.5, 12.5]), (0, 0), "center", "center")
+    criteria = "paper criterion: no motor may saturate\ntask criterion: it may, within 10 mm and 10 mrad"
+    _label(axes, criteria, np.array([0.0, 1.8]), (5, 2), "left", "bottom")
     _label(axes, "demanded", np.array([0.55, 10.8]), (6, 0), "left", "center")
-    axes.set(xlim=(0, 1), ylim=(3, 13), xlabel="time [s]", ylabel="torque [N·m]")
+    axes.set(xlim=(0, 1), ylim=(1.6, 13), xlabel="time [s]", ylabel="torque [N·m]")
     axes.set_title(f"motor {MOTOR + 1} against its torque-speed limit", fontsize=11)
 
 
@@ -111,7 +115,7 @@ def _label(axes: Axes, text: str, point: Array, offset: tuple[float, float], acr
         textcoords="offset points",
         horizontalalignment=across,
         verticalalignment=along,
-        fontsize=10,
+        fontsize=9.5,
     )
 
 

@@ -16,7 +16,7 @@ from cablebot_gym.dlcc.monitor import Criterion, Judge, Limit, Verdict, find_cri
 from cablebot_gym.dlcc.result import DLCCResult, History
 from cablebot_gym.envs import env_robot
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import LaneError, Policy, as_policy, load_policy
+from cablebot_gym.policies import Policy, as_policy, begin, commands, load_policy, name_of
 from cablebot_gym.task import Limits, Task, as_plain, find_limits
 
 SCAN_POINTS = 64
@@ -30,10 +30,6 @@ DEFAULT_RESOLUTION = 1e-3
 
 Progress = Callable[[int, int], None]
 """Called after every control step with the steps done and the steps expected."""
-
-
-class PolicyError(RuntimeError):
-    """A policy raised, or returned what is no drive command; the message names the payload and the time."""
 
 
 def evaluate_dlcc(
@@ -68,7 +64,7 @@ def evaluate_dlcc(
 
     Raises:
         ValueError: if an argument is not valid, or ``paper`` is asked of a policy that does not declare ``unclipped``.
-        PolicyError: if the policy raises or returns anything but finite drive commands.
+        cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
     """
     criterion_ = find_criterion(criterion)
     env_robot(env_id)
@@ -77,19 +73,23 @@ def evaluate_dlcc(
     limits = find_limits(limits)
     if taken := {"payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode"} & set(keywords):
         raise ValueError(f"{sorted(taken)[0]} is set by the evaluation itself: leave it out")
+    for key, most in (("payload_known", 0), ("initial_error", 1)):
+        if np.ndim(keywords.get(key, 0)) > most:
+            raise ValueError(f"{key} is one for all payloads here, not one for each environment")
     # A wide tube must not be cut short by the environment's own end of an episode.
     keywords.setdefault("termination_radius", max(0.1, 2 * limits.position))
     env = gym.make_vec(env_id, num_envs=SCAN_POINTS, limits=limits, max_episode_steps=None, **keywords)
     try:
         task: Task = _first_task(env, seed)
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
-        label = name or (policy if isinstance(policy, str) else _name_of(policy))
+        label = name or name_of(policy)
         if criterion_ == "paper" and not getattr(loaded, "unclipped", False):
             raise ValueError(
                 f"the paper criterion says nothing of {label!r}, which does not declare unclipped = True: "
                 "a policy that clips its own commands would pass it for nothing; use criterion='task'"
             )
         top = PAYLOAD_MAX["planar" if task.robot.planar else "spatial"] if payload_max is None else payload_max
+        seed, top = int(seed), float(top)
         if not 0 < top < math.inf:
             raise ValueError(f"payload_max must be greater than 0 kg, not {top}")
         rounds = 2 + max(0, math.ceil(math.log(top / (SCAN_POINTS - 1) / resolution) / math.log(SCAN_POINTS + 1)))
@@ -103,11 +103,6 @@ def _first_task(env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> Task:
     env.reset(seed=seed)
     tasks: tuple[Task, ...] = env.unwrapped.tasks  # type: ignore[attr-defined]
     return tasks[0]
-
-
-def _name_of(policy: Any) -> str:
-    named = getattr(policy, "name", None) or getattr(policy, "__name__", None)
-    return str(named or type(policy).__name__)
 
 
 class _Run:
@@ -132,15 +127,23 @@ class _Run:
     def __call__(self, payloads: Array, history: History | None = None) -> list[Verdict]:
         """Verdicts for at most :data:`SCAN_POINTS` payloads; fills ``history`` with the first one's episode."""
         batch = np.append(payloads, np.full(SCAN_POINTS - len(payloads), payloads[-1]))
-        observation, info = self.env.reset(seed=self.seed, options={"payload": batch})
+        observation, info = self.env.reset(seed=[self.seed] * SCAN_POINTS, options={"payload": batch})  # type: ignore[arg-type]
         judge = Judge(self.criterion, self.limits, self.task.robot.stall_torque, SCAN_POINTS)
         judge.begin(info)
-        if hasattr(self.policy, "begin"):
-            self.policy.begin(self.env.unwrapped.tasks)  # type: ignore[attr-defined]
+        begin(self.policy, self.name, self.env.unwrapped.tasks)  # type: ignore[attr-defined]
         state, start = None, np.ones(SCAN_POINTS, np.bool_)
         for step in range(self.task.steps):
-            time = step / self.task.control_frequency
-            action, state = self._predict(observation, state, start, batch, time, judge.failed)
+            action, state = commands(
+                self.policy,
+                self.name,
+                observation,
+                state,
+                start,
+                cables=self.task.robot.cables,
+                payloads=batch,
+                time=step / self.task.control_frequency,
+                ignored=judge.failed,
+            )
             observation, _, terminated, _, info = self.env.step(action)
             judge.observe(info, terminated)
             if history is not None:
@@ -152,36 +155,6 @@ class _Run:
             if judge.failed.all():
                 break
         return [judge.verdict(lane, complete=not judge.failed[lane]) for lane in range(len(payloads))]
-
-    def _predict(
-        self,
-        observation: Array,
-        state: Any,
-        start: NDArray[np.bool_],
-        payloads: Array,
-        time: float,
-        failed: NDArray[np.bool_],
-    ) -> tuple[Array, Any]:
-        at = f"at t = {time:.3f} s"
-        everyone = f"with payloads of {payloads.min():g} to {payloads.max():g} kg"
-        try:
-            action, state = self.policy.predict(observation, state=state, episode_start=start, deterministic=True)
-            action = np.array(action, dtype=float)
-        except LaneError as error:
-            carrying = f"with a payload of {payloads[error.lane]:g} kg"
-            raise PolicyError(f"policy {self.name!r} failed {at} {carrying}: {error}") from error.__cause__
-        except Exception as error:
-            raise PolicyError(f"policy {self.name!r} raised {type(error).__name__} {at} {everyone}: {error}") from error
-        expected = (len(payloads), self.task.robot.cables)
-        if action.shape != expected:
-            raise PolicyError(f"policy {self.name!r} returned shape {action.shape} {at} {everyone}; needed: {expected}")
-        action[failed] = 0.0  # judged already: what comes of it does not matter
-        if not np.all(np.isfinite(action)):
-            lane = int(np.argmin(np.isfinite(action).all(axis=1)))
-            raise PolicyError(
-                f"policy {self.name!r} returned NaN or infinity {at} with a payload of {payloads[lane]:g} kg"
-            )
-        return action, state
 
 
 def _search(run: _Run, top: float, resolution: float, *, payload_known: bool) -> DLCCResult:
@@ -201,6 +174,8 @@ def _search(run: _Run, top: float, resolution: float, *, payload_known: bool) ->
         below, above = verdicts[first - 1], verdicts[first]
         while above.payload - below.payload > resolution:
             payloads = np.linspace(below.payload, above.payload, SCAN_POINTS + 2)[1:-1]
+            if payloads[0] <= below.payload or payloads[-1] >= above.payload:
+                break  # the floats end here
             inner = [below, *run(payloads), above]
             first = next(place for place, verdict in enumerate(inner) if not verdict.carried)
             below, above = inner[first - 1], inner[first]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
@@ -120,12 +119,6 @@ def _all_times(robot: Robot, trajectory: Trajectory) -> tuple[Array, Reference]:
     return times, trajectory(times)
 
 
-def torque_limits(robot: Robot, speed: ArrayLike) -> tuple[Array, Array]:
-    """``U⁻`` and ``U⁺`` (Eq. 37) at motor speeds of shape (..., m) [rad/s], each (..., m) [N·m]."""
-    drop = robot.speed_slope * np.asarray(speed, float)
-    return -robot.stall_torque - drop, robot.stall_torque - drop
-
-
 def _repeated(reference: Reference, count: int) -> tuple[Array, Array, Array]:
     """Pose, velocity and acceleration, each once per mass, shape (K, count, n)."""
     x, v, a = (
@@ -161,7 +154,7 @@ def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float) 
     motion = _repeated(reference, masses.shape[1])
     tensions = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
     torques = textbook.required_torques(robot, tensions, *motion)
-    lower, upper = torque_limits(robot, textbook.pulley_speed(robot, *motion[:2]))
+    lower, upper = textbook.torque_limits(robot, textbook.pulley_speed(robot, *motion[:2]))
     # The least tensions of a planar robot keep the minimum by construction; rounding must not say that they do not.
     surplus = np.zeros_like(tensions) if robot.planar else tensions - minimum
     return np.stack([upper - torques, torques - lower, surplus], axis=-1)

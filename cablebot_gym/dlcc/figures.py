@@ -6,16 +6,18 @@ Needs the extra ``plot``. Figures belong to no window and no global state; show 
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable
+import textwrap
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cablebot_gym.dlcc.result import DLCCResult
+from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 
 if TYPE_CHECKING:
@@ -30,6 +32,26 @@ DPI = 150
 
 _WIDTH = 9.6
 """Of every figure [inch]."""
+
+_LETTERS = 112
+"""Of a title's line: what fits that width."""
+
+
+_FEW = 20
+"""Steps of an episode up to which each one gets a dot: a line would not be seen."""
+
+
+def import_matplotlib() -> ModuleType:
+    """``matplotlib.figure``; a command calls this before its work, not to fail after it.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    try:
+        from matplotlib import figure
+    except ImportError as error:
+        raise ImportError("drawing needs matplotlib: pip install 'cablebot-gym[plot]'") from error
+    return figure
 
 
 def draw_torques(result: DLCCResult) -> Figure:
@@ -93,16 +115,6 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
     return paths
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Calls ``write`` with a temporary name beside ``path`` and renames, so that ``path`` is old or new, never half."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def tightest(result: DLCCResult) -> tuple[int, int]:
     """Step and motor, both from 0, where least of the torque was left: the first largest |a| of the episode."""
     demand = np.abs(result.history["drive_demand"])
@@ -111,10 +123,8 @@ def tightest(result: DLCCResult) -> tuple[int, int]:
 
 
 def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
-    """U₋ and U₊ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
-    robot = result.task.robot
-    at_speed = robot.speed_slope * result.history["motor_speeds"]
-    return -robot.stall_torque - at_speed, robot.stall_torque - at_speed
+    """U⁻ and U⁺ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
+    return textbook.torque_limits(result.task.robot, result.history["motor_speeds"])
 
 
 def demanded_torque(result: DLCCResult) -> Array:
@@ -131,11 +141,7 @@ def _torques_height(robot: Robot) -> float:
 
 
 def _new_figure(height: float) -> Figure:
-    try:
-        from matplotlib import figure
-    except ImportError as error:
-        raise ImportError("drawing needs matplotlib: pip install 'cablebot-gym[plot]'") from error
-    return figure.Figure(figsize=(_WIDTH, height), layout="constrained")
+    return import_matplotlib().Figure(figsize=(_WIDTH, height), layout="constrained")
 
 
 def _entitle(figure: FigureBase, result: DLCCResult) -> None:
@@ -147,7 +153,9 @@ def _entitle(figure: FigureBase, result: DLCCResult) -> None:
             f"first limit above it: {result.limit}"
         )
     head = f"{result.env_id}, policy {result.policy}, {result.criterion} criterion"
-    figure.suptitle(f"{head}\n{found}", fontsize=11, wrap=True, parse_math=False)
+    # Not matplotlib's wrap, which takes dollar signs for mathematics.
+    title = "\n".join(textwrap.fill(line, _LETTERS) for line in (head, found))
+    figure.suptitle(title, fontsize=11, parse_math=False)
 
 
 def _torques(figure: FigureBase, result: DLCCResult) -> None:
@@ -158,18 +166,20 @@ def _torques(figure: FigureBase, result: DLCCResult) -> None:
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in grid.flat[robot.cables :]:
         axes.remove()
-    low, high = _torque_range(result)
+    (low, high), marker = _torque_range(result), _marker(result)
     for motor, axes in enumerate(grid.flat[: robot.cables]):
         axes.set_title(f"motor {motor + 1}", fontsize=11)
         shade = {"color": SHADE, "linewidth": 0}
         axes.fill_between(time, upper[:, motor], high, label="infeasible", **shade)
         axes.fill_between(time, low, lower[:, motor], **shade)
-        axes.plot(time, upper[:, motor], color="black", linewidth=1.0, label="limits U±")
-        axes.plot(time, lower[:, motor], color="black", linewidth=1.0)
+        axes.plot(time, upper[:, motor], color="black", linewidth=1.0, marker=marker, label="limits U±")
+        axes.plot(time, lower[:, motor], color="black", linewidth=1.0, marker=marker)
         # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
         axes.plot(time, demand[:, motor], "--", color=VERMILLION, linewidth=1.4, label="demanded, where beyond")
-        axes.plot(time, result.history["torques"][:, motor], color=BLUE, linewidth=1.8, label="applied torque")
-        axes.set(xlim=(0, result.task.trajectory.duration), ylim=(low, high))
+        axes.plot(
+            time, result.history["torques"][:, motor], color=BLUE, linewidth=1.8, marker=marker, label="applied torque"
+        )
+        axes.set(xlim=_span(result), ylim=(low, high))
         below = motor + columns >= robot.cables
         axes.tick_params(labelbottom=below)
         axes.locator_params(axis="x", nbins=5, prune="upper")  # the last label would touch the next panel's first
@@ -180,6 +190,20 @@ def _torques(figure: FigureBase, result: DLCCResult) -> None:
     step, motor = tightest(result)
     _mark_tightest(grid.flat[motor], result, step, motor)
     _add_legend(figure, grid.flat[motor])
+
+
+def _span(result: DLCCResult) -> tuple[float, float]:
+    """What to show of the time [s]: the episode, which a failure at zero payload cuts short."""
+    end = float(result.history["command_time"][-1] + 1 / result.task.control_frequency)
+    return (-0.1 * end, 1.1 * end) if _is_short(result) else (0.0, end)
+
+
+def _marker(result: DLCCResult) -> str:
+    return "." if _is_short(result) else ""
+
+
+def _is_short(result: DLCCResult) -> bool:
+    return len(result.history["command_time"]) <= _FEW
 
 
 def _torque_range(result: DLCCResult) -> tuple[float, float]:
@@ -195,7 +219,7 @@ def _mark_tightest(axes: Axes, result: DLCCResult, step: int, motor: int) -> Non
     time, torque = result.history["command_time"][step], result.history["torques"][step, motor]
     demand = abs(result.history["drive_demand"][step, motor])
     label = f"t = {time:.3f} s: " + (f"{demand - 1:.1%} beyond" if demand > 1 else f"{1 - demand:.1%} left")
-    early = time < result.task.trajectory.duration / 2
+    early = time < sum(_span(result)) / 2
     # Between the motor's torque and the limit on the other side.
     (lower, upper), torques = torque_limits(result), result.history["torques"][:, motor]
     positive = result.history["drive_demand"][step, motor] > 0
@@ -245,7 +269,7 @@ def _plane(axes: Axes, result: DLCCResult) -> None:
     discs = reference[:, None] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     tube = PolyCollection(list(discs), color=SKY, linewidth=0, label=f"tube, R = {radius * 1e3:g} mm", zorder=0)
     axes.add_collection(tube, autolim=False)
-    axes.plot(*travelled.T, color=BLUE, linewidth=1.8, label="travelled")
+    axes.plot(*travelled.T, color=BLUE, linewidth=1.8, marker=_marker(result), label="travelled")
     axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
     seen = np.concatenate([reference - radius, reference + radius, travelled])
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -257,7 +281,8 @@ def _plane(axes: Axes, result: DLCCResult) -> None:
 def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, name: str, unit: str) -> None:
     """An error against its bound; ``unit`` is a thousandth of the SI unit."""
     end_of_step = result.history["command_time"] + 1 / result.task.control_frequency
-    axes.plot(end_of_step, 1e3 * error, color=BLUE, linewidth=1.8)
+    axes.locator_params(axis="x", nbins=6)
+    axes.plot(end_of_step, 1e3 * error, color=BLUE, linewidth=1.8, marker=_marker(result))
     top = 1e3 * float(error.max())
     if bound is not None:
         axes.axhline(1e3 * bound, color="black", linewidth=1.0)
@@ -273,4 +298,4 @@ def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, na
         top = max(top, 1e3 * bound)
     else:
         axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
-    axes.set(xlim=(0, result.task.trajectory.duration), ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
+    axes.set(xlim=_span(result), ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym.dlcc.exact import control_instants, torque_limits
+from cablebot_gym.dlcc.exact import control_instants
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
@@ -58,7 +58,7 @@ def load_coefficient(robot: Robot, full: ArrayLike, empty: ArrayLike, speed: Arr
         corrected: whether to use the form that is right, or the printed one.
     """
     full, empty = np.asarray(full, float), np.asarray(empty, float)
-    lower, upper = torque_limits(robot, speed)
+    lower, upper = textbook.torque_limits(robot, speed)
     difference = full - empty
     limit = np.where((difference if corrected else full) >= 0, upper, lower)
     room = limit - (empty if corrected else full)

@@ -17,6 +17,8 @@ from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 
+SEED_MESSAGE = "a seed must be at least 0 and a whole number, not {!r}"
+
 
 class CableBotEnv(gym.Env[Array, Array]):
     """A cable-suspended robot carries a payload along a reference motion, within what its motors can give.
@@ -145,6 +147,8 @@ class CableBotEnv(gym.Env[Array, Array]):
         Raises:
             ValueError: if an option is unknown or not valid; the present episode goes on then.
         """
+        if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
+            raise ValueError(SEED_MESSAGE.format(seed))
         before = self._np_random, self._np_random_seed, self._simulation.streams()
         try:
             if seed is not None or not self._started:

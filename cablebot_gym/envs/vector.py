@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.simulation import Simulation
-from cablebot_gym.envs.single import check_action
+from cablebot_gym.envs.single import SEED_MESSAGE, check_action
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 
@@ -155,7 +155,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         else:
             seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [-1]
         if any(item is not None and (not isinstance(item, whole) or item < 0) for item in seeds):
-            raise ValueError(f"a seed must be a whole number of at least 0, not {seed!r}")
+            raise ValueError(SEED_MESSAGE.format(seed))
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
         return seeds

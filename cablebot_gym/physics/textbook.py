@@ -191,6 +191,12 @@ def inverse_dynamics(
     return InverseDynamics(tensions=tensions, torques=_torques(robot, tensions, speed, winding), speeds=speed)
 
 
+def torque_limits(robot: Robot, speed: ArrayLike) -> tuple[Array, Array]:
+    """``U⁻`` and ``U⁺`` (Eq. 37) at motor speeds of shape (..., m) [rad/s], each (..., m) [N·m]."""
+    drop = robot.speed_slope * np.asarray(speed, float)
+    return -robot.stall_torque - drop, robot.stall_torque - drop
+
+
 def forward_dynamics(
     robot: Robot,
     mass: ArrayLike,

@@ -167,7 +167,12 @@ def test_payload_on_the_smooth_circle_does_not_differ_from_independent_runs(
 ) -> None:
     result = exact_payload(robot, find_trajectory({"name": "circle-spatial", "duration": duration}, 6))
     assert result.payload == pytest.approx(payload, abs=0.006)
-    assert (result.motor, result.time, result.kind, result.line) == (motor, pytest.approx(time, abs=2e-3), "torque", "upper")
+    assert (result.motor, result.time, result.kind, result.line) == (
+        motor,
+        pytest.approx(time, abs=2e-3),
+        "torque",
+        "upper",
+    )
 
 
 @pytest.mark.parametrize(
