@@ -264,6 +264,7 @@ def main() -> None:
     """Entry point: turns errors into one sentence and an exit status."""
     from cablebot_gym.policies import PolicyError
 
+    sys.path.insert(0, "")  # so that package.module:factory is found in the folder in which one works
     try:
         status = app(standalone_mode=False)  # a number where the parser ended the command itself, as Ctrl-C does
         if status == INTERRUPTED:
