@@ -280,7 +280,14 @@ def main() -> None:
         show = getattr(error, "format_message", None)  # what the option parser found wrong
         if show is None:
             raise
-        _fail(show(), getattr(error, "exit_code", 2))
+        message = show()
+        if message.startswith("No such command"):
+            message += f" The commands are {', '.join(_command_names())}."
+        _fail(message, getattr(error, "exit_code", 2))
+
+
+def _command_names() -> list[str]:
+    return [item.name or str(getattr(item.callback, "__name__", "")) for item in app.registered_commands]
 
 
 def _fail(message: str, status: int) -> None:

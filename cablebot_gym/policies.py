@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -16,6 +17,8 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
 Array = NDArray[Any]
+
+_LOGGER = logging.getLogger("cablebot_gym")
 
 ENTRY_POINT_GROUP = "cablebot_gym.policies"
 """A package adds policies by entry points in this group, each of which names a :class:`PolicyEntry`."""
@@ -111,6 +114,8 @@ def as_policy(policy: Any) -> Policy:
     Raises:
         TypeError: if it is neither.
     """
+    if isinstance(policy, type):
+        raise TypeError(f"a policy is an object, not the class {policy.__name__}: make one, {policy.__name__}(…)")
     if isinstance(policy, Policy):
         return policy
     if callable(policy):
@@ -192,8 +197,13 @@ def name_of(policy: Any) -> str:
 
 
 def policy_entries() -> dict[str, PolicyEntry]:
-    """Every installed policy by name, sorted."""
-    entries = [point.load() for point in entry_points(group=ENTRY_POINT_GROUP)]
+    """Every installed policy by name, sorted; one whose package cannot be imported is left out, with a warning."""
+    entries = []
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            entries.append(point.load())
+        except Exception as error:
+            _LOGGER.warning("policy %r is left out: %s raised %s", point.name, point.value, error)
     return {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
 
 

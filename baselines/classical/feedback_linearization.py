@@ -50,9 +50,12 @@ class FeedbackLinearization:
         minimum_tension: float = MINIMUM_TENSION,
     ) -> None:
         self.robot = robot
-        self.stiffness, self.damping = gains or PAPER_GAINS["planar" if robot.planar else "spatial"]
-        if not (0 < self.stiffness < math.inf and 0 < self.damping < math.inf):
-            raise ValueError(f"gains must be two positive numbers (K_P, K_D), not {gains}")
+        if gains is None:
+            gains = PAPER_GAINS["planar" if robot.planar else "spatial"]
+        checked = np.asarray(gains)
+        if checked.shape != (2,) or checked.dtype.kind not in "iuf" or not np.all((checked > 0) & (checked < np.inf)):
+            raise ValueError(f"gains must be two positive numbers (K_P, K_D), not {gains!r}")
+        self.stiffness, self.damping = checked.tolist()
         if not 0 <= minimum_tension < math.inf:
             raise ValueError(f"minimum_tension must be at least 0 N, not {minimum_tension}")
         self.minimum_tension = minimum_tension

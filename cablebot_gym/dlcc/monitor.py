@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.task import Limits
+from cablebot_gym.task import Limits, find_limits
 
 Criterion = Literal["task", "paper"]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
@@ -171,14 +171,19 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         limits: bounds; None for those of the episode.
 
     Raises:
-        ValueError: if the criterion is unknown.
+        ValueError: if the criterion is unknown or a limit is not valid.
     """
 
     def __init__(
-        self, env: gym.Env[Array, ArrayLike], *, criterion: str = "task", limits: Limits | None = None
+        self,
+        env: gym.Env[Array, ArrayLike],
+        *,
+        criterion: str = "task",
+        limits: Limits | dict[str, float] | None = None,
     ) -> None:
         super().__init__(env)
-        self._criterion, self._limits = find_criterion(criterion), limits
+        self._criterion = find_criterion(criterion)
+        self._limits = None if limits is None else find_limits(limits)
         self._judge: Judge | None = None
         self._steps = self._needed = 0
 

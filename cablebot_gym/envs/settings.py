@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -74,6 +75,17 @@ class Settings:
     def physics_step(self) -> float:
         """Length of a physics step [s]."""
         return self.period / self.substeps
+
+
+def check_keywords(keywords: Mapping[str, Any]) -> None:
+    """Refuses keywords that no environment has.
+
+    Raises:
+        ValueError: naming the known ones.
+    """
+    known = [name for name in inspect.signature(make_settings).parameters if name not in ("robot", "count")]
+    if unknown := [name for name in keywords if name not in known]:
+        raise ValueError(f"unknown keyword {unknown[0]!r}; an environment takes robot, {', '.join(known)}")
 
 
 def make_settings(

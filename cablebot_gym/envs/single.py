@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
 from cablebot_gym.envs.outcome import FIRST_CABLE_INFO, INFO_NAMES, SLACK_MARK, TERMINATION_REASONS, cable_columns
-from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.envs.settings import check_keywords, make_settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
@@ -118,6 +118,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         if render_mode is not None:
             raise ValueError(f"render_mode {render_mode!r} is not available: leave it out")
         self.render_mode = None
+        check_keywords(keywords)
         self.settings = make_settings(robot=robot, count=1, **keywords)
         """What the environment was made with."""
         self._simulation = Simulation(self.settings, 1)

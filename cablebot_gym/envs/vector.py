@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
-from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.envs.settings import check_keywords, make_settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.envs.single import SEED_MESSAGE, check_action
 from cablebot_gym.kinematics import Array
@@ -67,6 +67,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         self.num_envs = int(num_envs)
         self.render_mode = None
         self.metadata = {**self.metadata, "autoreset_mode": self._autoreset}
+        check_keywords(keywords)
         self.settings = make_settings(robot=robot, count=self.num_envs, **keywords)
         """What the environment was made with."""
         self._simulation = Simulation(self.settings, self.num_envs)

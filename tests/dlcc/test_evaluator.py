@@ -160,11 +160,26 @@ def test_tighter_position_bound_never_raises_the_score(kind):
     assert scores[0] > scores[2] > scores[4], "or the bound has no effect at all"
 
 
-@pytest.mark.parametrize("criterion", ["task", "paper"])
-def test_wide_tube_is_not_cut_short_by_the_termination_of_the_environment(criterion):
-    result = scored("planar", criterion, position=0.3)
-    assert result.limit.kind != "terminated"
-    assert result.environment is not None
+def test_wide_tube_is_not_cut_short_by_the_termination_of_the_environment():
+    def limp(_):
+        return np.zeros(6)
+
+    motion = {"name": "hold-spatial", "duration": 0.2}
+    wide = evaluate_dlcc(
+        limp, SPATIAL_ID, trajectory=motion, limits=Limits(position=0.3, rotation=1.0), payload_max=1.0
+    )
+    fallen = wide.history["tracking_error"].max()
+    assert 0.1 < fallen < 0.3, "beyond the environment's own radius"
+    assert (wide.payload, wide.limit.kind) == (1.0, "scan_end")
+    narrow = evaluate_dlcc(
+        limp,
+        SPATIAL_ID,
+        trajectory=motion,
+        limits=Limits(position=0.3, rotation=1.0),
+        payload_max=1.0,
+        termination_radius=0.05,
+    )
+    assert (narrow.payload, narrow.limit.kind) == (None, "terminated"), "a radius that was asked for holds"
 
 
 # --- the search -------------------------------------------------------------------------------------------------------

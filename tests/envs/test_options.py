@@ -616,7 +616,7 @@ def from_class(robot="planar", **keywords):
 
 
 def test_a_misspelt_keyword_does_not_pass_in_silence():
-    with pytest.raises(TypeError, match="paylaod"):
+    with pytest.raises(ValueError, match="paylaod"):
         from_class(paylaod=1.0)
 
 
