@@ -127,9 +127,10 @@ def jacobian_and_rate(
 def _unit_and_rate(vectors: Array, point_velocity: Array) -> tuple[Array, Array]:
     """Cable directions and their rates."""
     length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
-    unit = vectors / length
-    length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
-    return unit, (point_velocity - unit * length_rate) / length
+    with np.errstate(divide="ignore", invalid="ignore"):  # a cable of no length has no direction: NaN
+        unit = vectors / length
+        length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
+        return unit, (point_velocity - unit * length_rate) / length
 
 
 def _skew(vector: Array) -> Array:

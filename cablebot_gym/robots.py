@@ -37,14 +37,21 @@ class Motors:
 
 @dataclass(frozen=True, kw_only=True)
 class Transmission:
-    """Rigid transmission from motor to cable: ``τ = r T + J β̈ + c β̇`` (Eq. 1)."""
+    """From motor to cable. Rigid: ``τ = r T + J β̈ + c β̇`` (Eq. 1). With a ``stiffness``, a spring between motor and
+    pulley (Eq. 4): ``J′ β̈′ + c′ β̇′ + K (β′ − β) = τ`` and ``K (β′ − β) = r T + J β̈ + c β̇``."""
 
     pulley_radius: PerMotor
     """r [m], one value or one per motor; > 0."""
     pulley_inertia: PerMotor
     """J, pulley and motor together [kg·m²], one value or one per motor; ≥ 0."""
     damping: PerMotor = 0.0
-    """c, viscous [N·m·s/rad], one value or one per motor; ≥ 0."""
+    """c, viscous, at the pulley [N·m·s/rad], one value or one per motor; ≥ 0."""
+    stiffness: PerMotor | None = None
+    """K of the joint springs [N·m/rad], one value or one per motor; > 0. None: rigid, motor and pulley are one."""
+    motor_inertia: PerMotor | None = None
+    """J′ of the motor behind its spring [kg·m²], one value or one per motor; > 0. None where rigid."""
+    motor_damping: PerMotor = 0.0
+    """c′, viscous, at the motor behind its spring [N·m·s/rad], one value or one per motor; ≥ 0. 0 where rigid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +151,32 @@ class Robot:
         """c, shape (m,)."""
         return self.per_motor(self.transmission.damping)
 
+    @property
+    def flexible(self) -> bool:
+        """Whether springs stand between motors and pulleys."""
+        return self.transmission.stiffness is not None
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """K of a flexible robot, shape (m,)."""
+        return self.per_motor(self._flexible("stiffness"))
+
+    @cached_property
+    def motor_inertia(self) -> Array:
+        """J′ of a flexible robot, shape (m,)."""
+        return self.per_motor(self._flexible("motor_inertia"))
+
+    @cached_property
+    def motor_damping(self) -> Array:
+        """c′ of a flexible robot, shape (m,)."""
+        return self.per_motor(self._flexible("motor_damping"))
+
+    def _flexible(self, field: str) -> PerMotor:
+        if not self.flexible:
+            raise ValueError(f"{self.name} has a rigid transmission and no {field}")
+        value: PerMotor = getattr(self.transmission, field)
+        return value
+
     @cached_property
     def stall_torque(self) -> Array:
         """τ_s, shape (m,)."""
@@ -236,6 +269,17 @@ def _check_values(robot: Robot) -> None:
         "transmission.damping": robot.transmission.damping,
         "gravity": robot.gravity,
     }
+    spring = {
+        "transmission.stiffness": robot.transmission.stiffness,
+        "transmission.motor_inertia": robot.transmission.motor_inertia,
+    }
+    given = {field: value for field, value in spring.items() if value is not None}
+    not_negative["transmission.motor_damping"] = robot.transmission.motor_damping
+    if len(given) == 1:
+        raise ValueError("a flexible transmission needs both stiffness and motor_inertia; a rigid one has neither")
+    if not given and np.any(np.asarray(robot.transmission.motor_damping) != 0):
+        raise ValueError("transmission.motor_damping belongs to a flexible transmission: a rigid one has damping")
+    positive |= given
     for field, value in (positive | not_negative).items():
         values = _numbers(field, value)
         if field in ("mass", "gravity") and values.shape != ():
@@ -332,13 +376,29 @@ def _spatial_paper() -> Robot:
     )
 
 
+def _flexible_paper(rigid: Robot) -> Robot:
+    transmission = Transmission(
+        pulley_radius=rigid.transmission.pulley_radius,  # Table 5
+        pulley_inertia=4e-4,  # Table 5
+        stiffness=3.0,  # §5.2.3 (Table 5 has 2); ours for the planar robot
+        motor_inertia=4e-4,  # Table 5
+    )  # Eq. 4 has no damping
+    return rigid.replace(name=f"flex-{rigid.name}", transmission=transmission)
+
+
 PLANAR = _planar_paper()
 """The paper's planar robot: three cables, point mass (Tables 2 and 7)."""
 
 SPATIAL = _spatial_paper()
 """The paper's spatial robot: six cables, triangular platform (Tables 4 and 8)."""
 
-ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL)}
+FLEX_PLANAR = _flexible_paper(PLANAR)
+"""The planar robot with joint springs; the paper has none, the springs are those of its spatial robot."""
+
+FLEX_SPATIAL = _flexible_paper(SPATIAL)
+"""The paper's spatial robot with joint springs (Tables 5 and 9)."""
+
+ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)}
 """The paper's robots by name."""
 
 

@@ -222,7 +222,7 @@ def leaves(data, path=()):
         return [leaf for key, value in data.items() for leaf in leaves(value, (*path, key))]
     if isinstance(data, (list, tuple)):
         return [leaf for key, value in enumerate(data) for leaf in leaves(value, (*path, key))]
-    return [] if isinstance(data, str) else [path]
+    return [] if isinstance(data, str) or data is None else [path]
 
 
 def spoilt(robot, path, value):
@@ -423,10 +423,11 @@ def test_find_robot_excludes_another_robot_than_the_one_asked_for():
     assert find_robot("spatial") is SPATIAL
     assert find_robot(UNEQUAL) is UNEQUAL
     assert find_robot(json.loads(json.dumps(UNEQUAL.to_dict()))) == UNEQUAL
-    assert {name: robot.name for name, robot in ROBOTS.items()} == {"planar": "planar", "spatial": "spatial"}
+    assert {name: robot.name for name, robot in ROBOTS.items()} == {name: name for name in ROBOTS}
+    assert set(ROBOTS) == {"planar", "spatial", "flex-planar", "flex-spatial"}
 
 
 @pytest.mark.parametrize("name", ["Planar", "", "cubical", 3])
 def test_find_robots_message_excludes_an_unknown_name_without_the_choices(name):
-    with pytest.raises(ValueError, match="choose one of planar, spatial, or pass a Robot"):
+    with pytest.raises(ValueError, match="choose one of planar, spatial, flex-planar, flex-spatial, or pass a Robot"):
         find_robot(name)

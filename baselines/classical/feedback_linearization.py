@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.envs import RIGID_ENV_IDS
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import PolicyEntry
@@ -73,17 +73,9 @@ class FeedbackLinearization:
         Raises:
             ValueError: if the observation is not of this robot's layout.
         """
-        observation = np.asarray(observation, float)
-        if observation.shape[-1:] != (self._layout.size,):
-            raise ValueError(
-                f"fl for robot {self.robot.name!r} reads {self._layout.size} components, not {observation.shape[-1:]}: "
-                "build it for the environment's robot"
-            )
-        robot, part = self.robot, self._layout.split(observation)
+        robot, part = self.robot, self._layout.split(self._layout.checked(observation, self.robot.name))
         pose, velocity = part["pose"], part["velocity"]
-        correction = self.damping * (part["reference_velocity"] - velocity)
-        correction = correction + self.stiffness * (part["reference_pose"] - pose)
-        outer = part["reference_acceleration"] + correction
+        outer = outer_loop(part, self.stiffness, self.damping)
         mass = robot.mass + part["told_payload"][..., 0]
         needed = textbook.inverse_dynamics(
             robot, mass, pose, velocity, outer, minimum=self.minimum_tension, strict=False
@@ -91,10 +83,17 @@ class FeedbackLinearization:
         return (needed.torques + robot.speed_slope * needed.speeds) / robot.stall_torque, state
 
 
+def outer_loop(part: dict[str, Array], stiffness: float, damping: float) -> Array:
+    """``v = Ẍ_d + K_D ė + K_P e`` (Eqs. 13 and 18) from the blocks of an observation, (..., n)."""
+    correction = damping * (part["reference_velocity"] - part["velocity"])
+    correction = correction + stiffness * (part["reference_pose"] - part["pose"])
+    return part["reference_acceleration"] + correction
+
+
 FL = PolicyEntry(
     name="fl",
     kind="classical",
-    env_ids=ENV_IDS,
+    env_ids=RIGID_ENV_IDS,
     factory=FeedbackLinearization,
     summary="the paper's feedback linearization, its gains",
 )

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import gymnasium as gym
 
-ENV_ROBOTS = {"CableBot-Planar-v0": "planar", "CableBot-Spatial-v0": "spatial"}
+ENV_ROBOTS = {
+    "CableBot-Planar-v0": "planar",
+    "CableBot-Spatial-v0": "spatial",
+    "CableBot-FlexPlanar-v0": "flex-planar",
+    "CableBot-FlexSpatial-v0": "flex-spatial",
+}
 """Robot of each id."""
 
 ENV_IDS = tuple(ENV_ROBOTS)
 """Every id."""
+
+FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
+"""Ids of robots with joint springs."""
+
+RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV_IDS)
+"""Ids of robots without."""
 
 MAX_EPISODE_STEPS = 500
 """Time limit in the specs: 1 s at the default control frequency."""

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
@@ -55,11 +56,25 @@ class ObservationLayout:
     @property
     def reference_size(self) -> int:
         """Components that the reference and the clock determine: from ``time_left`` to the last preview."""
-        return sum(block.size for block in self.blocks[2:-2])
+        return sum(block.size for block in self.blocks if block.name.startswith(("time_", "reference_", "preview_")))
 
     def slices(self) -> dict[str, slice]:
         """Slice of each block by name."""
         return {block.name: block.slice for block in self.blocks}
+
+    def checked(self, observation: ArrayLike, robot_name: str) -> Array:
+        """The observation as an array (..., size).
+
+        Raises:
+            ValueError: if it has another size: it belongs to another robot.
+        """
+        array = np.asarray(observation, float)
+        if array.shape[-1:] != (self.size,):
+            raise ValueError(
+                f"a policy for robot {robot_name!r} reads {self.size} components, not {array.shape[-1:]}: "
+                "build it for the environment's robot"
+            )
+        return array
 
     def split(self, observation: Array) -> dict[str, Array]:
         """Views of the blocks by name, each (..., size of the block)."""
@@ -97,15 +112,26 @@ def observation_layout(robot: Robot) -> ObservationLayout:
     units = ("m", "m/s", "m/s²") if robot.planar else ("m, rad", "m/s, rad/s", "m/s², rad/s²")
     symmetric = {
         order: (tuple(-np.where(angles, turn, line)), tuple(np.where(angles, turn, line)))
-        for order, line, turn in ((0, 2.0, 4.0), (1, 20.0, 100.0), (2, 1e3, 1e4))
+        for order, line, turn in ((0, 2.0, 4.0), (1, 20.0, 100.0), (2, 1e3, 1e4), (3, 1e5, 1e6), (4, 1e7, 1e8))
     }
+    wide = [((-bound,) * robot.cables, (bound,) * robot.cables) for bound in (1e3, 1e3)]
+    motors = [
+        ("motor_angle", robot.cables, wide[0], "rad", "β′; less the pulley's angle, the wind-up of the springs"),
+        ("motor_speed", robot.cables, wide[1], "rad/s", "β̇′"),
+    ]
+    higher = [
+        ("reference_jerk", n, symmetric[3], f"{units[2][:-1]}³", "third derivative of X_d"),
+        ("reference_snap", n, symmetric[4], f"{units[2][:-1]}⁴", "fourth derivative of X_d"),
+    ]
     parts = [
         ("pose", n, pose, units[0], "X, true pose of the platform"),
         ("velocity", n, symmetric[1], units[1], "Ẋ"),
+        *(motors if robot.flexible else []),
         ("time_left", 1, ((0.0,), (1e3,)), "s", "until the reference motion ends; 0 afterwards"),
         ("reference_pose", n, pose, units[0], "X_d at the present control instant"),
         ("reference_velocity", n, symmetric[1], units[1], "first derivative of X_d"),
         ("reference_acceleration", n, symmetric[2], units[2], "second derivative of X_d"),
+        *(higher if robot.flexible else []),
         *(
             (f"preview_{round(ahead * 1e3)}ms", n, symmetric[0], units[0], f"X_d {ahead:g} s ahead, less X_d now")
             for ahead in PREVIEWS

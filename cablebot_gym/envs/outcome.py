@@ -58,6 +58,7 @@ def _saturated(value, low, high):
 @njit(cache=True, nogil=True, error_model="numpy")
 def outcome(
     fresh,
+    flexible,
     index,
     lanes,
     rows,
@@ -95,23 +96,31 @@ def outcome(
         rows[5],
     )
     demand_row, torque_row, tension_row, speed_row, slack_row = rows[6], rows[7], rows[8], rows[9], rows[10]
+    motor_angle, motor_speed = rows[11], rows[12]
     spatial = n > 2
     for place in range(index.shape[0]):
         lane = index[place]
         r, at = record[lane // lanes], lane % lanes
         line = control[which[lane], min(step[lane], control_ends[which[lane]])]
 
-        # Observation: pose, velocity, the reference part as tabulated, what is told.
+        # Observation: pose, velocity, motors behind springs, the reference part as tabulated, what is told.
         out = observation[lane]
         for j in range(n):
             out[j] = r[(pose + j) * lanes + at]
             out[n + j] = r[(velocity + j) * lanes + at]
+        place_of_line = 2 * n
+        if flexible:
+            place_of_line = 2 * n + 2 * m
+            for i in range(m):
+                at_cable = (first_cable + cable_rows * i) * lanes + at
+                out[2 * n + i] = r[motor_angle * lanes + at_cable]
+                out[2 * n + m + i] = r[motor_speed * lanes + at_cable]
         for j in range(line.shape[0]):
-            out[2 * n + j] = line[j]
-        out[2 * n + line.shape[0]] = settings[lane, TOLD]
-        out[2 * n + line.shape[0] + 1] = settings[lane, KNOWN]
+            out[place_of_line + j] = line[j]
+        out[place_of_line + line.shape[0]] = settings[lane, TOLD]
+        out[place_of_line + line.shape[0] + 1] = settings[lane, KNOWN]
         finite = True
-        for j in range(2 * n):
+        for j in range(place_of_line):
             finite &= math.isfinite(out[j])
         inside = True
         for j in range(n):

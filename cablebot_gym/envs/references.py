@@ -21,8 +21,8 @@ class ReferenceTables:
     ``control_ends``, is the motion's last pose at rest and holds for ever.
     """
 
-    def __init__(self, control_frequency: float, substeps: int) -> None:
-        self._frequency, self._substeps = control_frequency, substeps
+    def __init__(self, control_frequency: float, substeps: int, *, to_snap: bool) -> None:
+        self._frequency, self._substeps, self._to_snap = control_frequency, substeps, to_snap
         self._tables: list[tuple[Trajectory, Array, Array]] = []
         self._followed: dict[int, Trajectory] = {}
         self.physics = self.control = np.zeros((0, 0, 0))
@@ -61,7 +61,8 @@ class ReferenceTables:
         now = trajectory(times)
         left = np.maximum(trajectory.duration - times, 0.0)
         ahead = [trajectory(times + preview).position - now.position for preview in PREVIEWS]
-        columns = [left[:, None], now.position, now.velocity, now.acceleration, *ahead]
+        higher = [now.jerk, now.snap] if self._to_snap else []
+        columns = [left[:, None], now.position, now.velocity, now.acceleration, *higher, *ahead]
         control = np.concatenate(columns, axis=1)
         if physics.shape != (steps * self._substeps + 1, trajectory.coordinates) or not np.all(np.isfinite(physics)):
             raise ValueError(f"trajectory {trajectory.name!r} must give finite poses (..., {trajectory.coordinates})")

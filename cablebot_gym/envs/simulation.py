@@ -13,10 +13,13 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.references import ReferenceTables
 from cablebot_gym.envs.settings import Settings, check_options
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import kernel
+from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.task import Limits, Task
 from cablebot_gym.trajectories import Trajectory
+
+REST_TENSION = 5.0
+"""Least tension with which a planar robot's springs are wound at a reset [N]."""
 
 _PAYLOAD_STREAM, _START_STREAM = 0, 1
 """Purposes of random streams. A new purpose takes a new number, so that no other stream changes."""
@@ -36,7 +39,7 @@ class Simulation:
         self.layout = observation_layout(robot)
         self._plant = Plant(robot, count, cable=settings.cable)
         self._parameters = pack_parameters(robot)
-        self._tables = ReferenceTables(settings.control_frequency, settings.substeps)
+        self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
         space = self.layout.space()
         self._bounds = np.array([space.low, space.high])
         self._workspace = np.array(robot.pose_bounds)
@@ -124,7 +127,11 @@ class Simulation:
         parameters = np.tile(self._parameters, (size, 1))
         parameters[:, kernel.MASS] += payload
         self._plant.set_parameters(lanes, parameters)
-        self._plant.set_state(lanes, pose, np.broadcast_to(start.velocity, pose.shape))
+        velocity = np.broadcast_to(start.velocity, pose.shape)
+        self._plant.set_state(lanes, pose, velocity)
+        if robot.flexible:
+            angle = textbook.static_motor_angle(robot, robot.mass + payload, pose, minimum=REST_TENSION)
+            self._plant.set_motors(lanes, angle, textbook.pulley_speed(robot, pose, velocity))
         self._tables.follow(lanes, trajectory, self._plant.which)
         self._observe(lanes, fresh=True)
 
@@ -147,6 +154,7 @@ class Simulation:
         plant, tables, settings = self._plant, self._tables, self.settings
         outcome.outcome(
             fresh,
+            settings.robot.flexible,
             lanes,
             plant.lanes,
             kernel.RECORD_ROWS,

@@ -25,7 +25,8 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     The plants are those of Korayem, Tourajizadeh and Bamdad (2010), misprints corrected: `CableBot-Planar-v0`, a point
     mass on three cables in the horizontal plane, and `CableBot-Spatial-v0`, a platform on six cables with six degrees
-    of freedom, z pointing down. SI units and radians throughout.
+    of freedom, z pointing down; `CableBot-FlexPlanar-v0` and `CableBot-FlexSpatial-v0` have springs between motors and
+    pulleys (Eq. 4). SI units and radians throughout.
 
     ## Action space
 
@@ -43,10 +44,14 @@ class CableBotEnv(gym.Env[Array, Array]):
     |---|---|---|
     | `pose` | n | X, true pose of the platform |
     | `velocity` | n | Ẋ |
+    | `motor_angle` | m | flexible only: β′; less the pulley's angle, the wind-up of the springs |
+    | `motor_speed` | m | flexible only: β̇′ |
     | `time_left` | 1 | until the reference motion ends; 0 afterwards |
     | `reference_pose` | n | X_d at the present control instant |
     | `reference_velocity` | n | first derivative of X_d |
     | `reference_acceleration` | n | second derivative of X_d |
+    | `reference_jerk` | n | flexible only: third derivative of X_d |
+    | `reference_snap` | n | flexible only: fourth derivative of X_d |
     | `preview_20ms` | n | X_d 0.02 s ahead, less X_d now |
     | `preview_50ms` | n | X_d 0.05 s ahead, less X_d now |
     | `preview_100ms` | n | X_d 0.1 s ahead, less X_d now |
@@ -62,7 +67,9 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     ## Start
 
-    On the reference's pose and velocity at time 0, plus `initial_error`.
+    On the reference's pose and velocity at time 0, plus `initial_error`. Springs start wound to the static equilibrium
+    of the true payload (planar: with at least 5 N in each cable), motors at the pulleys' speed: a policy that reads
+    `motor_angle` can tell the payload from it. That is physics.
 
     ## Termination
 
@@ -102,7 +109,7 @@ class CableBotEnv(gym.Env[Array, Array]):
     | `robot` | by id | a name, `Robot.to_dict()` data or a `Robot` |
     | `cable` | "unilateral" | or "bilateral", cables that can push |
     | `control_frequency` | 500 | drive commands per second [Hz] |
-    | `substeps` | physics steps ≤ 1 ms | physics steps per control period |
+    | `substeps` | steps ≤ 1 ms, finer where springs are stiff | physics steps per control period |
     | `termination_radius` | 0.1 | [m] |
     | `slack_time` | 0.1 | [s] |
     | `reward_weights` | see `DEFAULT_WEIGHTS` | weights by term |

@@ -37,25 +37,17 @@ _compile = njit(cache=True, nogil=True, error_model="numpy")
 # Rows of the parameters: platform, then CABLE_PARAMETERS rows for each cable.
 MASS, INERTIA, GRAVITY, FIRST_CABLE_PARAMETER = 0, 1, 4, 5
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
-CABLE_PARAMETERS = 11
+STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH = 11, 12, 13, 14
+CABLE_PARAMETERS = 15
 
 # Rows of the record, which lasts from call to call: state, command, and what the period just passed looked like.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
-DEMAND, TORQUE, TENSION, SPEED, SLACK = 0, 1, 2, 3, 4
-CABLE_RECORDS = 5
+DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED = 0, 1, 2, 3, 4, 5, 6
+CABLE_RECORDS = 7
 RECORD_ROWS = np.array(
     [
-        POSE,
-        VELOCITY,
-        POSITION_PEAK,
-        ROTATION_PEAK,
-        FIRST_CABLE_RECORD,
-        CABLE_RECORDS,
-        DEMAND,
-        TORQUE,
-        TENSION,
-        SPEED,
-        SLACK,
+        *(POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD, CABLE_RECORDS),
+        *(DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED),
     ]
 )
 """The numbers above, for compiled readers of the record in other files."""
@@ -65,7 +57,9 @@ _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
 _ROTATION, _BODY_VELOCITY, _OMEGA, _SPIN, _GYRO, _TRIG = 42, 51, 54, 57, 60, 63
 _Y, _WRONG, _FIRST_CABLE = 67, 73, 74
 _ROW, _LENGTH_RATE, _BIAS, _REQUEST, _DRIVE, _TAUT, _FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
-_CABLE_ROWS = 12
+# The motor behind its spring: angle β′ and speed β̇′ stand next to each other in each of the first three.
+_LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 15, 17, 19, 20
+_CABLE_ROWS = 21
 
 
 def parameter_rows(cables: int) -> int:
@@ -197,7 +191,8 @@ def _spatial_cable(p, w, at, lanes, i):
         _dot(_load(w, _ROTATION + 3, at, lanes), d) + b[1],
         _dot(_load(w, _ROTATION + 6, at, lanes), d) + b[2],
     )
-    per_length = 1.0 / math.sqrt(_dot(s, s))
+    length = math.sqrt(_dot(s, s))
+    per_length = 1.0 / length
     u = (s[0] * per_length, s[1] * per_length, s[2] * per_length)
     turning = _cross(omega, b)
     point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
@@ -206,6 +201,7 @@ def _spatial_cable(p, w, at, lanes, i):
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
     _store(w, row + _ROW + 3, at, lanes, _cross(b, u))
+    w[(row + _LENGTH) * lanes + at] = length
     w[(row + _LENGTH_RATE) * lanes + at] = rate
     w[(row + _BIAS) * lanes + at] = bias
 
@@ -359,12 +355,14 @@ def _planar_cable(p, w, at, lanes, i):
     dx = w[_STAGE * lanes + at] - p[par * lanes + at]
     dy = w[(_STAGE + 1) * lanes + at] - p[(par + 1) * lanes + at]
     vx, vy = w[(_STAGE + 6) * lanes + at], w[(_STAGE + 7) * lanes + at]
-    per_length = 1.0 / math.sqrt(dx * dx + dy * dy)
+    length = math.sqrt(dx * dx + dy * dy)
+    per_length = 1.0 / length
     ux, uy = dx * per_length, dy * per_length
     rate = ux * vx + uy * vy
     row = _FIRST_CABLE + _CABLE_ROWS * i
     w[(row + _ROW) * lanes + at] = ux
     w[(row + _ROW + 1) * lanes + at] = uy
+    w[(row + _LENGTH) * lanes + at] = length
     w[(row + _LENGTH_RATE) * lanes + at] = rate
     w[(row + _BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length
 
@@ -479,7 +477,27 @@ def _dynamics(spatial, cables, unilateral, p, w, lanes):
 
 
 @_inline
-def _drive(cables, period_starts, p, w, record, lanes):
+def _springs(cables, unilateral, p, w, lanes):
+    """Torque of the joint springs on the pulleys, κ = K (β′ − β), and the motors' accelerations (Eq. 4).
+
+    With unilateral cables the spring only winds: what would unwind is stored slack, κ = K max(β′ − β, 0).
+    """
+    for i in range(cables):
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+        for at in range(lanes):
+            wound = p[(par + HOME_LENGTH) * lanes + at] - w[(row + _LENGTH) * lanes + at]
+            angle = wound * p[(par + PER_RADIUS) * lanes + at]
+            twist = w[(row + _MOTOR_STAGE) * lanes + at] - angle
+            twist = max(twist, 0.0) if unilateral else twist
+            spring = p[(par + STIFFNESS) * lanes + at] * twist
+            friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + _MOTOR_STAGE + 1) * lanes + at]
+            rest = w[(row + _TORQUE) * lanes + at] - spring - friction
+            w[(row + _DRIVE) * lanes + at] = spring
+            w[(row + _MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+
+
+@_inline
+def _drive(flexible, cables, period_starts, p, w, record, lanes):
     """Torques of a physics step: the request of the drive command, clipped to U± at the motors' present speed."""
     for i in range(cables):
         par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
@@ -487,13 +505,16 @@ def _drive(cables, period_starts, p, w, record, lanes):
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
             stall = p[(par + STALL) * lanes + at]
-            speed = -w[(row + _LENGTH_RATE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
+            if flexible:
+                speed = w[(row + _MOTOR_STAGE + 1) * lanes + at]
+            else:
+                speed = -w[(row + _LENGTH_RATE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
             drop = p[(par + SLOPE) * lanes + at] * speed
             if period_starts:
                 w[(row + _REQUEST) * lanes + at] = stall * record[(rec + DEMAND) * lanes + at] - drop
                 record[(rec + SPEED) * lanes + at] = speed
             torque = min(max(w[(row + _REQUEST) * lanes + at], -stall - drop), stall - drop)
-            w[(row + _DRIVE) * lanes + at] = torque
+            w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = torque
             if period_starts:
                 record[(rec + TORQUE) * lanes + at] = torque
 
@@ -515,33 +536,49 @@ def _note_tensions(cables, period_starts, unilateral, w, record, lanes):
 
 
 @_inline
-def _rk4(spatial, cables, period_starts, unilateral, h, p, w, record, lanes):
+def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
+    """RK4's bookkeeping of one row: the next stage's value or, after the last stage, the new state."""
+    ahead = h if stage == 2 else 0.5 * h
+    weight = 2.0 if stage in (1, 2) else 1.0
+    rate, begin = w[rate_row * lanes + at], w[start * lanes + at]
+    sum_ = weight * rate + (w[total * lanes + at] if stage > 0 else 0.0)
+    if stage < 3:
+        w[total * lanes + at] = sum_
+        w[value * lanes + at] = begin + ahead * rate
+    else:
+        end = begin + h / 6.0 * sum_
+        w[start * lanes + at] = end
+        w[value * lanes + at] = end
+
+
+@_inline
+def _rk4(spatial, flexible, cables, period_starts, unilateral, h, p, w, record, lanes):
     """One physics step of a tile; _START becomes the new state."""
     n = 6 if spatial else 2
     for stage in range(4):
         _kinematics(spatial, cables, p, w, lanes)
         if stage == 0:
-            _drive(cables, period_starts, p, w, record, lanes)
+            _drive(flexible, cables, period_starts, p, w, record, lanes)
+        if flexible:
+            _springs(cables, unilateral, p, w, lanes)
         _dynamics(spatial, cables, unilateral, p, w, lanes)
         if stage == 0:
             _note_tensions(cables, period_starts, unilateral, w, record, lanes)
-        ahead = h if stage == 2 else 0.5 * h
-        weight = 2.0 if stage in (1, 2) else 1.0
-        for half in range(2):  # poses first: their rate is the stage's velocity, which changes next
+        # Positions first: their rate is the stage's velocity, which changes next.
+        for half in range(2):
             rate_row = _STAGE + 6 if half == 0 else _RATE
             for j in range(n):
                 value = 6 * half + j
                 for at in range(lanes):
-                    rate = w[(rate_row + j) * lanes + at]
-                    begin = w[(_START + value) * lanes + at]
-                    total = weight * rate + (w[(_SUM + value) * lanes + at] if stage > 0 else 0.0)
-                    if stage < 3:
-                        w[(_SUM + value) * lanes + at] = total
-                        w[(_STAGE + value) * lanes + at] = begin + ahead * rate
-                    else:
-                        end = begin + h / 6.0 * total
-                        w[(_START + value) * lanes + at] = end
-                        w[(_STAGE + value) * lanes + at] = end
+                    _blend(stage, h, w, at, lanes, _START + value, _SUM + value, _STAGE + value, rate_row + j)
+        if flexible:
+            for half in range(2):
+                rate_row = _MOTOR_STAGE + 1 if half == 0 else _MOTOR_RATE
+                for i in range(cables):
+                    row = _FIRST_CABLE + _CABLE_ROWS * i
+                    start, total, value = row + _MOTOR_START + half, row + _MOTOR_SUM + half, row + _MOTOR_STAGE + half
+                    for at in range(lanes):
+                        _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
 
 
 @_inline
@@ -563,7 +600,7 @@ def _note_errors(spatial, period_starts, w, record, at, lanes, reference):
 
 
 @_inline
-def _load_tile(spatial, cables, record, w, lanes):
+def _load_tile(spatial, flexible, cables, record, w, lanes):
     """State into the scratch. Cables that were slack a moment ago are tried as slack first."""
     for j in range(6 if spatial else 2):
         for at in range(lanes):
@@ -575,19 +612,29 @@ def _load_tile(spatial, cables, record, w, lanes):
         for at in range(lanes):
             slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
             w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
+    if flexible:
+        for i in range(cables):
+            row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            for at in range(lanes):
+                for half in range(2):
+                    value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
+                    w[(row + _MOTOR_START + half) * lanes + at] = value
+                    w[(row + _MOTOR_STAGE + half) * lanes + at] = value
 
 
 @_inline
-def _advance(spatial, lanes, cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def _advance(
+    spatial, flexible, lanes, cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h
+):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(spatial, cables, r, w, lanes)
+        _load_tile(spatial, flexible, cables, r, w, lanes)
         if not unilateral:
             for i in range(cables):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
         for substep in range(substeps):
-            _rk4(spatial, cables, substep == 0, unilateral, h, p, w, r, lanes)
+            _rk4(spatial, flexible, cables, substep == 0, unilateral, h, p, w, r, lanes)
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * substeps + substep + 1, ends[which[lane]])
@@ -598,19 +645,27 @@ def _advance(spatial, lanes, cables, unilateral, parameters, record, w, referenc
             for at in range(lanes):
                 r[(POSE + j) * lanes + at] = w[(_START + j) * lanes + at]
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
+        if flexible:
+            for i in range(cables):
+                row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+                for half in range(2):
+                    for at in range(lanes):
+                        r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
 
 
 @_inline
-def _evaluate(spatial, lanes, cables, unilateral, parameters, record, w, acceleration):
+def _evaluate(spatial, flexible, lanes, cables, unilateral, parameters, record, w, acceleration):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(spatial, cables, r, w, lanes)
+        _load_tile(spatial, flexible, cables, r, w, lanes)
         for i in range(cables):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
-                w[(row + _DRIVE) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + _TAUT) * lanes + at] = 1.0
         _kinematics(spatial, cables, p, w, lanes)
+        if flexible:
+            _springs(cables, unilateral, p, w, lanes)
         _dynamics(spatial, cables, unilateral, p, w, lanes)
         _note_tensions(cables, True, unilateral, w, r, lanes)
         for j in range(6 if spatial else 2):
@@ -619,7 +674,8 @@ def _evaluate(spatial, lanes, cables, unilateral, parameters, record, w, acceler
 
 
 # ------------------------------------------------------------------------------------------------- entry points
-# One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six.
+# One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six, rigid and
+# flexible.
 # Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,),
 # references (trajectories, lines, n) at physics steps, ends (trajectories,): last line of each, which and step
 # (tiles·lanes,): each lane's trajectory and control step. ``cables`` is a tuple with one item per cable: its length is
@@ -627,36 +683,82 @@ def _evaluate(spatial, lanes, cables, unilateral, parameters, record, w, acceler
 
 
 @_compile
-def advance_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
-    """One control period of spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
-    _advance(True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
-
-
-@_compile
-def advance_one_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
-    """:func:`advance_spatial` for tiles of one lane."""
-    _advance(True, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
-
-
-@_compile
 def advance_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
     """One control period of planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
-    _advance(False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+    _advance(
+        False, False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+    )
 
 
 @_compile
 def advance_one_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
-    """:func:`advance_planar` for tiles of one lane."""
-    _advance(False, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
-
-
-@_compile
-def evaluate_spatial(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, 6·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
-    _evaluate(True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+    """One control period of planar robots in tiles of one lane; changes ``record`` and ``step``."""
+    _advance(
+        False, False, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+    )
 
 
 @_compile
 def evaluate_planar(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, 2·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
-    _evaluate(False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    _evaluate(False, False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+
+
+@_compile
+def advance_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
+    _advance(
+        True, False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+    )
+
+
+@_compile
+def advance_one_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of spatial robots in tiles of one lane; changes ``record`` and ``step``."""
+    _advance(True, False, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def evaluate_spatial(cables, unilateral, parameters, record, w, acceleration):
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    _evaluate(True, False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+
+
+@_compile
+def advance_flexible_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of flexible planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
+    _advance(
+        False, True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+    )
+
+
+@_compile
+def advance_one_flexible_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of flexible planar robots in tiles of one lane; changes ``record`` and ``step``."""
+    _advance(False, True, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def evaluate_flexible_planar(cables, unilateral, parameters, record, w, acceleration):
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    _evaluate(False, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+
+
+@_compile
+def advance_flexible_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of flexible spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
+    _advance(
+        True, True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+    )
+
+
+@_compile
+def advance_one_flexible_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+    """One control period of flexible spatial robots in tiles of one lane; changes ``record`` and ``step``."""
+    _advance(True, True, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+
+
+@_compile
+def evaluate_flexible_spatial(cables, unilateral, parameters, record, w, acceleration):
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    _evaluate(True, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)

@@ -1,4 +1,4 @@
-"""The rigid-transmission robot as a MuJoCo model: an independent oracle for the plant, and the peer for its speed.
+"""A robot, rigid or flexible, as a MuJoCo model: an independent oracle for the plant, and the peer for its speed.
 
 MuJoCo computes lengths, moment arms and accelerations from bodies, sites and tendons; only Euler angles are converted
 here. Its cables push as well as pull, so it equals the plant with ``cable="bilateral"``, and the unilateral one while
@@ -15,11 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym.kinematics import Array, euler_rate_matrix, euler_rate_matrix_rate
+from cablebot_gym.kinematics import Array, cable_lengths, euler_rate_matrix, euler_rate_matrix_rate
 from cablebot_gym.robots import Robot
 
-_SWITCHED_OFF = ("contact", "constraint", "spring", "sensor", "warmstart", "island", "autoreset")
+_SWITCHED_OFF = ("contact", "constraint", "sensor", "warmstart", "island", "autoreset")
 """Flags: parts of MuJoCo that have nothing to do here, and its silent reset of a state that has blown up."""
+
+_WINCH_ROOM = 10
+"""How far off a winch stands in front of its base anchor, in diagonals of the workspace plus the spring's give at
+stall: nothing winds that far back, where the segment between them would turn round. Not farther: its digits are lost to
+the spring."""
 
 
 def import_mujoco() -> Any:
@@ -41,6 +46,10 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     Reflected to its cable a pulley is a tendon with ``armature = J/r²`` and ``damping = c/r²``, its motor one with
     ``gear = −1/r``.
 
+    Flexible: a motor is a winch, a body of mass ``J′/r²`` with damping ``c′/r²`` that slides across gravity away from
+    its base anchor by ``r β′``; ``qpos`` and ``qvel`` end in these. A second tendon, of stiffness ``K/r²``, runs from
+    the platform over the base anchor to the winch, so that its length is ``q + r β′`` and a constant.
+
     Args:
         robot: any robot.
         payload: added to the mass at the centre of mass [kg]; the inertia stays.
@@ -55,7 +64,8 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     if not 0 < timestep < math.inf:
         raise ValueError(f"timestep must be greater than 0 s and finite, not {timestep}")
     gravity = 0.0 if robot.planar else robot.gravity
-    flags = " ".join(f'{flag}="disable"' for flag in _SWITCHED_OFF)
+    switched_off = _SWITCHED_OFF if robot.flexible else (*_SWITCHED_OFF, "spring")
+    flags = " ".join(f'{flag}="disable"' for flag in switched_off)
     body = f"{_joints_and_inertia(robot, mass)}{_sites('platform', robot.platform)}"
     radii = robot.pulley_radius.tolist()
     tendons = "".join(
@@ -65,16 +75,42 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
             zip(radii, robot.pulley_inertia.tolist(), robot.damping.tolist(), strict=True)
         )
     )
+    winches, springs = _winches_and_springs(robot) if robot.flexible else ("", "")
+    place, sign = ("joint", 1) if robot.flexible else ("tendon", -1)
+    driven = "winch" if robot.flexible else "cable"
     motors = "".join(
-        f'<motor name="motor{i}" tendon="cable{i}" gear="{-1 / radius!r}"/>' for i, radius in enumerate(radii)
+        f'<motor name="motor{i}" {place}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
     )
     return f"""<mujoco model="{_escaped(robot.name)}">
 <compiler angle="radian" inertiafromgeom="false"/>
 <option timestep="{timestep!r}" integrator="RK4" jacobian="dense" gravity="0 0 {gravity!r}"><flag {flags}/></option>
-<worldbody>{_sites("base", robot.base)}<body name="platform" {_body_frame(robot)}>{body}</body></worldbody>
-<tendon>{tendons}</tendon>
+<worldbody>{_sites("base", robot.base)}<body name="platform" {_body_frame(robot)}>{body}</body>{winches}</worldbody>
+<tendon>{tendons}{springs}</tendon>
 <actuator>{motors}</actuator>
 </mujoco>"""
+
+
+def _winches_and_springs(robot: Robot) -> tuple[str, str]:
+    """Bodies and tendons of the motors behind their springs; all springs are unwound at home with β′ = 0."""
+    home = cable_lengths(robot.base, robot.platform, robot.home)
+    per_radius2 = 1 / robot.pulley_radius**2
+    diagonal = np.linalg.norm(np.diff(robot.pose_bounds[:, :3], axis=0))
+    room = _WINCH_ROOM * (diagonal + robot.pulley_radius * robot.stall_torque / robot.stiffness)
+    columns = (robot.motor_inertia * per_radius2, robot.motor_damping * per_radius2, robot.stiffness * per_radius2)
+    winches, springs = "", ""
+    for i, (mass, damping, stiffness) in enumerate(np.stack(columns, axis=1).tolist()):
+        at = np.zeros(3)
+        at[: robot.base.shape[1]] = robot.base[i]
+        at[0] += room[i]
+        winches += (
+            f'<body pos="{_numbers(at)}"><joint name="winch{i}" type="slide" axis="1 0 0" damping="{damping!r}"/>'
+            f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1 1 1"/><site name="winch{i}"/></body>'
+        )
+        springs += (
+            f'<spatial name="spring{i}" stiffness="{stiffness!r}" springlength="{float(home[i] + room[i])!r}">'
+            f'<site site="platform{i}"/><site site="base{i}"/><site site="winch{i}"/></spatial>'
+        )
+    return winches, springs
 
 
 def _body_frame(robot: Robot) -> str:
@@ -130,9 +166,10 @@ def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
 
 
 class MujocoRobot:
-    """One robot in MuJoCo, in the paper's coordinates: ``X = (x, y)`` or ``(x, y, z, ψ, θ, φ)``.
+    """One robot in MuJoCo, in the paper's coordinates: ``X = (x, y)`` or ``(x, y, z, ψ, θ, φ)``, and β′ if flexible.
 
-    It starts at rest in ``robot.home_pose``. :attr:`model` and :attr:`data` are MuJoCo's own objects, to use freely.
+    It starts at rest in ``robot.home_pose``, springs unwound. :attr:`model` and :attr:`data` are MuJoCo's own objects,
+    to use freely.
     """
 
     def __init__(self, robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> None:
@@ -146,49 +183,109 @@ class MujocoRobot:
         self.robot = robot
         self.model: Any = self._mujoco.MjModel.from_xml_string(mjcf(robot, payload, timestep))
         self.data: Any = self._mujoco.MjData(self.model)
+        self._platform_speeds = 2 if robot.planar else 6
+        self._platform_positions = 2 if robot.planar else 7  # a quaternion has four numbers
+        self._home_lengths = cable_lengths(robot.base, robot.platform, robot.home)
         self.set_state(robot.home, np.zeros(robot.coordinates))
 
     def set_state(self, pose: ArrayLike, velocity: ArrayLike) -> None:
-        """Put the platform at pose X with velocity Ẋ, each of shape (n,); the time becomes 0."""
+        """Put the platform at pose X with velocity Ẋ, each of shape (n,); the time becomes 0.
+
+        A flexible robot's springs are unwound then, its motors turning with the pulleys; see :meth:`set_motors`.
+        """
         pose, velocity = np.asarray(pose, float), np.asarray(velocity, float)
         shape = (self.robot.coordinates,)
         if pose.shape != shape or velocity.shape != shape:
             raise ValueError(f"pose and velocity must each have shape {shape}, not {pose.shape} and {velocity.shape}")
         self._mujoco.mj_resetData(self.model, self.data)
+        positions, speeds = self._platform_qpos, self._platform_qvel
         if self.robot.planar:
-            self.data.qpos[:], self.data.qvel[:] = pose, velocity
-            return
-        self.data.qpos[:3], self.data.qpos[3:] = pose[:3], quaternion(pose[3:])
-        self.data.qvel[:3], self.data.qvel[3:] = velocity[:3], euler_rate_matrix(pose[3:]) @ velocity[3:]
+            positions[:], speeds[:] = pose, velocity
+        else:
+            positions[:3], positions[3:] = pose[:3], quaternion(pose[3:])
+            speeds[:3], speeds[3:] = velocity[:3], euler_rate_matrix(pose[3:]) @ velocity[3:]
+        if self.robot.flexible:
+            unwound = (self._home_lengths - self.lengths()) / self.robot.pulley_radius
+            self._mujoco.mj_fwdVelocity(self.model, self.data)
+            self.set_motors(unwound, -self.data.ten_velocity[: self.robot.cables] / self.robot.pulley_radius)
+
+    def set_motors(self, angle: ArrayLike, speed: ArrayLike) -> None:
+        """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after :meth:`set_state`.
+
+        Raises:
+            ValueError: if the robot is rigid or a shape is wrong.
+        """
+        angle, speed, shape = np.asarray(angle, float), np.asarray(speed, float), (self.robot.cables,)
+        if angle.shape != shape or speed.shape != shape:
+            raise ValueError(f"motor angle and speed must each have shape {shape}, not {angle.shape} and {speed.shape}")
+        self._check_flexible()
+        self.data.qpos[self._platform_positions :] = angle * self.robot.pulley_radius
+        self.data.qvel[self._platform_speeds :] = speed * self.robot.pulley_radius
 
     def state(self) -> tuple[Array, Array]:
         """``(X, Ẋ)``, new arrays of shape (n,)."""
+        positions, speeds = np.array(self._platform_qpos), np.array(self._platform_qvel)
         if self.robot.planar:
-            return np.array(self.data.qpos), np.array(self.data.qvel)
-        euler = euler_angles(self.data.qpos[3:])
-        rates = np.linalg.solve(euler_rate_matrix(euler), self.data.qvel[3:])
-        return np.append(self.data.qpos[:3], euler), np.append(self.data.qvel[:3], rates)
+            return positions, speeds
+        euler = euler_angles(positions[3:])
+        rates = np.linalg.solve(euler_rate_matrix(euler), speeds[3:])
+        return np.append(positions[:3], euler), np.append(speeds[:3], rates)
+
+    def motors(self) -> tuple[Array, Array]:
+        """``(β′, β̇′)`` of a flexible robot, new arrays of shape (m,).
+
+        Raises:
+            ValueError: if the robot is rigid.
+        """
+        self._check_flexible()
+        radius = self.robot.pulley_radius
+        return self.data.qpos[self._platform_positions :] / radius, self.data.qvel[self._platform_speeds :] / radius
 
     def lengths(self) -> Array:
         """Cable lengths q [m], shape (m,)."""
         self._mujoco.mj_fwdPosition(self.model, self.data)
-        return np.array(self.data.ten_length)
+        return np.array(self.data.ten_length[: self.robot.cables])
 
     def accelerations(self, torques: ArrayLike) -> Array:
         """``Ẍ`` in the present state under motor torques of shape (m,) [N·m], shape (n,)."""
-        self._command(torques)
-        self._mujoco.mj_forward(self.model, self.data)
-        qacc = np.array(self.data.qacc)
+        qacc = self._forward(torques)[: self._platform_speeds]
         if self.robot.planar:
             return qacc
         pose, velocity = self.state()
         turning = euler_rate_matrix_rate(pose[3:], velocity[3:]) @ velocity[3:]
         return np.append(qacc[:3], np.linalg.solve(euler_rate_matrix(pose[3:]), qacc[3:] - turning))
 
+    def motor_accelerations(self, torques: ArrayLike) -> Array:
+        """``β̈′`` of a flexible robot in the present state under motor torques of shape (m,) [N·m], shape (m,).
+
+        Raises:
+            ValueError: if the robot is rigid.
+        """
+        self._check_flexible()
+        return self._forward(torques)[self._platform_speeds :] / self.robot.pulley_radius
+
     def step(self, torques: ArrayLike, steps: int = 1) -> None:
         """Integrate so many RK4 steps under constant motor torques of shape (m,) [N·m]."""
         self._command(torques)
         self._mujoco.mj_step(self.model, self.data, nstep=steps)
+
+    @property
+    def _platform_qpos(self) -> Any:
+        return self.data.qpos[: self._platform_positions]
+
+    @property
+    def _platform_qvel(self) -> Any:
+        return self.data.qvel[: self._platform_speeds]
+
+    def _check_flexible(self) -> None:
+        if not self.robot.flexible:
+            raise ValueError(f"{self.robot.name} has a rigid transmission: its motors are its pulleys")
+
+    def _forward(self, torques: ArrayLike) -> Array:
+        """MuJoCo's accelerations of all its coordinates."""
+        self._command(torques)
+        self._mujoco.mj_forward(self.model, self.data)
+        return np.array(self.data.qacc)
 
     def _command(self, torques: ArrayLike) -> None:
         if not np.all(np.isfinite(torques)):  # MuJoCo would take them for zeros

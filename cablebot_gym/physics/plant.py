@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.textbook import Cable
 from cablebot_gym.robots import Robot
@@ -23,9 +23,19 @@ def pack_parameters(robot: Robot) -> Array:
     cables[:, kernel.PER_RADIUS] = 1 / robot.pulley_radius
     cables[:, kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
     cables[:, kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
+    if robot.flexible:
+        cables[:, kernel.STIFFNESS] = robot.stiffness
+        cables[:, kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
+        cables[:, kernel.MOTOR_DAMPING] = robot.motor_damping
+        cables[:, kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
     cables[:, kernel.STALL] = robot.stall_torque
     cables[:, kernel.SLOPE] = robot.speed_slope
     return rows
+
+
+def _kind(robot: Robot) -> str:
+    """Ending of the kernel's entry points for a robot."""
+    return ("flexible_" if robot.flexible else "") + ("planar" if robot.planar else "spatial")
 
 
 class Plant:
@@ -52,7 +62,7 @@ class Plant:
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since each lane's reset, shape (width,)."""
         self._cables = (0,) * robot.cables
-        single, kind = self.lanes == 1, "planar" if robot.planar else "spatial"
+        single, kind = self.lanes == 1, _kind(robot)
         self._advance = getattr(kernel, f"advance_{'one_' if single else ''}{kind}")
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
 
@@ -90,6 +100,12 @@ class Plant:
         self.step_index[index] = 0
         if self.count - 1 in index:
             self.step_index[self.count :] = 0
+
+    def set_motors(self, index: Array, angle: Array, speed: Array) -> None:
+        """Motor angles β′ and speeds β̇′ (len(index), m) of flexible robots, after :meth:`set_state`."""
+        first = kernel.FIRST_CABLE_RECORD
+        for row, values in ((kernel.MOTOR_ANGLE, angle), (kernel.MOTOR_SPEED, speed)):
+            self._write(self.record, first + row, np.asarray(index), np.asarray(values, float), kernel.CABLE_RECORDS)
 
     def set_demand(self, demand: Array) -> None:
         """Drive commands of all robots, shape (N, m); (m,) will do for one."""
@@ -152,6 +168,6 @@ class Plant:
         first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
         self._write(self.record, first, np.arange(self.count), np.asarray(torques, float), kernel.CABLE_RECORDS)
         acceleration = np.zeros((self.record.shape[0], self.robot.coordinates * self.lanes))
-        entry = kernel.evaluate_planar if self.robot.planar else kernel.evaluate_spatial
+        entry = getattr(kernel, f"evaluate_{_kind(self.robot)}")
         entry(self._cables, self.unilateral, self._parameters, self.record, self._scratch, acceleration)
         return self._read(acceleration, 0, self.robot.coordinates), self.per_cable(kernel.TENSION)

@@ -65,6 +65,41 @@ def pulley_speed(robot: Robot, pose: ArrayLike, velocity: ArrayLike) -> Array:
     return -_apply(jacobian(robot, pose), np.asarray(velocity, float)) / robot.pulley_radius
 
 
+def pulley_angle(robot: Robot, pose: ArrayLike) -> Array:
+    """β = −(q(X) − q(X₀))/r [rad], shape (..., m)."""
+    home = kinematics.cable_lengths(robot.base, robot.platform, robot.home)
+    return (home - kinematics.cable_lengths(robot.base, robot.platform, pose)) / robot.pulley_radius
+
+
+def static_motor_angle(robot: Robot, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
+    """β′ = β + r T/K of a flexible robot at rest [rad], shape (..., m), T as :func:`required_tensions` at rest."""
+    rest = np.zeros_like(np.asarray(pose, float))
+    tensions = required_tensions(robot, mass, pose, rest, rest, minimum=minimum, strict=False)
+    return pulley_angle(robot, pose) + robot.pulley_radius * tensions / robot.stiffness
+
+
+def highest_frequency(robot: Robot) -> float:
+    """Highest natural frequency of a flexible robot about its home pose, cables taut [rad/s].
+
+    Of ``blkdiag(D + Sᵀ(J/r²)S, J′) ẍ + K-terms x = 0`` in x = (X, β′), with twist ``β′ + S X/r``.
+    """
+    structure = jacobian(robot, robot.home)
+    turning = structure / robot.pulley_radius[:, None]
+    m, n = structure.shape
+    inertia = np.zeros((n + m, n + m))
+    inertia[:n, :n] = mass_matrix(robot, robot.mass, robot.home) + turning.T @ (robot.pulley_inertia[:, None] * turning)
+    inertia[n:, n:] = np.diag(robot.motor_inertia)
+    twist = np.concatenate([turning, np.eye(m)], axis=1)
+    stiffness = twist.T @ (robot.stiffness[:, None] * twist)
+    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real.max()))
+
+
+def fastest_motor_rate(robot: Robot) -> float:
+    """Largest rate at which a flexible robot's motors settle by friction or along their torque-speed line [1/s]."""
+    line = np.sqrt(2) * robot.speed_slope  # held for a physics step, and so less stable than friction
+    return float(np.max(np.maximum(robot.motor_damping, line) / robot.motor_inertia))
+
+
 def pulley_acceleration(robot: Robot, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """β̈ = −(S Ẍ + Ṡ Ẋ)/r (Eq. 6) [rad/s²], shape (..., m)."""
     cable = _apply(jacobian(robot, pose), np.asarray(acceleration, float))

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import cablebot_gym
 from baselines.classical import FL, FeedbackLinearization
+from cablebot_gym.envs import RIGID_ENV_IDS
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
 
@@ -271,7 +271,7 @@ def test_observation_of_another_robot_is_not_read_as_if_it_were_this_ones(kind, 
     observation = observations(other, np.random.default_rng(6), 2)
     for wrong in (observation, observation[0]):
         with pytest.raises(
-            ValueError, match=rf"fl for robot '{kind}' reads \d+ components, not .*build it for the env"
+            ValueError, match=rf"a policy for robot '{kind}' reads \d+ components, not .*build it for the env"
         ):
             FeedbackLinearization(ROBOTS[kind]).predict(wrong)
 
@@ -291,7 +291,7 @@ def test_negative_or_infinite_minimum_tension_is_not_accepted(minimum):
 
 
 def test_entry_does_not_name_another_law():
-    assert (FL.name, FL.kind, FL.env_ids) == ("fl", "classical", cablebot_gym.ENV_IDS)
+    assert (FL.name, FL.kind, FL.env_ids) == ("fl", "classical", RIGID_ENV_IDS)
     assert isinstance(FL.factory(PLANAR), FeedbackLinearization)
 
 

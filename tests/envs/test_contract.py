@@ -21,16 +21,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import cablebot_gym
-from baselines.classical import FeedbackLinearization
+from baselines.classical import FeedbackLinearization, MotorPD
 from cablebot_gym.envs import register_envs
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout
 from cablebot_gym.envs.outcome import TERMINATION_REASONS
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.trajectories import Reference, find_trajectory
 
-ROBOTS = {"CableBot-Planar-v0": PLANAR, "CableBot-Spatial-v0": SPATIAL}
+ROBOTS = {
+    "CableBot-Planar-v0": PLANAR,
+    "CableBot-Spatial-v0": SPATIAL,
+    "CableBot-FlexPlanar-v0": FLEX_PLANAR,
+    "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
+}
 each_id = pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
 
 # Plain data that a JSON file can hold, one for each id, with every keyword whose value is structured.
@@ -50,6 +55,15 @@ JSON_KEYWORDS: dict[str, dict[str, Any]] = {
         "payload": 1.5,
         "initial_error_range": [0.001, 0.0, 0.001, 0.0, 0.01, 0.0],
         "cable": "bilateral",
+    },
+    "CableBot-FlexPlanar-v0": {
+        "trajectory": {"name": "lemniscate-planar", "duration": 2.0},
+        "robot": json.loads(json.dumps(FLEX_PLANAR.replace(mass=1.5).to_dict())),
+    },
+    "CableBot-FlexSpatial-v0": {
+        "trajectory": {"name": "line-spatial", "duration": 1.5},
+        "robot": json.loads(json.dumps(FLEX_SPATIAL.replace(mass=8.0).to_dict())),
+        "limits": {"position": 0.02},
     },
 }
 
@@ -76,10 +90,11 @@ def random_rollout(env, steps=20, seed=3, scale=1.0):
 
 def blown_up(env_id):
     """A single environment and options for its reset under which the state soon ceases to be finite."""
-    if env_id == "CableBot-Planar-v0":  # starts on an anchor, so that a cable has no direction
+    if ROBOTS[env_id].planar:  # starts on an anchor, so that a cable has no direction
         env = gym.make(env_id, trajectory="hold-planar").unwrapped
         return env, {"initial_error": PLANAR.base[0]}
-    return gym.make(env_id, control_frequency=20.0, substeps=1).unwrapped, None  # steps far too long for the plant
+    frequency = 33.0 if ROBOTS[env_id].flexible else 20.0  # steps far too long for the plant, as long as is let pass
+    return gym.make(env_id, control_frequency=frequency, substeps=1).unwrapped, None
 
 
 # ------------------------------------------------------------------------------------------- making, registering
@@ -160,7 +175,7 @@ def test_spec_survives_json_and_makes_the_same_environment(env_id, with_keywords
 @each_id
 def test_time_limit_truncates_at_500_and_the_bare_env_never(env_id):
     robot = ROBOTS[env_id]
-    policy = FeedbackLinearization(robot)
+    policy = MotorPD(robot) if robot.flexible else FeedbackLinearization(robot)
     limited, bare = gym.make(env_id), gym.make(env_id).unwrapped
     observation, _ = limited.reset(seed=0)
     bare.reset(seed=0)
@@ -280,7 +295,8 @@ def test_every_motors_command_reaches_the_plant(env_id):
         nudged = rest.copy()
         nudged[motor] += 0.1
         difference = after(nudged) - after(rest)
-        assert np.abs(difference[env.layout.slices()["velocity"]]).max() > 1e-4, motor
+        least = 1e-5 if ROBOTS[env_id].flexible else 1e-4  # through springs it takes its time
+        assert np.abs(difference[env.layout.slices()["velocity"]]).max() > least, motor
 
 
 # ------------------------------------------------------------------------------------------------- observation
@@ -307,8 +323,12 @@ def test_docstring_table_is_the_layout(env_id):
     robot = ROBOTS[env_id]
     section = CableBotEnv.__doc__.split("## Observation space")[1].split("## ")[0]
     rows = re.findall(r"^ *\| `(\w+)` \| (\w+) \| (.+?) \|$", section, flags=re.MULTILINE)
-    sizes = {"n": robot.coordinates}
-    documented = [(name, sizes.get(size) or int(size), meaning) for name, size, meaning in rows]
+    sizes, only = {"n": robot.coordinates, "m": robot.cables}, "flexible only: "
+    documented = [
+        (name, sizes.get(size) or int(size), meaning.removeprefix(only))
+        for name, size, meaning in rows
+        if robot.flexible or not meaning.startswith(only)
+    ]
     layout = observation_layout(robot)
     assert documented == [(block.name, block.size, block.meaning) for block in layout.blocks]
     assert gym.make(env_id).observation_space == layout.space()
@@ -358,6 +378,9 @@ def test_reference_blocks_are_the_motion_now_and_ahead_not_one_step_off(env_id, 
         np.testing.assert_allclose(part["reference_pose"], now.position, atol=1e-12)
         np.testing.assert_allclose(part["reference_velocity"], now.velocity, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(part["reference_acceleration"], now.acceleration, rtol=1e-12, atol=1e-10)
+        if robot.flexible:
+            np.testing.assert_allclose(part["reference_jerk"], now.jerk, rtol=1e-12, atol=1e-8)
+            np.testing.assert_allclose(part["reference_snap"], now.snap, rtol=1e-12, atol=1e-6)
         for ahead in PREVIEWS:
             preview = part[f"preview_{round(ahead * 1000)}ms"]
             np.testing.assert_allclose(preview, wanted(time + ahead).position - now.position, atol=1e-12)

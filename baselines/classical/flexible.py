@@ -1,0 +1,264 @@
+"""Control laws that work on robots with joint springs, where the paper's own (Eq. 22) does not.
+
+All are built from nominal parameters and the told payload, and read motor angles β′ and speeds β̇′. None of them clips
+its commands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.classical.feedback_linearization import MINIMUM_TENSION, PAPER_GAINS, outer_loop
+from cablebot_gym.envs import FLEXIBLE_ENV_IDS
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.physics import textbook
+from cablebot_gym.policies import PolicyEntry
+from cablebot_gym.robots import Robot
+
+Array = NDArray[Any]
+
+DIFFERENCE_STEP = 2e-4
+"""Step of the central differences in time that give κ̇ and κ̈ along a motion [s]; their error is below 1e-6."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A motion at one instant, to snap; each array is (..., n)."""
+
+    position: Array
+    """X [m, rad]."""
+    velocity: Array
+    """First derivative."""
+    acceleration: Array
+    """Second derivative."""
+    jerk: Array
+    """Third derivative."""
+    snap: Array
+    """Fourth derivative."""
+
+    def after(self, time: float) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration a short time later, by Taylor's series."""
+        x, v, a, j, s = self.position, self.velocity, self.acceleration, self.jerk, self.snap
+        return (
+            x + time * (v + time / 2 * (a + time / 3 * (j + time / 4 * s))),
+            v + time * (a + time / 2 * (j + time / 3 * s)),
+            a + time * (j + time / 2 * s),
+        )
+
+
+class FlexibleLaw:
+    """What the laws below share: the nominal robot, its observation, and the way from torque to drive command.
+
+    Raises:
+        ValueError: if the robot has no springs.
+    """
+
+    unclipped = True
+
+    def __init__(self, robot: Robot, *, minimum_tension: float = MINIMUM_TENSION) -> None:
+        if not robot.flexible:
+            raise ValueError(f"{type(self).__name__} needs joint springs, and {robot.name!r} has none: use fl")
+        if not 0 <= minimum_tension < math.inf:
+            raise ValueError(f"minimum_tension must be at least 0 N, not {minimum_tension}")
+        self.robot, self.minimum_tension = robot, minimum_tension
+        self._layout = observation_layout(robot)
+
+    def predict(
+        self,
+        observation: ArrayLike,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Drive commands (m,) for one observation or (N, m) for a batch; ``state`` is passed through.
+
+        Raises:
+            ValueError: if the observation is not of this robot's layout.
+        """
+        part = self._layout.split(self._layout.checked(observation, self.robot.name))
+        mass = self.robot.mass + part["told_payload"][..., 0]
+        torque = self._torque(part, mass) + self.robot.speed_slope * part["motor_speed"]
+        return torque / self.robot.stall_torque, state
+
+    def _torque(self, part: dict[str, Array], mass: Array) -> Array:
+        raise NotImplementedError
+
+    def _spring(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
+        """κ = r T + J β̈ + c β̇, what the springs have to give."""
+        needed = textbook.inverse_dynamics(
+            self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension, strict=False
+        )
+        return needed.torques
+
+    def _spring_rates(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
+        """κ, κ̇ and κ̈ along a motion."""
+        before, now, after = (
+            self._spring(mass, *motion.after(time)) for time in (-DIFFERENCE_STEP, 0.0, DIFFERENCE_STEP)
+        )
+        return now, (after - before) / (2 * DIFFERENCE_STEP), (after - 2 * now + before) / DIFFERENCE_STEP**2
+
+
+class Composite(FlexibleLaw):
+    """The rigid law with motor and pulley as one, plus damping of the springs, ``K_v (β̇ − β̇′)``.
+
+    Args:
+        robot: nominal robot.
+        gains: (K_P, K_D) of the rigid law; None for the paper's.
+        spring_damping: K_v in units of √(K J′).
+        minimum_tension: T_min of a planar robot [N].
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        gains: tuple[float, float] | None = None,
+        spring_damping: float = 1.0,
+        minimum_tension: float = MINIMUM_TENSION,
+    ) -> None:
+        super().__init__(robot, minimum_tension=minimum_tension)
+        self.gains = PAPER_GAINS["planar" if robot.planar else "spatial"] if gains is None else gains
+        if not 0 <= spring_damping < math.inf:
+            raise ValueError(f"spring_damping must be at least 0, not {spring_damping}")
+        self._damping = spring_damping * np.sqrt(robot.stiffness * robot.motor_inertia)
+
+    def _torque(self, part: dict[str, Array], mass: Array) -> Array:
+        robot, pose, velocity = self.robot, part["pose"], part["velocity"]
+        outer = outer_loop(part, *self.gains)
+        needed = textbook.inverse_dynamics(
+            robot, mass, pose, velocity, outer, minimum=self.minimum_tension, strict=False
+        )
+        winding = textbook.pulley_acceleration(robot, pose, velocity, outer)
+        motor = robot.motor_inertia * winding + robot.motor_damping * needed.speeds
+        return needed.torques + motor + self._damping * (needed.speeds - part["motor_speed"])
+
+
+class MotorPD(FlexibleLaw):
+    """PD control of the motors towards ``β′_d = β_d + κ_d/K``, with the torque of the reference as feed-forward.
+
+    On the reference everything follows from X_d and its derivatives to snap (the plant is flat), so the platform's own
+    pose is not even read.
+
+    Args:
+        robot: nominal robot.
+        frequency: ω of the motor loop [rad/s]; K_P = J′ω², K_D = 2 ζ J′ ω.
+        damping_ratio: ζ.
+        minimum_tension: T_min of a planar robot [N].
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frequency: float = 200.0,
+        damping_ratio: float = 0.7,
+        minimum_tension: float = MINIMUM_TENSION,
+    ) -> None:
+        super().__init__(robot, minimum_tension=minimum_tension)
+        if not (0 < frequency < math.inf and 0 < damping_ratio < math.inf):
+            raise ValueError("frequency and damping_ratio must be greater than 0")
+        self._stiffness = robot.motor_inertia * frequency**2
+        self._damping = 2 * damping_ratio * robot.motor_inertia * frequency
+
+    def _torque(self, part: dict[str, Array], mass: Array) -> Array:
+        robot, names = self.robot, ("pose", "velocity", "acceleration", "jerk", "snap")
+        pose, velocity, acceleration, jerk, snap = (part[f"reference_{name}"] for name in names)
+        motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
+        spring, spring_rate, spring_second = self._spring_rates(mass, motion)
+        angle = textbook.pulley_angle(robot, pose) + spring / robot.stiffness
+        speed = textbook.pulley_speed(robot, pose, velocity) + spring_rate / robot.stiffness
+        winding = textbook.pulley_acceleration(robot, pose, velocity, acceleration) + spring_second / robot.stiffness
+        feed_forward = spring + robot.motor_inertia * winding + robot.motor_damping * speed
+        correction = self._stiffness * (angle - part["motor_angle"]) + self._damping * (speed - part["motor_speed"])
+        return feed_forward + correction
+
+
+class FourthOrder(FlexibleLaw):
+    """Fourth-order feedback linearization: the snap of the platform is commanded, its error has the poles asked for.
+
+    Acceleration and jerk follow from the state, through the springs; κ is affine in Ẍ, κ̇ in jerk, κ̈ in snap, all with
+    the matrix ∂κ/∂Ẍ. Needs as many cables as coordinates. The paper has no gains for it, these are ours.
+
+    Args:
+        robot: nominal spatial robot.
+        poles: four, in the left half plane [1/s].
+
+    Raises:
+        ValueError: if the robot is planar, or a pole is not stable.
+    """
+
+    def __init__(self, robot: Robot, *, poles: Sequence[complex] = (-15.0, -15.0, -60.0, -60.0)) -> None:
+        super().__init__(robot)
+        if robot.cables != robot.coordinates:
+            raise ValueError(f"fl4 needs as many cables as coordinates; {robot.name!r} has {robot.cables}")
+        gains = np.poly(np.asarray(poles))
+        if len(poles) != 4 or not np.all(np.real(poles) < 0) or np.any(np.abs(np.imag(gains)) > 1e-9 * np.abs(gains)):
+            raise ValueError(f"poles must be four stable ones, complex ones in pairs, not {poles}")
+        self._gains = np.real(gains)[1:]
+
+    def _torque(self, part: dict[str, Array], mass: Array) -> Array:
+        robot, pose, velocity = self.robot, part["pose"], part["velocity"]
+        structure, still = textbook.jacobian(robot, pose), np.zeros_like(pose)
+        slope = self._slope(structure, textbook.mass_matrix(robot, mass, pose))
+        spring = robot.stiffness * (part["motor_angle"] - textbook.pulley_angle(robot, pose))
+        spring_rate = robot.stiffness * (part["motor_speed"] - textbook.pulley_speed(robot, pose, velocity))
+        acceleration = _solved(slope, spring - self._spring(mass, pose, velocity, still))
+        motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=still, snap=still)
+        jerk = _solved(slope, spring_rate - self._spring_rates(mass, motion)[1])
+        motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=still)
+        drift = self._spring_rates(mass, motion)[2]
+        errors = (
+            part["reference_jerk"] - jerk,
+            part["reference_acceleration"] - acceleration,
+            part["reference_velocity"] - velocity,
+            part["reference_pose"] - pose,
+        )
+        snap = part["reference_snap"] + sum(gain * error for gain, error in zip(self._gains, errors, strict=True))
+        spring_second = drift + (slope @ snap[..., None])[..., 0]
+        winding = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+        motor = robot.motor_inertia * (winding + spring_second / robot.stiffness)
+        return spring + motor + robot.motor_damping * part["motor_speed"]
+
+    def _slope(self, structure: Array, mass_matrix: Array) -> Array:
+        """∂κ/∂Ẍ = −r S⁻ᵀ D − (J/r) S."""
+        robot = self.robot
+        platform = robot.pulley_radius[:, None] * np.linalg.solve(np.swapaxes(structure, -1, -2), mass_matrix)
+        return -platform - (robot.pulley_inertia / robot.pulley_radius)[:, None] * structure
+
+
+def _solved(matrix: Array, vector: Array) -> Array:
+    solution: Array = np.linalg.solve(matrix, vector[..., None])[..., 0]
+    return solution
+
+
+_SPATIAL = tuple(env_id for env_id in FLEXIBLE_ENV_IDS if "Spatial" in env_id)
+
+COMPOSITE = PolicyEntry(
+    name="composite",
+    kind="classical",
+    env_ids=_SPATIAL,  # the paper's planar gains are too stiff for springs this soft
+    factory=Composite,
+    summary="rigid law and damping of the joint springs",
+)
+
+MOTOR_PD = PolicyEntry(
+    name="motor-pd",
+    kind="classical",
+    env_ids=FLEXIBLE_ENV_IDS,
+    factory=MotorPD,
+    summary="motor-side PD with the flat plant's feed-forward",
+)
+
+FL4 = PolicyEntry(
+    name="fl4",
+    kind="classical",
+    env_ids=_SPATIAL,
+    factory=FourthOrder,
+    summary="fourth-order feedback linearization",
+)
