@@ -93,8 +93,12 @@ def blown_up(env_id):
     if ROBOTS[env_id].planar:  # starts on an anchor, so that a cable has no direction
         env = gym.make(env_id, trajectory="hold-planar").unwrapped
         return env, {"initial_error": PLANAR.base[0]}
-    frequency = 33.0 if ROBOTS[env_id].flexible else 20.0  # steps far too long for the plant, as long as is let pass
-    return gym.make(env_id, control_frequency=frequency, substeps=1).unwrapped, None
+    if ROBOTS[env_id].flexible:  # a platform anchor on its base anchor
+        env = gym.make(env_id, trajectory="hold-spatial").unwrapped
+        robot = ROBOTS[env_id]
+        start = np.append(robot.base[0] - robot.platform[0], np.zeros(3))
+        return env, {"initial_error": start - env.settings.trajectory(0.0).position}
+    return gym.make(env_id, control_frequency=20.0, substeps=1).unwrapped, None  # steps far too long for the plant
 
 
 # ------------------------------------------------------------------------------------------- making, registering
