@@ -41,6 +41,14 @@ class CriterionChoice(StrEnum):
     both = _BOTH
 
 
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        from cablebot_gym import __version__
+
+        print(f"cablebot_gym {__version__}")
+
+
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")
 ]
@@ -90,6 +98,8 @@ def dlcc(
 
         import_matplotlib()
         usable_folder(out)
+        if (out / "result.json").is_dir():
+            raise ValueError(f"cannot write {str(out / 'result.json')!r}: it is a folder; choose another --out")
     loaded = load_policy(policy, find_robot(env_robot(env_id)))
     chosen = list(CRITERIA) if criterion.value == _BOTH else [criterion.value]
     left_out = []
@@ -158,12 +168,19 @@ def _print_table(results: list[Any], left_out: list[str]) -> None:
     rotation = next((result.limits["rotation"] for result in results if result.limits["rotation"] is not None), None)
     if rotation is not None:
         bounds += f", rotation {rotation * 1e3:g} mrad (task only)"
-    console.print(f"bounds: {bounds}; resolution {first.resolution * 1e3:.2g} g; index counts from 1", highlight=False)
+    notes = [f"bounds: {bounds}"]
+    if first.resolution > 0:
+        notes.append(f"resolution {first.resolution * 1e3:.2g} g")
+    if any(result.limit.kind == "scan_end" for result in results):
+        notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
+    console.print("; ".join(notes), highlight=False)
 
 
 def _margins_text(result: Any) -> str:
-    parts = [f"torque {result.margins['torque']:.1%}", f"position {result.margins['position']:.1%}"]
-    if result.limits["rotation"] is not None:
+    torque = result.margins["torque"]
+    parts = [f"torque {torque:.1%}" if torque >= 0 else f"demand {-torque:.1%} beyond the torque line"]
+    parts += [f"position {result.margins['position']:.1%}"]
+    if "rotation" in result.margins:
         parts.append(f"rotation {result.margins['rotation']:.1%}")
     return ", ".join([*parts, f"tension ≥ {result.margins['tension']:.1f} N"])
 
@@ -204,6 +221,9 @@ def rollout(
     seed: Seed = 0,
 ) -> None:
     """One episode of a policy, recorded step by step.
+
+    One row for each control step: time [s], pose, velocity, reference and errors at that time; command_time, the step's
+    start, with drive demand, torques [N·m], tensions [N] and motor speeds [rad/s] then. SI units and radians.
 
     Example: cablebot rollout CableBot-Planar-v0 --policy fl --payload 1.5 --out run.csv
     """
@@ -266,14 +286,18 @@ def main() -> None:
 
     sys.path.insert(0, "")  # so that package.module:factory is found in the folder in which one works
     try:
+        if len(sys.argv) < 2:
+            sys.argv.append("--help")
         status = app(standalone_mode=False)  # a number where the parser ended the command itself, as Ctrl-C does
         if status == INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(status if isinstance(status, int) else 0)
     except KeyboardInterrupt:
         _fail("interrupted: nothing was left half-written", INTERRUPTED)
-    except (ValueError, TypeError, ImportError) as error:
+    except (ValueError, ImportError) as error:
         _fail(str(error), 2)
+    except OSError as error:
+        _fail(f"cannot write {error.filename!r}: {error.strerror}", 1)
     except PolicyError as error:
         _fail(str(error), 1)
     except Exception as error:

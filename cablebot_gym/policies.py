@@ -226,7 +226,10 @@ def load_policy(name: str, robot: Robot) -> Policy:
             made = factory(robot)
         except Exception as error:
             raise ValueError(f"policy {name!r}: the factory raised {type(error).__name__}: {error}") from error
-        return as_policy(made)
+        try:
+            return as_policy(made)
+        except TypeError as error:
+            raise ValueError(f"policy {name!r} must be a function robot -> policy, but: {error}") from None
     raise ValueError(
         f"unknown policy {name!r}; choose one of {', '.join(entries)}, an SB3 file ending in .zip, "
         "or package.module:factory"

@@ -87,6 +87,8 @@ class Robot:
     """(low, high) for each coordinate; empty: the box of the base anchors, depth up to its diagonal, angles ± 1 rad."""
 
     def __post_init__(self) -> None:
+        for name in ("base_anchors", "platform_anchors", "inertia", "home_pose", "workspace"):
+            object.__setattr__(self, name, _as_tuples(getattr(self, name)))  # lists and arrays will do
         _check_shapes(self)
         _check_values(self)
         _check_home(self)
@@ -216,6 +218,7 @@ class Robot:
 
 
 def _as_tuples(value: Any) -> Any:
+    value = value.tolist() if isinstance(value, np.ndarray) else value
     return tuple(_as_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
@@ -303,6 +306,8 @@ def _check_values(robot: Robot) -> None:
         if not np.all(np.isfinite(points)):
             raise ValueError(f"{field} must be finite")
     low, high = robot.pose_bounds
+    if not robot.workspace and np.any(low[:2] >= high[:2]):
+        raise ValueError("base_anchors must not stand on one line along an axis: no motor pulls across it")
     if not np.all(np.isfinite(robot.pose_bounds)) or np.any(low >= high):
         raise ValueError("workspace must have low < high and be finite for each coordinate")
     if not robot.planar and max(abs(low[4]), abs(high[4])) >= math.pi / 2:

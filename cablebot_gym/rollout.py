@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from cablebot_gym.dlcc.monitor import DLCCMonitor, Verdict
-from cablebot_gym.envs import env_robot
+from cablebot_gym.envs import check_robot
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import as_policy, begin, commands, load_policy, name_of
@@ -34,19 +34,19 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
         ValueError: if an argument is not valid.
         cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
     """
-    env_robot(env_id)
+    check_robot(env_id, keywords.get("robot"))
     env = DLCCMonitor(gym.make(env_id, max_episode_steps=-1, payload=payload, **keywords))
     try:
         observation, info = env.reset(seed=seed)
         task: Task = env.get_wrapper_attr("task")
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
+        task.check_steps()
         label = name_of(policy)
         begin(loaded, label, (task,))
         layout = env.get_wrapper_attr("layout")
         rows: list[dict[str, Any]] = []
         state, start, ended = None, np.ones(1, np.bool_), False
         while len(rows) < task.steps and not ended:
-            parts = layout.split(observation)
             action, state = commands(
                 loaded,
                 label,
@@ -58,10 +58,11 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
                 time=len(rows) / task.control_frequency,
             )
             start = np.zeros(1, np.bool_)
-            before = {name: parts[name].copy() for name in ("pose", "velocity", "reference_pose")}
             observation, reward, ended, _, info = env.step(action[0])
+            parts = layout.split(observation)
+            state_now = {name: parts[name].copy() for name in ("pose", "velocity", "reference_pose")}
             numbers = {name: value for name, value in info.items() if not isinstance(value, str)}
-            rows.append(before | numbers | {"reward": reward})
+            rows.append({"time": numbers.pop("time")} | state_now | numbers | {"reward": reward})
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         return Rollout(arrays=arrays, verdict=env.verdict, reason=str(info["termination_reason"]))
     finally:
@@ -71,8 +72,9 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
 class Rollout:
     """A recorded episode.
 
-    ``arrays``: by name, control steps first. Pose, velocity and reference are those at ``command_time``; the rest is
-    the step's ``info``. ``verdict``: under the task criterion. ``reason``: why the environment ended it early, or "".
+    ``arrays``: by name, control steps first, SI units and radians. Pose, velocity, reference and errors are those at
+    ``time``, the end of the step; demand, torques, tensions and motor speeds those at ``command_time``, its start.
+    ``verdict``: under the task criterion. ``reason``: why the environment ended it early, or "".
     """
 
     def __init__(self, *, arrays: dict[str, Array], verdict: Verdict, reason: str) -> None:

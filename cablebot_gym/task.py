@@ -75,6 +75,16 @@ class Task:
         """Control steps of the whole motion."""
         return round(self.trajectory.duration * self.control_frequency)
 
+    def check_steps(self) -> None:
+        """Refuses a motion that no drive command would move.
+
+        Raises:
+            ValueError: if the motion is shorter than half a control period.
+        """
+        if self.steps < 1:
+            motion = f"trajectory {self.trajectory.name!r} of {self.trajectory.duration:g} s"
+            raise ValueError(f"{motion} is shorter than a control period: give it a longer duration")
+
 
 def as_plain(value: Any) -> Any:
     """A trajectory as JSON-able data, for result files; of one that is no dataclass, what the protocol promises."""

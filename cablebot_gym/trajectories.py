@@ -1,7 +1,7 @@
 """Reference motions with their time derivatives in closed form: the paper's circles, and smooth ones to compare with.
 
-A motion of your own is any object with ``name``, ``duration``, ``coordinates`` and ``motion(times) -> Reference``, the
-:class:`Trajectory` protocol. Positions in m, angles in rad, times in s; z points down. Nothing here knows a robot.
+A motion of your own is any object with ``name``, ``duration``, ``coordinates`` and ``__call__(times) -> Reference``,
+the :class:`Trajectory` protocol. Positions in m, angles in rad, times in s; z points down. Nothing here knows a robot.
 """
 
 from __future__ import annotations

@@ -563,7 +563,8 @@ def test_two_formats_do_not_hold_different_numbers(cablebot, tmp_path, env_id):
     np.testing.assert_allclose(recorded["command_time"], np.arange(600) / 400, atol=1e-12)
     assert {"pose", "velocity", "reference_pose", "tensions", "torques", "drive_demand", "reward"} <= set(recorded)
     offset = np.linalg.norm((recorded["pose"] - recorded["reference_pose"])[:, :3], axis=1)
-    np.testing.assert_allclose(offset[1:], recorded["tracking_error"][:-1], atol=1e-12)
+    np.testing.assert_allclose(offset, recorded["tracking_error"], atol=1e-12)  # of the same instant
+    np.testing.assert_allclose(recorded["time"], np.arange(1, 601) / 400, atol=1e-12)
 
 
 def test_recording_does_not_hold_anything_but_its_arrays(cablebot, tmp_path):

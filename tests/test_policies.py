@@ -152,7 +152,7 @@ def test_entry_of_a_module_is_not_taken_for_no_factory():
 
 
 def test_factory_that_makes_no_policy_is_not_accepted(module):
-    with pytest.raises(TypeError, match=r"has predict\(\) or is a callable observation -> action; NoneType is neither"):
+    with pytest.raises(ValueError, match=r"must be a function robot -> policy, but: .*; NoneType is neither"):
         load_policy(f"{module(SOURCE)}:nothing", PLANAR)
 
 

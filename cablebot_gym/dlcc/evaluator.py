@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.monitor import Criterion, Judge, Limit, Verdict, find_criterion
 from cablebot_gym.dlcc.result import DLCCResult, History
-from cablebot_gym.envs import env_robot
+from cablebot_gym.envs import check_robot
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import Policy, as_policy, begin, commands, load_policy, name_of
+from cablebot_gym.policies import Policy, PolicyError, as_policy, begin, commands, load_policy, name_of
 from cablebot_gym.task import Limits, Task, as_plain, find_limits
 
 SCAN_POINTS = 64
@@ -27,6 +27,9 @@ PAYLOAD_MAX = {"planar": 10.0, "spatial": 20.0}
 
 DEFAULT_RESOLUTION = 1e-3
 """Default width of the gap between carried and not carried [kg]."""
+
+_TOLD_ELSEWHERE = ("robot", "trajectory", "payload_known")
+"""Keywords that the result names in other places."""
 
 Progress = Callable[[int, int], None]
 """Called after every control step with the steps done and the steps expected."""
@@ -67,7 +70,7 @@ def evaluate_dlcc(
         cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
     """
     criterion_ = find_criterion(criterion)
-    env_robot(env_id)
+    check_robot(env_id, keywords.get("robot"))
     if not 0 < resolution < math.inf:
         raise ValueError(f"resolution must be greater than 0 kg, not {resolution}")
     limits = find_limits(limits)
@@ -81,6 +84,7 @@ def evaluate_dlcc(
     env = gym.make_vec(env_id, num_envs=SCAN_POINTS, limits=limits, max_episode_steps=None, **keywords)
     try:
         task: Task = _first_task(env, seed)
+        task.check_steps()
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
         label = name or name_of(policy)
         if criterion_ == "paper" and not getattr(loaded, "unclipped", False):
@@ -93,7 +97,7 @@ def evaluate_dlcc(
         if not 0 < top < math.inf:
             raise ValueError(f"payload_max must be greater than 0 kg, not {top}")
         rounds = 2 + max(0, math.ceil(math.log(top / (SCAN_POINTS - 1) / resolution) / math.log(SCAN_POINTS + 1)))
-        run = _Run(env, loaded, label, criterion_, limits, task, seed, rounds, progress)
+        run = _Run(env, loaded, label, criterion_, limits, task, seed, rounds, progress, keywords)
         return _search(run, top, resolution, payload_known=bool(task.payload_known))
     finally:
         env.close()
@@ -119,7 +123,9 @@ class _Run:
         seed: int,
         rounds: int,
         progress: Progress | None,
+        keywords: dict[str, Any],
     ) -> None:
+        self.keywords = keywords
         self.env, self.policy, self.name, self.criterion = env, policy, name, criterion
         self.limits, self.task, self.seed = limits, task, seed
         self._done, self._expected, self._progress = 0, rounds * task.steps, progress
@@ -148,7 +154,7 @@ class _Run:
             judge.observe(info, terminated)
             if history is not None:
                 history.append(info, self.env.unwrapped.pose[0])  # type: ignore[attr-defined]
-            start = np.zeros(SCAN_POINTS, np.bool_)
+            start = terminated  # the environment starts these anew, though nobody judges them any more
             self._done += 1
             if self._progress is not None:
                 self._progress(self._done, max(self._expected, self._done))
@@ -182,10 +188,16 @@ def _search(run: _Run, top: float, resolution: float, *, payload_known: bool) ->
         best, limit, gap = below, above.limit, above.payload - below.payload
         intervals[0] = (0.0, best.payload)
     history = History()
-    shown = 0.0 if best is None else best.payload
-    run(np.array([shown]), history)
+    again = run(np.array([0.0 if best is None else best.payload]), history)[0]
+    if again.carried != (best is not None):
+        raise PolicyError(
+            f"policy {run.name!r} is not reproducible: at {again.payload:g} kg it was first "
+            f"{'carried' if best else 'not carried'}, then {'carried' if again.carried else 'not carried'}"
+        )
     task, robot = run.task, run.task.robot
     assert limit is not None
+    rotates = run.criterion == "task" and not robot.planar
+    bounds = {"position": run.limits.position, "rotation": run.limits.rotation if rotates else None}
     return DLCCResult(
         env_id=run.env.spec.id if run.env.spec else "",
         policy=run.name,
@@ -194,13 +206,10 @@ def _search(run: _Run, top: float, resolution: float, *, payload_known: bool) ->
         total_mass=None if best is None else best.payload + robot.mass,
         resolution=gap,
         limit=limit,
-        margins=_margins(best, run.limits, run.criterion) if best else {},
+        margins=_margins(best, bounds) if best else {},
         feasible=tuple(intervals),
         payload_max=top,
-        limits={
-            "position": run.limits.position,
-            "rotation": run.limits.rotation if run.criterion == "task" and not robot.planar else None,
-        },
+        limits=bounds,
         payload_known=payload_known,
         seed=run.seed,
         environment={
@@ -209,6 +218,7 @@ def _search(run: _Run, top: float, resolution: float, *, payload_known: bool) ->
             "control_frequency": task.control_frequency,
             "substeps": run.env.unwrapped.settings.substeps,  # type: ignore[attr-defined]
             "cable": task.cable,
+            **{name: as_plain(value) for name, value in run.keywords.items() if name not in _TOLD_ELSEWHERE},
         },
         versions={
             "python": platform.python_version(),
@@ -225,11 +235,11 @@ def _intervals(payloads: Array, carried: NDArray[np.bool_]) -> list[tuple[float,
     return [(float(payloads[low]), float(payloads[high - 1])) for low, high in edges.reshape(-1, 2)]
 
 
-def _margins(verdict: Verdict, limits: Limits, criterion: Criterion) -> dict[str, float]:
+def _margins(verdict: Verdict, bounds: dict[str, float | None]) -> dict[str, float]:
     """What was left of each limit at the payload found, as a share of it; tension in N."""
-    return {
-        "torque": 1 - max(verdict.peak_demand),
-        "position": 1 - verdict.position_peak / limits.position,
-        "rotation": 1 - verdict.rotation_peak / limits.rotation,
-        "tension": verdict.least_tension,
-    }
+    margins = {"torque": 1 - max(verdict.peak_demand), "tension": verdict.least_tension}
+    for name, peak in (("position", verdict.position_peak), ("rotation", verdict.rotation_peak)):
+        bound = bounds[name]
+        if bound is not None:
+            margins[name] = 1 - peak / bound
+    return margins

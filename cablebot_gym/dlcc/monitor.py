@@ -46,11 +46,15 @@ class Limit:
     """When [s]: the control instant for torque, the end of the control period otherwise."""
     excess: float | None
     """By how much: torque beyond U± [N·m], error beyond its bound [m or rad]; None where it has no size."""
+    reason: str = ""
+    """``termination_reason`` of the environment where ``kind`` is ``terminated``, else empty."""
 
     def __str__(self) -> str:
         where = {"torque": f"motor {self.index}", "slack": f"cable {self.index} slack"}
         unit = {"torque": ("N·m", 1.0), "position": ("mm", 1e3), "rotation": ("mrad", 1e3)}
         text = where.get(self.kind, self.kind.replace("scan_end", "nothing, up to the largest payload tried"))
+        if self.reason:
+            text += f" ({self.reason})"
         if self.time is not None:
             text += f" at t = {self.time:.3f} s"
         if self.excess is not None:
@@ -128,7 +132,7 @@ class Judge:
             self._fail(lane, "slack", int(np.argmax(info["slack"][lane])) + 1, info["time"][lane], None)
         self._errors(info, watched)
         for lane in _lanes(~self.failed & terminated):
-            self._fail(lane, "terminated", None, info["time"][lane], None)
+            self._fail(lane, "terminated", None, info["time"][lane], None, str(info["termination_reason"][lane]))
 
     def _errors(self, info: dict[str, Any], watched: NDArray[np.bool_]) -> None:
         position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
@@ -140,9 +144,11 @@ class Judge:
             for lane in _lanes(~self.failed & (rotation > self.limits.rotation)):
                 self._fail(lane, "rotation", None, info["time"][lane], float(rotation[lane] - self.limits.rotation))
 
-    def _fail(self, lane: int, kind: LimitKind, index: int | None, time: float, excess: float | None) -> None:
+    def _fail(
+        self, lane: int, kind: LimitKind, index: int | None, time: float, excess: float | None, reason: str = ""
+    ) -> None:
         self.failed[lane] = True
-        self._failures[lane] = Limit(kind=kind, index=index, time=float(time), excess=excess)
+        self._failures[lane] = Limit(kind=kind, index=index, time=float(time), excess=excess, reason=reason)
 
     def verdict(self, lane: int, *, complete: bool) -> Verdict:
         """How the episode of one lane went."""
@@ -172,6 +178,7 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
 
     Raises:
         ValueError: if the criterion is unknown or a limit is not valid.
+        TypeError: if the environment is none of this package's.
     """
 
     def __init__(
@@ -182,6 +189,8 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         limits: Limits | dict[str, float] | None = None,
     ) -> None:
         super().__init__(env)
+        if not hasattr(env.unwrapped, "task"):
+            raise TypeError(f"DLCCMonitor judges this package's environments; {env.unwrapped} tells no task")
         self._criterion = find_criterion(criterion)
         self._limits = None if limits is None else find_limits(limits)
         self._judge: Judge | None = None

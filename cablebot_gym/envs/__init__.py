@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium as gym
 
 ENV_ROBOTS = {
@@ -47,3 +49,24 @@ def env_robot(env_id: str) -> str:
     if env_id not in ENV_ROBOTS:
         raise ValueError(f"unknown environment {env_id!r}; choose one of {', '.join(ENV_IDS)}")
     return ENV_ROBOTS[env_id]
+
+
+def check_robot(env_id: str, robot: Any) -> None:
+    """Refuses an unknown id, and a robot of another kind than the id's.
+
+    Raises:
+        ValueError: naming the valid ids, or the id that fits the robot.
+    """
+    usual = env_robot(env_id)
+    if robot is None:
+        return
+    from cablebot_gym.robots import find_robot  # not at import: making an id has to stay light
+
+    own, wanted = find_robot(robot), find_robot(usual)
+    if not _same_kind(own, wanted):
+        fits = next(i for i, name in ENV_ROBOTS.items() if _same_kind(own, find_robot(name)))
+        raise ValueError(f"robot {own.name!r} does not fit {env_id}: use {fits}")
+
+
+def _same_kind(one: Any, other: Any) -> bool:
+    return bool((one.planar, one.flexible) == (other.planar, other.flexible))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.kinematics import Array
-from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.trajectories import Reference, Trajectory
 
 LONGEST_MOTION = 1000.0
 """Longest motion that is tabulated [s]; the observation's clock ends there too."""
@@ -56,9 +56,11 @@ class ReferenceTables:
             raise ValueError(f"a motion lasts up to {LONGEST_MOTION:g} s here, not {trajectory.duration} s")
         steps = int(np.ceil(trajectory.duration * self._frequency - 1e-9)) + 1
         rate = self._frequency * self._substeps
-        physics = trajectory(np.arange(steps * self._substeps + 1) / rate).position
         times = np.arange(steps + 1) / self._frequency
         now = trajectory(times)
+        if not isinstance(now, Reference):
+            raise ValueError(f"trajectory {trajectory.name!r} must return a Reference, not {type(now).__name__}")
+        physics = trajectory(np.arange(steps * self._substeps + 1) / rate).position
         left = np.maximum(trajectory.duration - times, 0.0)
         ahead = [trajectory(times + preview).position - now.position for preview in PREVIEWS]
         higher = [now.jerk, now.snap] if self._to_snap else []

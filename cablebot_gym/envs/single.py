@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +10,14 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
-from cablebot_gym.envs.outcome import FIRST_CABLE_INFO, INFO_NAMES, SLACK_MARK, TERMINATION_REASONS, cable_columns
+from cablebot_gym.envs.outcome import (
+    FIRST_CABLE_INFO,
+    INFO_NAMES,
+    LARGEST,
+    SLACK_MARK,
+    TERMINATION_REASONS,
+    cable_columns,
+)
 from cablebot_gym.envs.settings import check_keywords, make_settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
@@ -91,7 +97,8 @@ class CableBotEnv(gym.Env[Array, Array]):
     [rad], `payload` [kg, true]. Of the control period just passed: `tracking_error_peak`, `rotation_error_peak`
     (largest at any physics step), `slack` (bool for each cable, at any physics step: it hangs loose or, if bilateral,
     pushes), and, at its start `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s],
-    `torque_margin` (τ_s (1 − |a|), [N·m]). At reset no period has passed and these are zero.
+    `torque_margin` (τ_s (1 − |a|), [N·m]). At reset no period has passed: commands, torques, tensions and speeds are
+    zero, and the peaks are the errors at the start.
 
     ## Arguments
 
@@ -205,8 +212,11 @@ def check_action(action: ArrayLike, shape: tuple[int, ...]) -> Array:
     checked = np.asarray(action, dtype=np.float64)
     if checked.shape != shape:
         raise ValueError(f"an action has shape {shape}, one drive command for each motor, not {checked.shape}")
-    # Of a few numbers the sum of a list is far the quickest to tell; an overflow is no drive command either.
-    finite = math.isfinite(sum(checked.tolist())) if checked.ndim == 1 else np.isfinite(checked).all()
-    if not finite:
-        raise ValueError("an action must be finite: it holds NaN or infinity")
+    # Of a few numbers a list is far the quickest to search.
+    if checked.ndim == 1:
+        sane = all(-LARGEST < command < LARGEST for command in checked.tolist())
+    else:
+        sane = bool(np.all(np.abs(checked) < LARGEST))
+    if not sane:
+        raise ValueError(f"an action must be finite, each command within ± {LARGEST:g}: no NaN, no infinity")
     return checked

@@ -19,7 +19,7 @@ class _Announcer(event.Listener):
         module = event.data["dispatcher"].py_func.__module__
         if not self._said and module.startswith("cablebot_gym."):
             self._said = True
-            _LOGGER.warning("compiling the plant for this machine: about half a minute, on the first run only …")
+            _LOGGER.warning("compiling for this machine: some ten seconds, the first time for each kind of robot …")
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to say."""

@@ -19,6 +19,7 @@ from cablebot_gym.dlcc import DLCCMonitor, Limits, PolicyError, Task, evaluate_d
 from cablebot_gym.dlcc.evaluator import PAYLOAD_MAX, SCAN_POINTS
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors
+from cablebot_gym.rollout import record_rollout
 from cablebot_gym.trajectories import Hold, find_trajectory
 
 PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
@@ -781,3 +782,41 @@ def test_history_is_not_that_of_another_payload():
     assert result.history["tensions"].min() == pytest.approx(result.margins["tension"], abs=1e-9)
     assert result.history["pose"].shape == (500, 2)
     np.testing.assert_allclose(result.history["command_time"], np.arange(500) / 500, atol=1e-12)
+
+
+def test_policy_that_forgets_is_not_reported_as_if_it_had_carried():
+    class Moody(FeedbackLinearization):
+        rounds = 0
+
+        def begin(self, tasks):
+            self.rounds += 1
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            action, state = super().predict(observation, state)
+            return action * (0.0 if self.rounds > 1 else 1.0), state
+
+    with pytest.raises(PolicyError, match="not reproducible: at 1 kg it was first carried, then not carried"):
+        evaluate_dlcc(Moody(SPATIAL), SPATIAL_ID, trajectory=HANG, payload_max=1.0)
+
+
+@pytest.mark.parametrize("run", [evaluate_dlcc, record_rollout])
+def test_motion_without_a_single_command_is_not_carried(run):
+    with pytest.raises(ValueError, match="shorter than a control period"):
+        run(fl("spatial"), SPATIAL_ID, trajectory={"name": "hold-spatial", "duration": 5e-4})
+
+
+@pytest.mark.parametrize("run", [evaluate_dlcc, record_rollout])
+def test_robot_of_another_kind_does_not_pass_under_the_id(run):
+    with pytest.raises(ValueError, match=r"robot 'planar' does not fit CableBot-Spatial-v0: use CableBot-Planar-v0"):
+        run("fl", SPATIAL_ID, robot=PLANAR)
+
+
+def test_end_by_the_environment_is_not_left_without_its_reason():
+    start = evaluate_dlcc(
+        fl("planar"),
+        "CableBot-Planar-v0",
+        trajectory={"name": "paper-planar", "radius": 5.0},
+        limits={"position": 50.0},
+    )
+    assert (start.limit.kind, start.limit.reason) == ("terminated", "workspace")
+    assert "workspace" in str(start)

@@ -596,7 +596,9 @@ def test_a_refusal_excludes_springs_too_stiff_for_the_substeps(env_id, vector, c
         make(robot=robot, substeps=1)
     found = re.search(r"swing or settle at (\S+) Hz: use at least (\d+)", str(refusal.value))
     assert found is not None, refusal.value
-    assert float(found[1]) == pytest.approx(textbook.highest_frequency(robot) / (2 * math.pi), rel=0.01)
+    assert float(found[1]) == pytest.approx(
+        max(textbook.highest_frequency(robot), textbook.fastest_motor_rate(robot)) / (2 * math.pi), rel=0.01
+    )
     needed = int(found[2])
     assert needed > 1
     make(robot=robot, substeps=needed).close()
