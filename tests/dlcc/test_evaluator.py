@@ -812,11 +812,7 @@ def test_robot_of_another_kind_does_not_pass_under_the_id(run):
 
 
 def test_end_by_the_environment_is_not_left_without_its_reason():
-    start = evaluate_dlcc(
-        fl("planar"),
-        "CableBot-Planar-v0",
-        trajectory={"name": "paper-planar", "radius": 5.0},
-        limits={"position": 50.0},
-    )
-    assert (start.limit.kind, start.limit.reason) == ("terminated", "workspace")
-    assert "workspace" in str(start)
+    narrow = PLANAR.replace(workspace=((-0.1, 0.1), (-0.1, 0.1)))
+    result = evaluate_dlcc("fl", "CableBot-Planar-v0", robot=narrow)
+    assert (result.payload, result.limit.kind, result.limit.reason) == (None, "terminated", "workspace")
+    assert "workspace" in str(result)
