@@ -9,19 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from baselines.classical.feedback_linearization import MINIMUM_TENSION, PAPER_GAINS, outer_loop
+from baselines.classical.law import Array, ClassicalLaw, checked_gains, outer_loop
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
-
-Array = NDArray[Any]
 
 DIFFERENCE_STEP = 2e-4
 """Step of the central differences in time that give κ̇ and κ̈ along a motion [s]; their error is below 1e-6."""
@@ -52,39 +48,20 @@ class Motion:
         )
 
 
-class FlexibleLaw:
-    """What the laws below share: the nominal robot, its observation, and the way from torque to drive command.
+class FlexibleLaw(ClassicalLaw):
+    """A law for joint springs, which reads the motors' own speeds.
 
     Raises:
-        ValueError: if the robot has no springs.
+        ValueError: if the robot has no springs, or ``minimum_tension`` is negative.
     """
-
-    unclipped = True
 
     def __init__(self, robot: Robot, *, minimum_tension: float = MINIMUM_TENSION) -> None:
         if not robot.flexible:
             raise ValueError(f"{type(self).__name__} needs joint springs, and {robot.name!r} has none: use fl")
-        if not 0 <= minimum_tension < math.inf:
-            raise ValueError(f"minimum_tension must be at least 0 N, not {minimum_tension}")
-        self.robot, self.minimum_tension = robot, minimum_tension
-        self._layout = observation_layout(robot)
+        super().__init__(robot, minimum_tension=minimum_tension)
 
-    def predict(
-        self,
-        observation: ArrayLike,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
-        """Drive commands (m,) for one observation or (N, m) for a batch; ``state`` is passed through.
-
-        Raises:
-            ValueError: if the observation is not of this robot's layout.
-        """
-        part = self._layout.split(self._layout.checked(observation, self.robot.name))
-        mass = self.robot.mass + part["told_payload"][..., 0]
-        torque = self._torque(part, mass) + self.robot.speed_slope * part["motor_speed"]
-        return torque / self.robot.stall_torque, state
+    def _torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        return self._torque(part, mass), part["motor_speed"]
 
     def _torque(self, part: dict[str, Array], mass: Array) -> Array:
         raise NotImplementedError
@@ -123,14 +100,14 @@ class Composite(FlexibleLaw):
         minimum_tension: float = MINIMUM_TENSION,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        self.gains = PAPER_GAINS["planar" if robot.planar else "spatial"] if gains is None else gains
+        self.gains = checked_gains(gains, robot)
         if not 0 <= spring_damping < math.inf:
             raise ValueError(f"spring_damping must be at least 0, not {spring_damping}")
         self._damping = spring_damping * np.sqrt(robot.stiffness * robot.motor_inertia)
 
     def _torque(self, part: dict[str, Array], mass: Array) -> Array:
         robot, pose, velocity = self.robot, part["pose"], part["velocity"]
-        outer = outer_loop(part, *self.gains)
+        outer = outer_loop(part, self.gains)
         needed = textbook.inverse_dynamics(
             robot, mass, pose, velocity, outer, minimum=self.minimum_tension, strict=False
         )

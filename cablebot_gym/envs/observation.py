@@ -53,11 +53,6 @@ class ObservationLayout:
         """Number of components."""
         return self.blocks[-1].start + self.blocks[-1].size
 
-    @property
-    def reference_size(self) -> int:
-        """Components that the reference and the clock determine: from ``time_left`` to the last preview."""
-        return sum(block.size for block in self.blocks if block.name.startswith(("time_", "reference_", "preview_")))
-
     def slices(self) -> dict[str, slice]:
         """Slice of each block by name."""
         return {block.name: block.slice for block in self.blocks}

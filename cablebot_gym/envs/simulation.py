@@ -18,9 +18,6 @@ from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.task import Limits, Task
 from cablebot_gym.trajectories import Trajectory
 
-REST_TENSION = 5.0
-"""Least tension with which a planar robot's springs are wound at a reset [N]."""
-
 _PAYLOAD_STREAM, _START_STREAM = 0, 1
 """Purposes of random streams. A new purpose takes a new number, so that no other stream changes."""
 
@@ -130,7 +127,7 @@ class Simulation:
         velocity = np.broadcast_to(start.velocity, pose.shape)
         self._plant.set_state(lanes, pose, velocity)
         if robot.flexible:
-            angle = textbook.static_motor_angle(robot, robot.mass + payload, pose, minimum=REST_TENSION)
+            angle = textbook.static_motor_angle(robot, robot.mass + payload, pose, minimum=textbook.MINIMUM_TENSION)
             self._plant.set_motors(lanes, angle, textbook.pulley_speed(robot, pose, velocity))
         self._tables.follow(lanes, trajectory, self._plant.which)
         self._observe(lanes, fresh=True)

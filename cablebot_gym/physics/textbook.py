@@ -20,6 +20,10 @@ from cablebot_gym.robots import Robot
 
 Cable = Literal["unilateral", "bilateral"]
 
+MINIMUM_TENSION = 5.0
+"""Default T_min of planar robots [N], in laws and in springs wound at rest. At 0 the cables slacken at once in closed
+loop; a few newtons keep them taut."""
+
 
 def jacobian(robot: Robot, pose: ArrayLike) -> Array:
     """S = ∂q/∂X (Eq. 3), shape (..., m, n)."""

@@ -113,6 +113,12 @@ def test_rigid_robot_is_not_accepted(law: str, robot: Robot) -> None:
         LAWS[law](robot)
 
 
+@pytest.mark.parametrize("gains", [(), (30.0,), (30.0, -1.0), ("a", 1.0)])
+def test_composite_does_not_take_gains_that_fl_refuses(gains: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="gains must be two positive numbers"):
+        Composite(FLEX_SPATIAL, gains=gains)
+
+
 def test_planar_robot_is_not_accepted_by_the_fourth_order_law() -> None:
     with pytest.raises(ValueError, match="as many cables as coordinates"):
         FourthOrder(FLEX_PLANAR)
