@@ -7,29 +7,31 @@ import numpy as np
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.textbook import Cable
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import Robot, RobotArrays
 
 
-def pack_parameters(robot: Robot) -> Array:
-    """The kernel's parameters of one robot without payload, shape (parameter rows,)."""
-    rows = np.zeros(kernel.parameter_rows(robot.cables))
-    rows[kernel.MASS] = robot.mass
-    rows[kernel.INERTIA : kernel.INERTIA + 3] = robot.inertia or (1.0, 1.0, 1.0)
-    rows[kernel.GRAVITY] = robot.gravity
-    cables = rows[kernel.FIRST_CABLE_PARAMETER :].reshape(robot.cables, kernel.CABLE_PARAMETERS)
-    columns = robot.base.shape[1]
-    cables[:, kernel.BASE : kernel.BASE + columns] = robot.base
-    cables[:, kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform
-    cables[:, kernel.PER_RADIUS] = 1 / robot.pulley_radius
-    cables[:, kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
-    cables[:, kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
+def pack_parameters(robot: RobotArrays) -> Array:
+    """The kernel's parameters of one robot, shape (parameter rows,), or of N, (N, parameter rows), without payload."""
+    batch = robot.base.shape[:-2]
+    rows = np.zeros((*batch, kernel.parameter_rows(robot.cables)))
+    rows[..., kernel.MASS] = robot.mass
+    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = 1.0 if robot.planar else robot.inertia
+    rows[..., kernel.GRAVITY] = robot.gravity
+    cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
+    columns = robot.base.shape[-1]
+    cables[..., kernel.BASE : kernel.BASE + columns] = robot.base
+    cables[..., kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform
+    cables[..., kernel.PER_RADIUS] = 1 / robot.pulley_radius
+    cables[..., kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
+    cables[..., kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
     if robot.flexible:
-        cables[:, kernel.STIFFNESS] = robot.stiffness
-        cables[:, kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
-        cables[:, kernel.MOTOR_DAMPING] = robot.motor_damping
-        cables[:, kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
-    cables[:, kernel.STALL] = robot.stall_torque
-    cables[:, kernel.SLOPE] = robot.speed_slope
+        cables[..., kernel.STIFFNESS] = robot.stiffness
+        cables[..., kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
+        cables[..., kernel.MOTOR_DAMPING] = robot.motor_damping
+        cables[..., kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
+    cables[..., kernel.STALL] = robot.stall_torque
+    cables[..., kernel.SLOPE] = robot.speed_slope
+    rows[..., kernel.FIRST_CABLE_PARAMETER :] = cables.reshape(*batch, -1)
     return rows
 
 
