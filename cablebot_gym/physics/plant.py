@@ -90,8 +90,25 @@ class Plant:
             view[fill // self.lanes, :, fill % self.lanes] = last
 
     def set_parameters(self, index: Array, rows: Array) -> None:
-        """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows)."""
+        """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows).
+
+        These are whole rows, so an external wrench is gone afterwards.
+        """
         self._write(self._parameters, 0, np.asarray(index), np.asarray(rows, float))
+
+    def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
+        """External wrench on the platforms of the robots at ``index``, from now on until changed.
+
+        Args:
+            index: robots, shape (k,).
+            force: at the centre of mass, in the base frame [N], shape (k, 3), or (k, 2) of planar robots.
+            moment: in the base frame [N·m], shape (k, 3); None for none. Has no effect on a planar robot.
+        """
+        index, force = np.asarray(index), np.asarray(force, float)
+        wrench = np.zeros((len(index), 6))
+        wrench[:, : force.shape[-1]] = force
+        wrench[:, 3:] = 0.0 if moment is None else moment
+        self._write(self._parameters, kernel.FORCE, index, wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
         """Starts the robots at ``index`` at poses X and velocities Ẋ, each (len(index), n), at control step 0."""

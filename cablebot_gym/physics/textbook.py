@@ -215,6 +215,8 @@ class InverseDynamics:
     """τ [N·m], see :func:`required_torques`."""
     speeds: Array
     """β̇ [rad/s], see :func:`pulley_speed`."""
+    windings: Array
+    """β̈ [rad/s²], see :func:`pulley_acceleration`."""
 
 
 def inverse_dynamics(
@@ -227,13 +229,14 @@ def inverse_dynamics(
     minimum: float = 0.0,
     strict: bool = True,
 ) -> InverseDynamics:
-    """Tensions, torques and speeds of a motion at once; arguments as for :func:`required_tensions`."""
+    """Tensions, torques, speeds and windings of a motion at once; arguments as for :func:`required_tensions`."""
     pose, velocity, acceleration = (np.asarray(array, float) for array in (pose, velocity, acceleration))
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
     speed = -_apply(structure, velocity) / robot.pulley_radius
     winding = -(_apply(structure, acceleration) + _apply(rate, velocity)) / robot.pulley_radius
     tensions = _tensions(robot, mass, pose, velocity, acceleration, structure, minimum, strict)
-    return InverseDynamics(tensions=tensions, torques=_torques(robot, tensions, speed, winding), speeds=speed)
+    torques = _torques(robot, tensions, speed, winding)
+    return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, windings=winding)
 
 
 def torque_limits(robot: Robot, speed: ArrayLike) -> tuple[Array, Array]:
