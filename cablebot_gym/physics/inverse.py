@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.plant import pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
