@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.plant import pack_parameters
+from cablebot_gym.physics.plant import kernel_memory, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
 
@@ -22,6 +21,9 @@ def inverse_dynamics(
     minimum: float = 0.0,
 ) -> InverseDynamics:
     """What :func:`textbook.inverse_dynamics` gives with ``strict=False``, up to rounding.
+
+    Spatial tensions differ by 1e-15 of the condition of S, as far as that is below 1e6. In a singular pose they are
+    arbitrary or no numbers, where the textbook raises an error.
 
     Args:
         robot: any robot.
@@ -45,7 +47,8 @@ def inverse_dynamics(
         (0,) * robot.cables,  # as the plant tells the kernel the number of cables
         pack_parameters(robot),
         float(minimum),
-        np.empty(kernel.scratch_rows(robot.cables) * kernel.LANES),
+        kernel_memory(kernel.parameter_rows(robot.cables) * kernel.LANES),
+        kernel_memory(kernel.scratch_rows(robot.cables) * kernel.LANES),
         masses.reshape(-1),
         motion.reshape(3, -1, robot.coordinates),
         results.reshape(4, -1, robot.cables),

@@ -144,6 +144,16 @@ def test_repetition_excludes_a_result_that_depends_on_what_the_memory_held_befor
     np.testing.assert_array_equal(run(plant), first)
 
 
+@pytest.mark.parametrize("count", [1, 2, 65])
+def test_the_memory_excludes_rows_that_straddle_cache_lines(count):
+    """A fifth of the plant's speed, by the luck of the allocation otherwise."""
+    others = [Plant(PLANAR, count) for _ in range(5)]  # so that a lucky allocation will not do
+    for plant in (*others, Plant(SPATIAL, count)):
+        for memory in (plant._parameters, plant.record, plant._scratch):
+            assert memory.ctypes.data % 64 == 0
+            assert not memory.any() or memory is plant._parameters
+
+
 # --- equations ----------------------------------------------------------------------------------------------------
 
 
