@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.plant import kernel_memory, pack_parameters
+from cablebot_gym.physics.plant import pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
 
@@ -47,8 +47,8 @@ def inverse_dynamics(
         (0,) * robot.cables,  # as the plant tells the kernel the number of cables
         pack_parameters(robot),
         float(minimum),
-        kernel_memory(kernel.parameter_rows(robot.cables) * kernel.LANES),
-        kernel_memory(kernel.scratch_rows(robot.cables) * kernel.LANES),
+        np.empty(kernel.parameter_rows(robot.cables) * kernel.LANES),
+        np.empty(kernel.scratch_rows(robot.cables) * kernel.LANES),
         masses.reshape(-1),
         motion.reshape(3, -1, robot.coordinates),
         results.reshape(4, -1, robot.cables),
