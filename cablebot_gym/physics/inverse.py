@@ -22,6 +22,9 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """What :func:`textbook.inverse_dynamics` gives with ``strict=False``, up to rounding.
 
+    Spatial tensions differ by 1e-15 of the condition of S, as far as that is below 1e6. In a singular pose they are
+    arbitrary or no numbers, where the textbook raises an error.
+
     Args:
         robot: any robot.
         mass: platform plus payload [kg], shape (...).
@@ -44,6 +47,7 @@ def inverse_dynamics(
         (0,) * robot.cables,  # as the plant tells the kernel the number of cables
         pack_parameters(robot),
         float(minimum),
+        np.empty(kernel.parameter_rows(robot.cables) * kernel.LANES),
         np.empty(kernel.scratch_rows(robot.cables) * kernel.LANES),
         masses.reshape(-1),
         motion.reshape(3, -1, robot.coordinates),

@@ -7,8 +7,9 @@ Newton and Euler in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns
     t_i  = κ_i/r_i + (J_i/r_i²) q̈_i + (c_i/r_i²) q̇_i,   T_i = max(0, t_i)  (unilateral)   or   T_i = t_i  (bilateral)
     (m I₃, I) y = (Rᵀ(m g e_z + F), RᵀM − ω × Iω) − Σ row_i T_i
 
-F and M are force and moment from outside, at the centre of mass and in the base frame; mostly zero. The Euler accelerations are recovered last. A cable is slack when t_i ≤ 0; the set of taut cables is unique (the
-problem is strictly convex), so the result does not depend on where the search for it starts.
+F and M are force and moment from outside, at the centre of mass and in the base frame; mostly zero. The Euler
+accelerations are recovered last. A cable is slack when t_i ≤ 0; the set of taut cables is unique (the problem is
+strictly convex), so the result does not depend on where the search for it starts.
 
 Memory: robots stand in tiles of ``lanes`` lanes; each tile is a flat array of rows, ``array[row * lanes + lane]``, so
 that the innermost loops run over lanes and vectorise. All helpers stay in this file: numba's cache does not see a
@@ -833,10 +834,9 @@ def _required_motor(spatial, p, w, at, lanes, i):
 
 
 @_inline
-def _required(spatial, cables, parameters, minimum, w, mass, motion, results):
+def _required(spatial, cables, parameters, minimum, p, w, mass, motion, results):
     """Inverse dynamics of all lanes in tiles; lanes that fill up the last tile repeat the last robot."""
     lanes, count, n = LANES, mass.shape[0], 6 if spatial else 2
-    p = np.empty(parameters.shape[0] * lanes)
     for row in range(parameters.shape[0]):
         for at in range(lanes):
             p[row * lanes + at] = parameters[row]
@@ -960,17 +960,17 @@ def evaluate_flexible_spatial(cables, unilateral, parameters, record, w, acceler
     _evaluate(True, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
 
 
-# Inverse dynamics. Shapes: parameters (parameter_rows,) of one robot, w as above, mass (N,), motion (3, N, n) = (X, Ẋ, Ẍ), results
-# (4, N, m) in the order of TENSIONS to WINDINGS.
+# Inverse dynamics. Shapes: parameters (parameter_rows,) of one robot, p (parameter_rows·LANES,) for a tile of copies, w
+# as above, mass (N,), motion (3, N, n) = (X, Ẋ, Ẍ), results (4, N, m) in the order of TENSIONS to WINDINGS.
 
 
 @_compile
-def required_planar(cables, parameters, minimum, w, mass, motion, results):
+def required_planar(cables, parameters, minimum, p, w, mass, motion, results):
     """Least tensions of at least ``minimum``, torques, speeds and winding accelerations of planar robots."""
-    _required(False, len(cables), parameters, minimum, w, mass, motion, results)
+    _required(False, len(cables), parameters, minimum, p, w, mass, motion, results)
 
 
 @_compile
-def required_spatial(cables, parameters, minimum, w, mass, motion, results):
+def required_spatial(cables, parameters, minimum, p, w, mass, motion, results):
     """Tensions, torques, speeds and winding accelerations of spatial robots; ``minimum`` has no effect."""
-    _required(True, len(cables), parameters, minimum, w, mass, motion, results)
+    _required(True, len(cables), parameters, minimum, p, w, mass, motion, results)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cablebot_gym.kinematics import Array, cable_lengths
@@ -40,6 +42,14 @@ def _kind(robot: Robot) -> str:
     return ("flexible_" if robot.flexible else "") + ("planar" if robot.planar else "spatial")
 
 
+def kernel_memory(*shape: int) -> Array:
+    """Zeros for the kernel, from the start of a cache line on: loads that straddle two lines cost it a fifth."""
+    count, line = math.prod(shape), 64
+    memory = np.zeros(count + line // 8)
+    first = -memory.ctypes.data % line // 8
+    return memory[first : first + count].reshape(shape)
+
+
 class Plant:
     """N robots of one kind, each with its own parameters, advanced together by the compiled kernel.
 
@@ -53,12 +63,12 @@ class Plant:
         tiles = -(-count // self.lanes)
         self.width = tiles * self.lanes
         """Lanes in memory, N and the fill."""
-        self._parameters = np.zeros((tiles, kernel.parameter_rows(robot.cables) * self.lanes))
-        self.record = np.zeros((tiles, kernel.record_rows(robot.cables) * self.lanes))
+        self._parameters = kernel_memory(tiles, kernel.parameter_rows(robot.cables) * self.lanes)
+        self.record = kernel_memory(tiles, kernel.record_rows(robot.cables) * self.lanes)
         """The kernel's record, see :mod:`kernel` for its rows."""
         first_demand = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
         self._demand = self._view(self.record, first_demand, robot.cables, kernel.CABLE_RECORDS)
-        self._scratch = np.zeros(kernel.scratch_rows(robot.cables) * self.lanes)
+        self._scratch = kernel_memory(kernel.scratch_rows(robot.cables) * self.lanes)
         self.which = np.zeros(self.width, np.int64)
         """The reference that each lane follows, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)

@@ -107,7 +107,7 @@ def test_mujocos_accelerations_exclude_a_wrong_term_in_the_compiled_kernel(robot
     ids=lambda robot: robot.name,
 )
 def test_mujocos_accelerations_exclude_a_wrench_in_the_wrong_frame_or_at_the_wrong_point(robot):
-    """Reached: 5e-15, and 2e-12 flexible, where winches far off cost MuJoCo's springs digits."""
+    """Reached: 2e-15, and 4e-13 flexible, where winches far off cost MuJoCo's springs digits."""
     pose, velocity, torques = random_states(robot, seed=22)
     rng, lanes = np.random.default_rng(23), np.arange(STATES)
     force, moment = rng.uniform(-50, 50, (STATES, 3)), rng.uniform(-10, 10, (STATES, 3))
