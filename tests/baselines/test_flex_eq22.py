@@ -1,4 +1,4 @@
-"""The paper's law for joint springs (Eq. 22): what it takes to be unstable, and what the motors' friction makes of it."""
+"""The paper's law for joint springs (Eq. 22): how unstable it is, and what the motors' friction makes of it."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_measured_motor_acceleration_does_not_last_a_tenth_of_a_second(stiffness
 
 @pytest.mark.parametrize(("stiffness", "told", "printed"), [(2.0, 2.4e-3, 7e-3), (3.0, 1.8e-3, 7e-3)])
 def test_motor_friction_is_not_unable_to_stabilise_it(stiffness, told, printed):
-    """Table 4's 0.01 N·m·s/rad in the motors, told to the law and, as printed, not. Independent runs: 2.4, 1.8 and 7."""
+    """Table 4's 0.01 N·m·s/rad in the motors, told to the law and, as printed, not; figures of independent runs."""
     rubbing = robot(stiffness, friction=0.01)
     assert peaks(PaperFlexible(rubbing), rubbing).max() == pytest.approx(told, rel=0.05)
     assert peaks(PaperFlexible(rubbing, as_printed=True), rubbing).max() == pytest.approx(printed, rel=0.05)

@@ -16,7 +16,7 @@ ID = "CableBot-Spatial-v0"
 GAINS = (30.0, 20.0)
 
 
-def errors_under(outer_loop, mass_factor=1.1, trajectory="paper-spatial", initial_error=None):
+def errors_under(outer_loop, mass_factor=1.1, trajectory="paper-spatial", initial_error=(0.0,) * 6):
     """Position error at every control instant of a robot whose platform is heavier than the law knows, and V, ‖s‖."""
     law = FeedbackLinearization(SPATIAL)
     law.outer = outer_loop
@@ -25,7 +25,7 @@ def errors_under(outer_loop, mass_factor=1.1, trajectory="paper-spatial", initia
         ID,
         robot=robot,
         trajectory=trajectory,
-        initial_error=np.zeros(6) if initial_error is None else initial_error,
+        initial_error=initial_error,
         max_episode_steps=-1,
     )
     observation, _ = env.reset(seed=0)
