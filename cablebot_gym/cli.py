@@ -18,7 +18,6 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 app = typer.Typer(
     name="cablebot",
@@ -62,6 +61,18 @@ TrajectoryName = Annotated[
 Known = Annotated[
     bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy is told the payload.")
 ]
+UncertaintyName = Annotated[
+    str | None,
+    typer.Option(
+        "--uncertainty",
+        help="What the policy does not know: table6, sensors, joined by +, or JSON; see `cablebot list`.",
+    ),
+]
+Draws = Annotated[
+    int | None, typer.Option("--draws", help="Episodes at each payload: 256 if the uncertainty is random, else 1.")
+]
+PositionBound = Annotated[float, typer.Option("--position-bound", help="Largest position error [m].")]
+RotationBound = Annotated[float, typer.Option("--rotation-bound", help="Largest rotation error, task criterion [rad].")]
 Frequency = Annotated[float, typer.Option("--control-frequency", help="Drive commands per second [Hz].")]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
 
@@ -73,10 +84,16 @@ def dlcc(
     criterion: Annotated[CriterionChoice, typer.Option(help="Which limits count.")] = CriterionChoice.both,
     trajectory: TrajectoryName = None,
     payload_known: Known = True,
-    position_bound: Annotated[float, typer.Option(help="Largest position error [m].")] = 0.01,
-    rotation_bound: Annotated[float, typer.Option(help="Largest rotation error, task criterion [rad].")] = 0.01,
+    position_bound: PositionBound = 0.01,
+    rotation_bound: RotationBound = 0.01,
     payload_max: Annotated[float | None, typer.Option(help="End of the scan [kg]: 10 planar, 20 spatial.")] = None,
-    resolution: Annotated[float, typer.Option(help="Gap between carried and not carried [kg].")] = 1e-3,
+    resolution: Annotated[
+        float | None, typer.Option(help="Gap between carried and not carried [kg]: 0.001, or 0.01 over draws.")
+    ] = None,
+    uncertainty: UncertaintyName = None,
+    draws: Draws = None,
+    probability: Annotated[float, typer.Option(help="Share of the draws that has to carry a payload.")] = 0.95,
+    confidence: Annotated[float, typer.Option(help="Of the lower bound of the payload.")] = 0.95,
     control_frequency: Frequency = 500.0,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Folder for result.json and the figures.")] = None,
@@ -84,13 +101,18 @@ def dlcc(
 ) -> None:
     """The largest payload that a policy carries, what gives way first beyond it, and when.
 
-    Example: cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
+    Examples:
+
+    cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
+
+    cablebot dlcc CableBot-Spatial-v0 --policy robust-tuned --uncertainty table6 --draws 256 --probability 0.95
     """
     from cablebot_gym.dlcc import CRITERIA, evaluate_dlcc
     from cablebot_gym.envs import env_robot
     from cablebot_gym.files import usable_folder, write_whole
     from cablebot_gym.policies import load_policy
     from cablebot_gym.robots import find_robot
+    from cablebot_gym.tables import print_payloads
 
     save_figures: Callable[..., Any] | None = None
     if out is not None:
@@ -117,9 +139,13 @@ def dlcc(
                     limits={"position": position_bound, "rotation": rotation_bound},
                     payload_max=payload_max,
                     resolution=resolution,
+                    uncertainty=_data("--uncertainty", uncertainty),
+                    draws=draws,
+                    probability=probability,
+                    confidence=confidence,
                     seed=seed,
                     name=policy,
-                    trajectory=_trajectory(trajectory),
+                    trajectory=_data("--trajectory", trajectory),
                     payload_known=payload_known,
                     control_frequency=control_frequency,
                     progress=partial(step, f"{one} criterion", place, len(chosen)),
@@ -133,77 +159,97 @@ def dlcc(
     if as_json:
         print(text)
     else:
-        _print_table(results, left_out)
+        print_payloads(results, left_out)
 
 
-def _print_table(results: list[Any], left_out: list[str]) -> None:
-    console = Console(width=None if sys.stdout.isatty() else 140)
-    first = results[0]
-    told = "payload told" if first.payload_known else "payload not told"
-    table = Table(
-        title=f"{first.env_id}, {first.policy}, {first.environment['trajectory'].get('name', '')}, {told}",
-        title_justify="left",
-    )
-    for column, justify in (
-        ("criterion", "left"),
-        ("payload", "right"),
-        ("total mass", "right"),
-        ("what fails first beyond it", "left"),
-        ("left at that payload", "left"),
-    ):
-        table.add_column(column, justify=justify)  # type: ignore[arg-type]
-    for result in results:
-        if result.payload is None:
-            payload, total = "none", "–"
-            intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
-            margins = f"not even zero is carried; carried: {intervals or 'nothing'}"
-        else:
-            payload, total = f"{result.payload:.3f} kg", f"{result.total_mass:.3f} kg"
-            margins = _margins_text(result)
-        table.add_row(result.criterion, payload, total, str(result.limit), margins)
-    for name in left_out:
-        table.add_row(name, "n/a", "–", "not applicable: the policy does not declare unclipped", "–")
-    console.print(table)
-    bounds = f"position {first.limits['position'] * 1e3:g} mm"
-    rotation = next((result.limits["rotation"] for result in results if result.limits["rotation"] is not None), None)
-    if rotation is not None:
-        bounds += f", rotation {rotation * 1e3:g} mrad (task only)"
-    notes = [f"bounds: {bounds}"]
-    if first.resolution > 0:
-        notes.append(f"resolution {first.resolution * 1e3:.2g} g")
-    if any(result.limit.kind == "scan_end" for result in results):
-        notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
-    console.print("; ".join(notes), highlight=False)
+@app.command()
+def compare(
+    env_id: EnvId,
+    policies: Annotated[str, typer.Option("--policies", help="Names as for --policy, separated by commas.")],
+    payload: Annotated[float, typer.Option(help="[kg]")] = 0.0,
+    uncertainty: UncertaintyName = None,
+    draws: Draws = None,
+    trajectory: TrajectoryName = None,
+    payload_known: Known = True,
+    position_bound: PositionBound = 0.01,
+    rotation_bound: RotationBound = 0.01,
+    control_frequency: Frequency = 500.0,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False,
+) -> None:
+    """Several policies with one payload over the same draws: errors, torques and margins, with intervals.
 
+    Example: cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
+    """
+    from cablebot_gym.dlcc.comparison import compare_policies
+    from cablebot_gym.envs import env_robot
+    from cablebot_gym.files import usable_folder, write_whole
+    from cablebot_gym.policies import load_policy
+    from cablebot_gym.robots import find_robot
+    from cablebot_gym.tables import print_comparison
 
-def _margins_text(result: Any) -> str:
-    torque = result.margins["torque"]
-    parts = [f"torque {torque:.1%}" if torque >= 0 else f"demand {-torque:.1%} beyond the torque line"]
-    parts += [f"position {result.margins['position']:.1%}"]
-    if "rotation" in result.margins:
-        parts.append(f"rotation {result.margins['rotation']:.1%}")
-    return ", ".join([*parts, f"tension ≥ {result.margins['tension']:.1f} N"])
+    save_comparison: Callable[..., Any] | None = None
+    if out is not None:
+        from cablebot_gym.dlcc.comparison_figure import save_comparison
+        from cablebot_gym.dlcc.figures import import_matplotlib
+
+        import_matplotlib()
+        usable_folder(out)
+    names, robot = [name.strip() for name in policies.split(",") if name.strip()], find_robot(env_robot(env_id))
+    with _progress() as step:
+        comparison = compare_policies(
+            [load_policy(name, robot) for name in names],
+            env_id,
+            names=names,
+            payload=payload,
+            limits={"position": position_bound, "rotation": rotation_bound},
+            uncertainty=_data("--uncertainty", uncertainty),
+            draws=draws,
+            seed=seed,
+            trajectory=_data("--trajectory", trajectory),
+            payload_known=payload_known,
+            control_frequency=control_frequency,
+            progress=partial(step, "comparing", 0, 1),
+        )
+    if out is not None and save_comparison is not None:
+        write_whole(out / "comparison.json", lambda path: _write_text(path, comparison.to_json() + "\n"))
+        written = (out / "comparison.json", save_comparison(comparison, out))
+        _errors.print("wrote " + ", ".join(str(path) for path in written), soft_wrap=True, highlight=False)
+    if as_json:
+        print(comparison.to_json())
+    else:
+        print_comparison(comparison)
 
 
 @app.command(name="list")
 def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False) -> None:
-    """Environments, trajectories and installed policies.
+    """Environments, trajectories, uncertainties and installed policies.
 
     Example: cablebot list --json
     """
     from cablebot_gym.envs import ENV_IDS
     from cablebot_gym.policies import policy_entries
     from cablebot_gym.trajectories import trajectory_names
+    from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
 
     entries = policy_entries().values()
     if as_json:
         policies = [{"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in entries]
-        data = {"env_ids": list(ENV_IDS), "trajectories": trajectory_names(), "policies": policies}
+        data = {
+            "env_ids": list(ENV_IDS),
+            "trajectories": trajectory_names(),
+            "uncertainties": list(UNCERTAINTIES),
+            "uncertain_parameters": list(PARAMETERS),
+            "policies": policies,
+        }
         print(json.dumps(data, indent=2))
         return
     console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
     console.print("environments: " + ", ".join(ENV_IDS))
     console.print("trajectories: " + ", ".join(trajectory_names()))
+    console.print("uncertainties: " + ", ".join(UNCERTAINTIES))
+    console.print("uncertain parameters: " + ", ".join(PARAMETERS))
     console.print("policies:")
     for item in entries:
         console.print(f"  {item.name} ({item.kind}): {item.summary}; for {', '.join(item.env_ids)}")
@@ -217,6 +263,7 @@ def rollout(
     payload: Annotated[float, typer.Option(help="[kg]")] = 0.0,
     trajectory: TrajectoryName = None,
     payload_known: Known = True,
+    uncertainty: UncertaintyName = None,
     control_frequency: Frequency = 500.0,
     seed: Seed = 0,
 ) -> None:
@@ -239,8 +286,9 @@ def rollout(
         env_id,
         payload=payload,
         seed=seed,
-        trajectory=_trajectory(trajectory),
+        trajectory=_data("--trajectory", trajectory),
         payload_known=payload_known,
+        uncertainty=_data("--uncertainty", uncertainty),
         control_frequency=control_frequency,
     )
     record.save(out)
@@ -250,13 +298,14 @@ def rollout(
     print(f"{env_id}, {policy}, {payload:g} kg, task criterion: {outcome}{ended}; recorded in {out}")
 
 
-def _trajectory(text: str | None) -> Any:
+def _data(option: str, text: str | None) -> Any:
+    """A name as it is, JSON as what it holds."""
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        raise ValueError(f"--trajectory is no valid JSON: {error}") from error
+        raise ValueError(f"{option} is no valid JSON: {error}") from error
 
 
 def _write_text(path: Path, text: str) -> None:

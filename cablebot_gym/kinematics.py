@@ -73,13 +73,13 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
     """Vectors from base anchor to platform anchor in the base frame, shape (..., m, 2 or 3).
 
     Args:
-        base: base anchors A_i, shape (m, 2) planar or (m, 3) spatial.
+        base: base anchors A_i, shape (m, 2) planar or (m, 3) spatial; or (N, m, …), one set for each pose.
         platform: platform anchors b_i in the platform frame, same shape; planar cables meet in one point, b_i = 0.
         pose: shape (..., 2) or (..., 6).
     """
     base, platform, pose = (np.asarray(array, float) for array in (base, platform, pose))
     if pose.shape[-1] == SPATIAL_COORDINATES:
-        platform = np.einsum("...jk,mk->...mj", rotation_matrix(pose[..., 3:]), platform)
+        platform = platform @ np.swapaxes(rotation_matrix(pose[..., 3:]), -1, -2)
     return pose[..., None, : base.shape[-1]] + platform - base
 
 

@@ -10,7 +10,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -52,6 +52,82 @@ class Transmission:
     """J′ of the motor behind its spring [kg·m²], one value or one per motor; > 0. None where rigid."""
     motor_damping: PerMotor = 0.0
     """c′, viscous, at the motor behind its spring [N·m·s/rad], one value or one per motor; ≥ 0. 0 where rigid."""
+
+
+class RobotArrays(Protocol):
+    """What the equations read of a :class:`Robot`, or of N robots at once, whose values then have a leading axis N."""
+
+    @property
+    def planar(self) -> bool:
+        """Whether it moves in the horizontal plane."""
+
+    @property
+    def flexible(self) -> bool:
+        """Whether springs stand between motors and pulleys."""
+
+    @property
+    def cables(self) -> int:
+        """m."""
+
+    @property
+    def coordinates(self) -> int:
+        """n."""
+
+    @property
+    def home(self) -> Array:
+        """X₀ (n,)."""
+
+    @property
+    def gravity(self) -> float:
+        """Along +z [m/s²]."""
+
+    @property
+    def mass(self) -> float | Array:
+        """Platform [kg]."""
+
+    @property
+    def inertia(self) -> tuple[float, ...] | Array:
+        """Principal moments (3,) [kg·m²]."""
+
+    @property
+    def base(self) -> Array:
+        """Base anchors (m, 2 or 3) [m]."""
+
+    @property
+    def platform(self) -> Array:
+        """Platform anchors (m, 2 or 3) [m]."""
+
+    @property
+    def pulley_radius(self) -> Array:
+        """r (m,)."""
+
+    @property
+    def pulley_inertia(self) -> Array:
+        """J (m,)."""
+
+    @property
+    def damping(self) -> Array:
+        """c (m,)."""
+
+    @property
+    def stiffness(self) -> Array:
+        """K (m,)."""
+
+    @property
+    def motor_inertia(self) -> Array:
+        """J′ (m,)."""
+
+    @property
+    def motor_damping(self) -> Array:
+        """c′ (m,)."""
+
+    @property
+    def stall_torque(self) -> Array:
+        """τ_s (m,)."""
+
+    @property
+    def speed_slope(self) -> Array:
+        """τ_s/ω_n (m,)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any
@@ -92,6 +93,8 @@ def as_plain(value: Any) -> Any:
         return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
     if hasattr(value, "__dataclass_fields__"):
         return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: as_plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [as_plain(item) for item in value]
     if isinstance(value, np.generic):

@@ -1,5 +1,6 @@
 """Dynamic load carrying capacity: the largest payload that a policy carries within the limits."""
 
+from cablebot_gym.dlcc.comparison import Comparison, compare_policies
 from cablebot_gym.dlcc.evaluator import evaluate_dlcc
 from cablebot_gym.dlcc.exact import ExactPayload, exact_payload
 from cablebot_gym.dlcc.monitor import CRITERIA, DLCCMonitor, Limit, Verdict
@@ -9,6 +10,7 @@ from cablebot_gym.task import Limits, Task
 
 __all__ = [
     "CRITERIA",
+    "Comparison",
     "DLCCMonitor",
     "DLCCResult",
     "ExactPayload",
@@ -17,6 +19,7 @@ __all__ = [
     "PolicyError",
     "Task",
     "Verdict",
+    "compare_policies",
     "evaluate_dlcc",
     "exact_payload",
 ]

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-import platform
-from collections.abc import Callable
-from importlib.metadata import version
+from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import beta
 
-from cablebot_gym.dlcc.monitor import Criterion, Judge, Limit, Verdict, find_criterion
+from cablebot_gym.dlcc.batch import Batch, Progress, Trial, uncertainty_name, versions
+from cablebot_gym.dlcc.monitor import Limit
 from cablebot_gym.dlcc.result import DLCCResult, History
-from cablebot_gym.envs import check_robot
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import Policy, PolicyError, as_policy, begin, commands, load_policy, name_of
-from cablebot_gym.task import Limits, Task, as_plain, find_limits
+from cablebot_gym.policies import PolicyError
+from cablebot_gym.task import Limits, find_limits
 
 SCAN_POINTS = 64
 """Payloads of the first scan, both ends included, and of every refinement."""
@@ -28,11 +26,8 @@ PAYLOAD_MAX = {"planar": 10.0, "spatial": 20.0}
 DEFAULT_RESOLUTION = 1e-3
 """Default width of the gap between carried and not carried [kg]."""
 
-_TOLD_ELSEWHERE = ("robot", "trajectory", "payload_known")
-"""Keywords that the result names in other places."""
-
-Progress = Callable[[int, int], None]
-"""Called after every control step with the steps done and the steps expected."""
+DRAWN_RESOLUTION = 1e-2
+"""The same over draws, whose number limits what can be known [kg]."""
 
 
 def evaluate_dlcc(
@@ -42,7 +37,11 @@ def evaluate_dlcc(
     criterion: str = "task",
     limits: Limits | dict[str, float] | None = None,
     payload_max: float | None = None,
-    resolution: float = DEFAULT_RESOLUTION,
+    resolution: float | None = None,
+    uncertainty: Any = None,
+    draws: int | None = None,
+    probability: float = 0.95,
+    confidence: float = 0.95,
     seed: int = 0,
     name: str | None = None,
     progress: Progress | None = None,
@@ -51,7 +50,8 @@ def evaluate_dlcc(
     """The largest payload in the feasible interval that contains zero.
 
     Payloads are tried on :data:`SCAN_POINTS` points of [0, payload_max] at once; then the gap below the first failure
-    is divided again and again until it is no wider than ``resolution``.
+    is divided again and again until it is no wider than ``resolution``. Under a random ``uncertainty`` each payload is
+    tried in the same ``draws``, and is carried if at least the share ``probability`` of them is.
 
     Args:
         policy: an object with ``predict``, a callable ``observation -> action``, or a name as on the command line.
@@ -59,7 +59,12 @@ def evaluate_dlcc(
         criterion: ``task`` (motors clip; position, rotation, slack) or ``paper`` (|a| ≤ 1, position, slack).
         limits: bounds of the errors; None for 10 mm and 10 mrad.
         payload_max: end of the scan [kg]; None for 20 spatial, 10 planar.
-        resolution: [kg].
+        resolution: [kg]; None for :data:`DEFAULT_RESOLUTION`, or :data:`DRAWN_RESOLUTION` over draws.
+        uncertainty: what the policy does not know, see :func:`cablebot_gym.uncertainty.find_uncertainty`.
+        draws: episodes at each payload; None for :data:`~cablebot_gym.dlcc.batch.DEFAULT_DRAWS` if the uncertainty is
+            random, else 1. They follow from ``seed`` alone: every policy and every payload meets the same ones.
+        probability: p, the share of the draws in which a payload has to be carried; no effect on one draw.
+        confidence: of the one-sided lower bound, ``result.assured_payload``.
         seed: of the environments.
         name: of the policy, in the result; None for its own.
         progress: called after every control step.
@@ -69,164 +74,176 @@ def evaluate_dlcc(
         ValueError: if an argument is not valid, or ``paper`` is asked of a policy that does not declare ``unclipped``.
         cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
     """
-    criterion_ = find_criterion(criterion)
-    check_robot(env_id, keywords.get("robot"))
-    if not 0 < resolution < math.inf:
+    for name_, share in (("probability", probability), ("confidence", confidence)):
+        if not 0 < share < 1:
+            raise ValueError(f"{name_} must lie between 0 and 1, not {share}")
+    if resolution is not None and not 0 < resolution < math.inf:
         raise ValueError(f"resolution must be greater than 0 kg, not {resolution}")
     limits = find_limits(limits)
-    if taken := {"payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode"} & set(keywords):
-        raise ValueError(f"{sorted(taken)[0]} is set by the evaluation itself: leave it out")
-    for key, most in (("payload_known", 0), ("initial_error", 1)):
-        if np.ndim(keywords.get(key, 0)) > most:
-            raise ValueError(f"{key} is one for all payloads here, not one for each environment")
-    # A wide tube must not be cut short by the environment's own end of an episode.
-    keywords.setdefault("termination_radius", max(0.1, 2 * limits.position))
-    env = gym.make_vec(env_id, num_envs=SCAN_POINTS, limits=limits, max_episode_steps=None, **keywords)
-    try:
-        task: Task = _first_task(env, seed)
-        task.check_steps()
-        loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
-        label = name or name_of(policy)
-        if criterion_ == "paper" and not getattr(loaded, "unclipped", False):
-            raise ValueError(
-                f"the paper criterion says nothing of {label!r}, which does not declare unclipped = True: "
-                "a policy that clips its own commands would pass it for nothing; use criterion='task'"
-            )
-        top = PAYLOAD_MAX["planar" if task.robot.planar else "spatial"] if payload_max is None else payload_max
-        seed, top = int(seed), float(top)
+    batch = Batch(
+        policy,
+        env_id,
+        name=name,
+        criterion=criterion,
+        limits=limits,
+        uncertainty=uncertainty,
+        draws=draws,
+        seed=seed,
+        together=SCAN_POINTS,
+        keywords=keywords,
+    )
+    with batch:
+        robot = batch.task.robot
+        top = float(PAYLOAD_MAX["planar" if robot.planar else "spatial"] if payload_max is None else payload_max)
         if not 0 < top < math.inf:
             raise ValueError(f"payload_max must be greater than 0 kg, not {top}")
-        rounds = 2 + max(0, math.ceil(math.log(top / (SCAN_POINTS - 1) / resolution) / math.log(SCAN_POINTS + 1)))
-        run = _Run(env, loaded, label, criterion_, limits, task, seed, rounds, progress, keywords)
-        return _search(run, top, resolution, payload_known=bool(task.payload_known))
-    finally:
-        env.close()
-
-
-def _first_task(env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> Task:
-    env.reset(seed=seed)
-    tasks: tuple[Task, ...] = env.unwrapped.tasks  # type: ignore[attr-defined]
-    return tasks[0]
-
-
-class _Run:
-    """Rolls batches of payloads out with one policy in one vector environment."""
-
-    def __init__(
-        self,
-        env: gym.vector.VectorEnv[Any, Any, Any],
-        policy: Policy,
-        name: str,
-        criterion: Criterion,
-        limits: Limits,
-        task: Task,
-        seed: int,
-        rounds: int,
-        progress: Progress | None,
-        keywords: dict[str, Any],
-    ) -> None:
-        self.keywords = keywords
-        self.env, self.policy, self.name, self.criterion = env, policy, name, criterion
-        self.limits, self.task, self.seed = limits, task, seed
-        self._done, self._expected, self._progress = 0, rounds * task.steps, progress
-
-    def __call__(self, payloads: Array, history: History | None = None) -> list[Verdict]:
-        """Verdicts for at most :data:`SCAN_POINTS` payloads; fills ``history`` with the first one's episode."""
-        batch = np.append(payloads, np.full(SCAN_POINTS - len(payloads), payloads[-1]))
-        observation, info = self.env.reset(seed=[self.seed] * SCAN_POINTS, options={"payload": batch})  # type: ignore[arg-type]
-        judge = Judge(self.criterion, self.limits, self.task.robot.stall_torque, SCAN_POINTS)
-        judge.begin(info)
-        begin(self.policy, self.name, self.env.unwrapped.tasks)  # type: ignore[attr-defined]
-        state, start = None, np.ones(SCAN_POINTS, np.bool_)
-        for step in range(self.task.steps):
-            action, state = commands(
-                self.policy,
-                self.name,
-                observation,
-                state,
-                start,
-                cables=self.task.robot.cables,
-                payloads=batch,
-                time=step / self.task.control_frequency,
-                ignored=judge.failed,
-            )
-            observation, _, terminated, _, info = self.env.step(action)
-            judge.observe(info, terminated)
-            if history is not None:
-                history.append(info, self.env.unwrapped.pose[0])  # type: ignore[attr-defined]
-            start = terminated  # the environment starts these anew, though nobody judges them any more
-            self._done += 1
-            if self._progress is not None:
-                self._progress(self._done, max(self._expected, self._done))
-            if judge.failed.all():
-                break
-        return [judge.verdict(lane, complete=not judge.failed[lane]) for lane in range(len(payloads))]
-
-
-def _search(run: _Run, top: float, resolution: float, *, payload_known: bool) -> DLCCResult:
-    payloads = np.linspace(0.0, top, SCAN_POINTS)
-    verdicts = run(payloads)
-    carried = np.array([verdict.carried for verdict in verdicts])
-    intervals = _intervals(payloads, carried)
-    best: Verdict | None = None
-    limit: Limit | None = Limit(kind="scan_end", index=None, time=None, excess=None)
-    gap = 0.0
-    if not carried[0]:
-        limit = verdicts[0].limit
-    elif carried.all():
-        best = verdicts[-1]
-    else:
-        first = int(np.argmin(carried))
-        below, above = verdicts[first - 1], verdicts[first]
-        while above.payload - below.payload > resolution:
-            payloads = np.linspace(below.payload, above.payload, SCAN_POINTS + 2)[1:-1]
-            if payloads[0] <= below.payload or payloads[-1] >= above.payload:
-                break  # the floats end here
-            inner = [below, *run(payloads), above]
-            first = next(place for place, verdict in enumerate(inner) if not verdict.carried)
-            below, above = inner[first - 1], inner[first]
-        best, limit, gap = below, above.limit, above.payload - below.payload
-        intervals[0] = (0.0, best.payload)
-    history = History()
-    again = run(np.array([0.0 if best is None else best.payload]), history)[0]
-    if again.carried != (best is not None):
-        raise PolicyError(
-            f"policy {run.name!r} is not reproducible: at {again.payload:g} kg it was first "
-            f"{'carried' if best else 'not carried'}, then {'carried' if again.carried else 'not carried'}"
+        if resolution is None:
+            resolution = DEFAULT_RESOLUTION if batch.draws == 1 else DRAWN_RESOLUTION
+        needed = Needed.of(batch.draws, probability, confidence)
+        found = _Search(batch, top, resolution, needed, progress).result()
+        drawn = batch.draws > 1
+        rotates = batch.criterion == "task" and not robot.planar
+        bounds = {"position": limits.position, "rotation": limits.rotation if rotates else None}
+        best = found.best
+        return DLCCResult(
+            env_id=env_id,
+            policy=batch.name,
+            criterion=batch.criterion,
+            payload=None if best is None else best.payload,
+            total_mass=None if best is None else best.payload + robot.mass,
+            resolution=found.gap,
+            limit=found.limit,
+            margins=_margins(best, bounds) if best else {},
+            feasible=found.feasible,
+            payload_max=top,
+            limits=bounds,
+            payload_known=bool(batch.task.payload_known),
+            uncertainty=uncertainty_name(uncertainty),
+            draws=batch.draws,
+            probability=probability if drawn else None,
+            confidence=confidence if drawn else None,
+            assured_payload=found.assured.payload if drawn and found.assured else None,
+            failures=found.failures if drawn else {},
+            success=found.success if drawn else (),
+            seed=int(seed),
+            environment=batch.description(),
+            versions=versions(),
+            task=batch.task,
+            history=found.history,
         )
-    task, robot = run.task, run.task.robot
-    assert limit is not None
-    rotates = run.criterion == "task" and not robot.planar
-    bounds = {"position": run.limits.position, "rotation": run.limits.rotation if rotates else None}
-    return DLCCResult(
-        env_id=run.env.spec.id if run.env.spec else "",
-        policy=run.name,
-        criterion=run.criterion,
-        payload=None if best is None else best.payload,
-        total_mass=None if best is None else best.payload + robot.mass,
-        resolution=gap,
-        limit=limit,
-        margins=_margins(best, bounds) if best else {},
-        feasible=tuple(intervals),
-        payload_max=top,
-        limits=bounds,
-        payload_known=payload_known,
-        seed=run.seed,
-        environment={
-            "robot": robot.to_dict(),
-            "trajectory": as_plain(task.trajectory),
-            "control_frequency": task.control_frequency,
-            "substeps": run.env.unwrapped.settings.substeps,  # type: ignore[attr-defined]
-            "cable": task.cable,
-            **{name: as_plain(value) for name, value in run.keywords.items() if name not in _TOLD_ELSEWHERE},
-        },
-        versions={
-            "python": platform.python_version(),
-            **{package: version(package) for package in ("cablebot-gym", "gymnasium", "numpy", "numba")},
-        },
-        task=task,
-        history=history.closed(),
-    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needed:
+    """How many draws have to carry a payload."""
+
+    share: int
+    """For the payload itself: the share of the draws."""
+    assured: int | None
+    """For the lower bound (Clopper and Pearson, one-sided); None if there are too few draws for any."""
+
+    @classmethod
+    def of(cls, draws: int, probability: float, confidence: float) -> Needed:
+        """Numbers out of ``draws``; of one draw, one."""
+        if draws == 1:
+            return cls(share=1, assured=None)
+        carried = np.arange(1, draws + 1)
+        bound = beta.ppf(1 - confidence, carried, draws - carried + 1)
+        enough = carried[bound >= probability]
+        share = max(1, math.ceil(draws * probability - 1e-9))
+        return cls(share=share, assured=int(enough[0]) if enough.size else None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    best: Trial | None
+    assured: Trial | None
+    limit: Limit
+    failures: dict[str, int]
+    gap: float
+    feasible: tuple[tuple[float, float], ...]
+    success: tuple[tuple[float, float], ...]
+    history: dict[str, Array]
+
+
+class _Search:
+    """Finds where a payload ceases to be carried."""
+
+    def __init__(self, batch: Batch, top: float, resolution: float, needed: Needed, progress: Progress | None) -> None:
+        self._batch, self._top, self._resolution, self._needed = batch, top, resolution, needed
+        finer = math.ceil(math.log(max(1.0, top / (SCAN_POINTS - 1) / resolution)) / math.log(SCAN_POINTS + 1) - 1e-9)
+        self._expected = (1 + finer) * batch.steps(SCAN_POINTS) + batch.steps(1)
+        self._done, self._progress = 0, progress
+        self._tried: dict[float, Trial] = {}
+
+    def result(self) -> _Found:
+        """Scan, refinement, and the payload once more for its history."""
+        grid = np.linspace(0.0, self._top, SCAN_POINTS)
+        self._try(grid)
+        self._refine()
+        needed, (below, above) = self._needed, self._gap(self._needed.share)
+        assured = None if needed.assured is None else self._gap(needed.assured)[0]
+        feasible = _intervals(grid, np.array([self._tried[payload].carried >= needed.share for payload in grid]))
+        if below is not None:
+            feasible[0] = (0.0, below.payload)
+        history, shown = History(), 0 if below is None else _first_carried(below)
+        first = self._tried[0.0] if below is None else below
+        again = self._run([first.payload], lambda info, pose, lasting: history.append(info, pose, shown))[0]
+        if again.carried != first.carried:
+            raise PolicyError(
+                f"policy {self._batch.name!r} is not reproducible: {again.payload:g} kg was carried in "
+                f"{first.carried} of {self._batch.draws} episodes at first, and in {again.carried} when tried again"
+            )
+        limit = Limit(kind="scan_end", index=None, time=None, excess=None) if above is None else above.limit
+        assert limit is not None
+        return _Found(
+            best=below,
+            assured=assured,
+            limit=limit,
+            failures={} if above is None else above.failures,
+            gap=0.0 if below is None or above is None else above.payload - below.payload,
+            feasible=tuple(feasible),
+            success=tuple(
+                (payload, self._tried[payload].carried / self._batch.draws) for payload in sorted(self._tried)
+            ),
+            history=history.closed(),
+        )
+
+    def _refine(self) -> None:
+        """Divides the gaps of the payload and of its lower bound until they are narrow."""
+        needed = {number for number in (self._needed.share, self._needed.assured) if number is not None}
+        while True:
+            gaps = {(below.payload, above.payload) for below, above in map(self._gap, needed) if below and above}
+            wide = [gap for gap in sorted(gaps) if gap[1] - gap[0] > self._resolution]
+            inner = [np.linspace(*gap, SCAN_POINTS // len(wide) + 2)[1:-1] for gap in wide]
+            fresh = [payload for payload in np.concatenate([[], *inner]).tolist() if payload not in self._tried]
+            if not fresh:
+                return
+            self._try(np.array(fresh))
+
+    def _gap(self, needed: int) -> tuple[Trial | None, Trial | None]:
+        """The last payload before, and the first one that fewer than ``needed`` draws carry; None if there is none."""
+        below = None
+        for payload in sorted(self._tried):
+            if self._tried[payload].carried < needed:
+                return below, self._tried[payload]
+            below = self._tried[payload]
+        return below, None
+
+    def _try(self, payloads: Array) -> None:
+        self._tried |= {trial.payload: trial for trial in self._run(payloads, None)}
+
+    def _run(self, payloads: Any, observe: Any) -> list[Trial]:
+        return self._batch.run(payloads, observe=observe, progress=self._advance)
+
+    def _advance(self, steps: int) -> None:
+        self._done += steps
+        if self._progress is not None:
+            self._progress(self._done, max(self._expected, self._done))
+
+
+def _first_carried(trial: Trial) -> int:
+    return next(place for place, verdict in enumerate(trial.verdicts) if verdict.carried)
 
 
 def _intervals(payloads: Array, carried: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -235,11 +252,15 @@ def _intervals(payloads: Array, carried: NDArray[np.bool_]) -> list[tuple[float,
     return [(float(payloads[low]), float(payloads[high - 1])) for low, high in edges.reshape(-1, 2)]
 
 
-def _margins(verdict: Verdict, bounds: dict[str, float | None]) -> dict[str, float]:
-    """What was left of each limit at the payload found, as a share of it; tension in N."""
-    margins = {"torque": 1 - max(verdict.peak_demand), "tension": verdict.least_tension}
-    for name, peak in (("position", verdict.position_peak), ("rotation", verdict.rotation_peak)):
+def _margins(trial: Trial, bounds: dict[str, float | None]) -> dict[str, float]:
+    """What was left of each limit at the payload found in the tightest draw that carried, as a share; tension in N."""
+    carried = [verdict for verdict in trial.verdicts if verdict.carried]
+    margins = {
+        "torque": 1 - max(max(verdict.peak_demand) for verdict in carried),
+        "tension": min(verdict.least_tension for verdict in carried),
+    }
+    for name in ("position", "rotation"):
         bound = bounds[name]
         if bound is not None:
-            margins[name] = 1 - peak / bound
+            margins[name] = 1 - max(getattr(verdict, f"{name}_peak") for verdict in carried) / bound
     return margins

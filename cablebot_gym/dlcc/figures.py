@@ -33,7 +33,7 @@ DPI = 150
 _WIDTH = 9.6
 """Of every figure [inch]."""
 
-_LETTERS = 112
+LETTERS = 112
 """Of a title's line: what fits that width."""
 
 
@@ -60,7 +60,7 @@ def draw_torques(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure = _new_figure(_torques_height(result.task.robot))
+    figure = new_figure(_torques_height(result.task.robot))
     _torques(figure, result)
     _entitle(figure, result)
     return figure
@@ -72,7 +72,7 @@ def draw_path(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure = _new_figure(_PATH_HEIGHT)
+    figure = new_figure(_PATH_HEIGHT)
     _path(figure, result)
     _entitle(figure, result)
     return figure
@@ -85,7 +85,7 @@ def draw_result(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     heights = [_torques_height(result.task.robot), _PATH_HEIGHT]
-    figure = _new_figure(sum(heights))
+    figure = new_figure(sum(heights))
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     _torques(above, result)
     _path(below, result)
@@ -140,8 +140,20 @@ def _torques_height(robot: Robot) -> float:
     return 1.4 + 2.0 * math.ceil(robot.cables / 3)
 
 
-def _new_figure(height: float) -> Figure:
+def new_figure(height: float) -> Figure:
+    """An empty figure of a height [inch] and the width of all.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
     return import_matplotlib().Figure(figsize=(_WIDTH, height), layout="constrained")
+
+
+def entitle(figure: FigureBase, *lines: str) -> None:
+    """A title of some lines, each broken where it is too long."""
+    # Not matplotlib's wrap, which takes dollar signs for mathematics.
+    title = "\n".join(textwrap.fill(line, LETTERS) for line in lines)
+    figure.suptitle(title, fontsize=11, parse_math=False)
 
 
 def _entitle(figure: FigureBase, result: DLCCResult) -> None:
@@ -153,9 +165,9 @@ def _entitle(figure: FigureBase, result: DLCCResult) -> None:
             f"first limit above it: {result.limit}"
         )
     head = f"{result.env_id}, policy {result.policy}, {result.criterion} criterion"
-    # Not matplotlib's wrap, which takes dollar signs for mathematics.
-    title = "\n".join(textwrap.fill(line, _LETTERS) for line in (head, found))
-    figure.suptitle(title, fontsize=11, parse_math=False)
+    if result.probability is not None:
+        head += f", carried in {result.probability:.0%} of {result.draws} draws of {result.uncertainty}; one is shown"
+    entitle(figure, head, found)
 
 
 def _torques(figure: FigureBase, result: DLCCResult) -> None:
@@ -189,7 +201,7 @@ def _torques(figure: FigureBase, result: DLCCResult) -> None:
             axes.set_ylabel("torque [N·m]")
     step, motor = tightest(result)
     _mark_tightest(grid.flat[motor], result, step, motor)
-    _add_legend(figure, grid.flat[motor])
+    add_legend(figure, grid.flat[motor])
 
 
 def _span(result: DLCCResult) -> tuple[float, float]:
@@ -237,7 +249,8 @@ def _mark_tightest(axes: Axes, result: DLCCResult, step: int, motor: int) -> Non
     )
 
 
-def _add_legend(figure: FigureBase, axes: Axes) -> None:
+def add_legend(figure: FigureBase, axes: Axes) -> None:
+    """A legend of what ``axes`` shows below the figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
 
@@ -253,7 +266,7 @@ def _path(figure: FigureBase, result: DLCCResult) -> None:
         last = figure.add_subplot(grid[1, 1], sharex=last)
         _error(last, result, history["rotation_error"], result.limits["rotation"], "rotation", "mrad")
     last.set_xlabel("time [s]")
-    _add_legend(figure, plane)
+    add_legend(figure, plane)
 
 
 def _plane(axes: Axes, result: DLCCResult) -> None:
@@ -285,17 +298,22 @@ def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, na
     axes.plot(end_of_step, 1e3 * error, color=BLUE, linewidth=1.8, marker=_marker(result))
     top = 1e3 * float(error.max())
     if bound is not None:
-        axes.axhline(1e3 * bound, color="black", linewidth=1.0)
-        axes.annotate(
-            f"bound {1e3 * bound:g} {unit}",
-            (0.99, 1e3 * bound),
-            xycoords=("axes fraction", "data"),
-            xytext=(0, 2),
-            textcoords="offset points",
-            horizontalalignment="right",
-            verticalalignment="bottom",
-        )
+        mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
     else:
         axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
     axes.set(xlim=_span(result), ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
+
+
+def mark_bound(axes: Axes, bound: float, unit: str) -> None:
+    """A line at an error's bound, in thousandths of the SI unit."""
+    axes.axhline(1e3 * bound, color="black", linewidth=1.0)
+    axes.annotate(
+        f"bound {1e3 * bound:g} {unit}",
+        (0.99, 1e3 * bound),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 2),
+        textcoords="offset points",
+        horizontalalignment="right",
+        verticalalignment="bottom",
+    )

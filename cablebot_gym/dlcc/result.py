@@ -24,9 +24,9 @@ class History:
     def __init__(self) -> None:
         self._rows: list[dict[str, Any]] = []
 
-    def append(self, info: dict[str, Any], pose: Array) -> None:
-        """Adds one step of the first environment of a batch."""
-        self._rows.append({name: np.array(info[name][0]) for name in self.NAMES} | {"pose": np.array(pose)})
+    def append(self, info: dict[str, Any], pose: Array, lane: int) -> None:
+        """Adds one step of one environment of a batch: its info, and its row of poses (N, n)."""
+        self._rows.append({name: np.array(info[name][lane]) for name in self.NAMES} | {"pose": np.array(pose[lane])})
 
     def closed(self) -> dict[str, Array]:
         """Everything as arrays by name; ``pose`` and the errors are those at the end of each step."""
@@ -44,15 +44,18 @@ class DLCCResult:
     criterion: Criterion
     """``task`` or ``paper``."""
     payload: float | None
-    """Largest payload in the feasible interval that contains zero [kg]; None if not even zero is carried."""
+    """Largest payload in the feasible interval that contains zero [kg]; None if not even zero is carried. Over draws,
+    a payload is carried if at least the share ``probability`` of them is."""
     total_mass: float | None
     """Platform and payload [kg]."""
     resolution: float
     """Gap to the least payload above that failed [kg]; 0 if none was searched."""
     limit: Limit
-    """What gives way first beyond the payload, or at zero if that is not carried."""
+    """What gives way first beyond the payload, or at zero if that is not carried; over draws, the earliest failure of
+    the commonest kind."""
     margins: dict[str, float]
-    """What is left at the payload: shares of torque, position and rotation bounds, least tension [N]."""
+    """What is left at the payload: shares of torque, position and rotation bounds, least tension [N]; over draws, in
+    the tightest one that carries it."""
     feasible: tuple[tuple[float, float], ...]
     """Every interval of payloads carried on the scan's points; the first one's end is refined [kg]."""
     payload_max: float
@@ -61,8 +64,23 @@ class DLCCResult:
     """Bounds of position [m] and rotation [rad]; None where the criterion or the robot has none."""
     payload_known: bool
     """Whether the policy was told the payload."""
+    uncertainty: str | None
+    """Name of what the policy did not know, ``custom`` for data; None for nothing."""
+    draws: int
+    """Episodes at each payload."""
+    probability: float | None
+    """Share of the draws that has to carry a payload; None for one draw."""
+    confidence: float | None
+    """Of ``assured_payload``; None for one draw."""
+    assured_payload: float | None
+    """Lower bound: up to here the success probability is at least ``probability`` with this confidence, one-sided, by
+    Clopper and Pearson at each payload [kg]; None if there is none, or too few draws for one."""
+    failures: dict[str, int]
+    """Draws that fail beyond the payload (at zero if that is not carried), by kind; empty for one draw."""
+    success: tuple[tuple[float, float], ...]
+    """(payload [kg], share of draws that carry it) for every payload tried; empty for one draw."""
     seed: int
-    """Of the environments."""
+    """Of the environments; the draws follow from it."""
     environment: dict[str, Any]
     """Robot, trajectory, control frequency and cable mode, as plain data."""
     versions: dict[str, str]
@@ -70,7 +88,8 @@ class DLCCResult:
     task: Task = field(repr=False)
     """The public task, for drawing."""
     history: dict[str, Array] = field(repr=False)
-    """The episode at the payload (at zero if none is carried), see :class:`History`."""
+    """The episode at the payload (at zero if none is carried), see :class:`History`; over draws, the first one that
+    carries it."""
 
     @property
     def score(self) -> float:
@@ -81,7 +100,8 @@ class DLCCResult:
         """JSON-able data; without the history."""
         skipped = {"task", "history"}
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in skipped}
-        return data | {"limit": asdict(self.limit), "feasible": [list(pair) for pair in self.feasible]}
+        pairs = {name: [list(pair) for pair in getattr(self, name)] for name in ("feasible", "success")}
+        return data | {"limit": asdict(self.limit)} | pairs
 
     def to_json(self) -> str:
         """The result as JSON, indented."""
@@ -94,8 +114,18 @@ class DLCCResult:
             others = "; it does carry " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)
             text = f"not even zero payload is carried: {self.limit}{others if self.feasible else ''}"
         else:
-            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg), then {self.limit}"
-        return f"{head}, {told}: {text}"
+            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg){self._share()}, then {self.limit}"
+        unknown = "" if self.uncertainty is None else f", {self.uncertainty}"
+        return f"{head}, {told}{unknown}: {text}"
+
+    def _share(self) -> str:
+        if self.probability is None or self.confidence is None:
+            return ""
+        assured = "no payload" if self.assured_payload is None else f"{self.assured_payload:.3f} kg"
+        return (
+            f" in at least {self.probability:.0%} of {self.draws} draws, {assured} assured with "
+            f"{self.confidence:.0%} confidence"
+        )
 
     def plot(self) -> Figure:
         """Torques against their limits and the path against its tube, as the paper's Figs. 10–13.

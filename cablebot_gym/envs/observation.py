@@ -119,7 +119,7 @@ def observation_layout(robot: Robot) -> ObservationLayout:
         ("reference_snap", n, symmetric[4], f"{units[2][:-1]}⁴", "fourth derivative of X_d"),
     ]
     parts = [
-        ("pose", n, pose, units[0], "X, true pose of the platform"),
+        ("pose", n, pose, units[0], "X, measured: exact unless sensors are noisy"),
         ("velocity", n, symmetric[1], units[1], "Ẋ"),
         *(motors if robot.flexible else []),
         ("time_left", 1, ((0.0,), (1e3,)), "s", "until the reference motion ends; 0 afterwards"),

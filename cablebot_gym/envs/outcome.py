@@ -76,6 +76,7 @@ def outcome(
     termination_radius,
     slack_time,
     slack_for,
+    noise,
     observation,
     reward,
     reason,
@@ -84,7 +85,8 @@ def outcome(
     """Fills observation (N, size), reward (N,), reason (N,) and info (N, columns) for the lanes in ``index``.
 
     ``fresh``: the lanes have just been reset, so that nothing is rewarded or ended. ``slack_for`` (N,) counts how long
-    some cable has been slack [s].
+    some cable has been slack [s]. ``noise`` (N, measured components), or (N, 0) for none, is added to the measured part
+    of the observation; everything else is judged on the true state.
     """
     m, n = stall.shape[0], workspace.shape[1]
     pose, velocity, peak_position, peak_rotation, first_cable, cable_rows = (
@@ -140,6 +142,8 @@ def outcome(
         if not finite:  # a comparison with NaN would hide it
             position = position_peak = LARGEST
             rotation = rotation_peak = LARGEST if spatial else 0.0
+        for j in range(noise.shape[1]):
+            out[j] += noise[lane, j]
         for j in range(out.shape[0]):
             out[j] = _saturated(out[j], bounds[0, j], bounds[1, j])
 

@@ -17,6 +17,7 @@ from cablebot_gym.physics.textbook import Cable, fastest_motor_rate, highest_fre
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import Limits, find_limits
 from cablebot_gym.trajectories import Trajectory, find_trajectory
+from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 
 LONGEST_PHYSICS_STEP = 1e-3
 """Default bound of the physics step [s]. RK4's error over 0.5 s is below 1e-9 there on the paper's robots; the bound is
@@ -46,9 +47,9 @@ class Settings:
     """
 
     robot: Robot
-    """True and nominal robot."""
+    """Nominal robot; the true one too, but for ``uncertainty``."""
     payload: float | Array
-    """Default payload [kg], one or (N,); ≥ 0."""
+    """Default payload [kg], one or (N,); ≥ 0. The true one too, but for ``uncertainty``."""
     payload_range: tuple[float, float] | None
     """Uniform payload, drawn anew each episode [kg]; overrides ``payload``."""
     payload_known: bool | Array
@@ -59,6 +60,8 @@ class Settings:
     """Start pose less reference pose, (n,) or (N, n) [m, rad]."""
     initial_error_range: Array | None
     """Half widths of a uniform start error, (n,) [m, rad]; added to ``initial_error``."""
+    uncertainty: tuple[Uncertainty, ...]
+    """What the controller does not know, one for all or N."""
     limits: Limits
     """Bounds that scale the reward."""
     cable: Cable
@@ -106,6 +109,7 @@ def make_settings(
     trajectory: Any = None,
     initial_error: Any = 0.0,
     initial_error_range: Any = None,
+    uncertainty: Any = None,
     limits: Any = None,
     cable: str = "unilateral",
     control_frequency: float = 500.0,
@@ -123,6 +127,7 @@ def make_settings(
             "payload_known": payload_known,
             "trajectory": trajectory,
             "initial_error": initial_error,
+            "uncertainty": uncertainty,
             "limits": limits,
         },
         robot,
@@ -132,21 +137,15 @@ def make_settings(
     if cable not in modes:
         raise ValueError(f"unknown cable {cable!r}; choose one of {', '.join(modes)}")
     frequency = _positive("control_frequency", control_frequency)
-    longest, fastest = LONGEST_PHYSICS_STEP, 0.0
-    if robot.flexible:
-        swing = highest_frequency(robot)
-        fastest = max(swing, fastest_motor_rate(robot))
-        longest = min(longest, FINEST_PHASE / swing, STABLE_PHASE / fastest)
     if substeps is None:
+        longest = LONGEST_PHYSICS_STEP
+        if robot.flexible:
+            fastest = max(_fastest(robot, one) for one in episode["uncertainty"])
+            longest = min(longest, FINEST_PHASE / highest_frequency(robot), STABLE_PHASE / fastest)
         substeps = max(1, math.ceil(1 / (frequency * longest) - 1e-9))
     if not isinstance(substeps, (int, np.integer)) or isinstance(substeps, bool) or substeps < 1:
         raise ValueError(f"substeps must be a whole number of at least 1, not {substeps!r}")
-    if fastest / (frequency * substeps) > STABLE_PHASE:
-        needed = math.ceil(fastest / (frequency * STABLE_PHASE))
-        raise ValueError(
-            f"substeps={substeps} cannot integrate {robot.name!r}, whose motors swing or settle at "
-            f"{fastest / (2 * math.pi):.3g} Hz: use at least {needed}, or leave it out"
-        )
+    check_stability(robot, episode["uncertainty"], frequency, int(substeps))
     return Settings(
         robot=robot,
         payload_range=_range("payload_range", payload_range),
@@ -161,6 +160,31 @@ def make_settings(
     )
 
 
+def _fastest(robot: Robot, uncertainty: Uncertainty) -> float:
+    """Largest rate at which a motor of a flexible robot may swing or settle [rad/s]."""
+    true = uncertainty.fastest(robot)
+    return max(highest_frequency(true), fastest_motor_rate(true))
+
+
+def check_stability(
+    robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float, substeps: int
+) -> None:
+    """Refuses physics steps that are too long for the joint springs.
+
+    Raises:
+        ValueError: with the frequency and the number of substeps that would do.
+    """
+    if not robot.flexible:
+        return
+    fastest = max(_fastest(robot, uncertainty) for uncertainty in uncertainties)
+    if fastest / (control_frequency * substeps) > STABLE_PHASE:
+        needed = math.ceil(fastest / (control_frequency * STABLE_PHASE))
+        raise ValueError(
+            f"substeps={substeps} cannot integrate {robot.name!r}, whose motors swing or settle at "
+            f"{fastest / (2 * math.pi):.3g} Hz: use at least {needed}, or leave it out"
+        )
+
+
 def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -> dict[str, Any]:
     """Episode options, checked and in their canonical form; options that belong to others are left out.
 
@@ -172,6 +196,7 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "payload_known": lambda value: _known(value, count),
         "trajectory": lambda value: find_trajectory(value, robot.coordinates),
         "initial_error": lambda value: _initial_error(value, robot.coordinates, count),
+        "uncertainty": lambda value: _uncertainties(value, robot, count),
         "limits": find_limits,
     }
     if options is not None and not isinstance(options, Mapping):
@@ -205,6 +230,13 @@ def _initial_error(value: Any, n: int, count: int) -> Array:
     if not np.all(np.isfinite(error)):
         raise ValueError("initial_error must be finite")
     return np.zeros(n) if error.shape == () else error
+
+
+def _uncertainties(value: Any, robot: Robot, count: int) -> tuple[Uncertainty, ...]:
+    values = list(value) if isinstance(value, (list, tuple)) else [value]
+    if len(values) not in (1, count):
+        raise ValueError(f"uncertainty must be one, or {count}, one for each environment, not {len(values)}")
+    return tuple(find_uncertainty(one, robot) for one in values)
 
 
 def _half_widths(value: Any, n: int) -> Array | None:

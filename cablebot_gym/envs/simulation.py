@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.envs import outcome
+from cablebot_gym.envs.disturbances import Disturbances
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.references import ReferenceTables
-from cablebot_gym.envs.settings import Settings, check_options
+from cablebot_gym.envs.settings import Settings, check_options, check_stability
+from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
+from cablebot_gym.robots import RobotArrays
 from cablebot_gym.task import Limits, Task
 from cablebot_gym.trajectories import Trajectory
-
-_PAYLOAD_STREAM, _START_STREAM = 0, 1
-"""Purposes of random streams. A new purpose takes a new number, so that no other stream changes."""
+from cablebot_gym.uncertainty import PARAMETERS, Uncertainty, draw_size
 
 
 class Simulation:
@@ -44,8 +45,12 @@ class Simulation:
         self._lane_settings = np.zeros((count, outcome.LANE_SETTINGS))
         self._slack_for = np.zeros(count)
         self._everyone = np.arange(count)
-        self._seeds = np.zeros(count, object)
-        self._episodes = np.zeros(count, np.int64)
+        self.streams = Streams(count)
+        """Where all random numbers come from."""
+        self._disturbances = Disturbances(robot, count, settings.control_frequency, self.streams)
+        self._draw_size = draw_size(robot)
+        self.truth: dict[str, Array] = {}
+        """True parameters of the present episodes by name, each (N, …)."""
         self._trajectories: list[Trajectory] = [settings.trajectory] * count
         self._limits: list[Limits] = [settings.limits] * count
         self.observation = np.zeros((count, self.layout.size))
@@ -80,55 +85,42 @@ class Simulation:
         """True Ẋ, shape (N, n)."""
         return self._plant.velocity
 
-    def seed(self, lanes: Sequence[int], seeds: Sequence[int]) -> None:
-        """Restarts the random streams of ``lanes``."""
-        for lane, seed in zip(lanes, seeds, strict=True):
-            self._seeds[lane] = seed
-            self._episodes[lane] = 0
-
-    def streams(self) -> tuple[NDArray[np.object_], NDArray[np.int64]]:
-        """Where the random streams stand, for :meth:`restore_streams`."""
-        return self._seeds.copy(), self._episodes.copy()
-
-    def restore_streams(self, streams: tuple[NDArray[np.object_], NDArray[np.int64]]) -> None:
-        """Puts the random streams back to where they stood."""
-        self._seeds, self._episodes = streams
-
     def reset(self, lanes: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> None:
         """Starts new episodes in ``lanes``; ``options`` hold for these episodes only.
 
         Raises:
             ValueError: if an option is unknown or not valid; nothing has changed then.
         """
-        settings, robot, size = self.settings, self.settings.robot, len(lanes)
+        settings, robot = self.settings, self.settings.robot
         given = check_options(options, robot, self.count)
         trajectory, limits = given.get("trajectory", settings.trajectory), given.get("limits", settings.limits)
+        uncertainties = given.get("uncertainty", settings.uncertainty)
+        if "uncertainty" in given:
+            check_stability(robot, uncertainties, settings.control_frequency, settings.substeps)
+        self._tables.prepare(trajectory)
+
+        self.streams.begin(lanes)
         payload = self._of(lanes, given.get("payload", settings.payload))
         if settings.payload_range is not None and "payload" not in given:
             low, high = settings.payload_range
-            payload = np.array([low + (high - low) * self._draw(lane, _PAYLOAD_STREAM, 1)[0] for lane in lanes])
+            payload = low + (high - low) * self.streams.uniform(lanes, Purpose.PAYLOAD, 1)[:, 0]
         known = self._of(lanes, given.get("payload_known", settings.payload_known))
         error = np.broadcast_to(given.get("initial_error", settings.initial_error), (self.count, robot.coordinates))
-        self._tables.prepare(trajectory)
         start = trajectory(0.0)
         pose = start.position + error[lanes]
         if settings.initial_error_range is not None and "initial_error" not in given:
-            uniform = np.array([self._draw(lane, _START_STREAM, robot.coordinates) for lane in lanes])
+            uniform = self.streams.uniform(lanes, Purpose.START, robot.coordinates)
             pose = pose + settings.initial_error_range * (2 * uniform - 1)
-        self._episodes[lanes] += 1
+        velocity = np.broadcast_to(start.velocity, pose.shape)
 
-        columns = [payload, payload * known, known, np.full(size, limits.position), np.full(size, limits.rotation)]
-        self._lane_settings[lanes] = np.stack(columns, axis=1)
+        bounds = np.array([limits.position, limits.rotation])
+        self._lane_settings[lanes, outcome.TOLD] = payload * known
+        self._lane_settings[lanes, outcome.KNOWN] = known
+        self._lane_settings[lanes, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
         for lane in lanes:
             self._trajectories[lane], self._limits[lane] = trajectory, limits
-        parameters = np.tile(self._parameters, (size, 1))
-        parameters[:, kernel.MASS] += payload
-        self._plant.set_parameters(lanes, parameters)
-        velocity = np.broadcast_to(start.velocity, pose.shape)
-        self._plant.set_state(lanes, pose, velocity)
-        if robot.flexible:
-            angle = textbook.static_motor_angle(robot, robot.mass + payload, pose, minimum=textbook.MINIMUM_TENSION)
-            self._plant.set_motors(lanes, angle, textbook.pulley_speed(robot, pose, velocity))
+        for uncertainty, some in self._by_uncertainty(lanes, uncertainties):
+            self._start(lanes[some], uncertainty, payload[some], pose[some], velocity[some])
         self._tables.follow(lanes, trajectory, self._plant.which)
         self._observe(lanes, fresh=True)
 
@@ -136,19 +128,63 @@ class Simulation:
         """The lanes' part of a value that is one for all or one per lane."""
         return np.broadcast_to(value, (self.count,))[lanes]
 
-    def _draw(self, lane: int, purpose: int, size: int) -> Array:
-        """Uniform numbers in [0, 1) that depend on seed, purpose and number of the episode alone."""
-        return np.random.default_rng([self._seeds[lane], purpose, self._episodes[lane]]).random(size)
+    def _by_uncertainty(
+        self, lanes: NDArray[np.int64], uncertainties: tuple[Uncertainty, ...]
+    ) -> Iterator[tuple[Uncertainty, NDArray[np.int64]]]:
+        """Each uncertainty and the places in ``lanes`` that it holds for."""
+        if len(uncertainties) == 1:
+            yield uncertainties[0], np.arange(len(lanes))
+            return
+        for uncertainty in dict.fromkeys(uncertainties[lane] for lane in lanes):
+            yield uncertainty, np.flatnonzero([uncertainties[lane] == uncertainty for lane in lanes])
+
+    def _start(
+        self, lanes: NDArray[np.int64], uncertainty: Uncertainty, payload: Array, pose: Array, velocity: Array
+    ) -> None:
+        """Draws the true robots and puts them where their episodes begin."""
+        robot: RobotArrays = self.settings.robot
+        parameters = self._parameters
+        if uncertainty.parameters:
+            uniform = self.streams.uniform(lanes, Purpose.PARAMETERS, self._draw_size)
+            robot = true = uncertainty.draw(self.settings.robot, payload, uniform)
+            parameters, payload = pack_parameters(true), true.payload
+        rows = np.array(np.broadcast_to(parameters, (len(lanes), parameters.shape[-1])))
+        rows[:, kernel.MASS] += payload
+        self._lane_settings[lanes, outcome.PAYLOAD] = payload
+        self._remember(lanes, robot, payload)
+        plant, loaded = self._plant, robot.mass + payload
+        plant.set_parameters(lanes, rows)
+        plant.set_state(lanes, pose, velocity)
+        if robot.flexible:
+            angle = textbook.static_motor_angle(robot, loaded, pose, minimum=textbook.MINIMUM_TENSION)
+            plant.set_motors(lanes, angle, textbook.pulley_speed(robot, pose, velocity))
+        holding = np.zeros((len(lanes), robot.cables))
+        if uncertainty.delay:
+            torque = textbook.static_torque(robot, loaded, pose, minimum=textbook.MINIMUM_TENSION)
+            speed = textbook.pulley_speed(robot, pose, velocity)
+            holding = (torque + robot.speed_slope * speed) / robot.stall_torque
+        self._disturbances.begin(lanes, uncertainty, holding)
+
+    def _remember(self, lanes: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
+        for name, parameter in PARAMETERS.items():
+            if (parameter.flexible and not robot.flexible) or (parameter.spatial and robot.planar):
+                continue
+            nominal = getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
+            if name not in self.truth:
+                self.truth[name] = np.zeros((self.count, *np.shape(nominal)))
+            self.truth[name][lanes] = payload if name == "payload" else getattr(robot, parameter.attribute)
 
     def step(self, action: Array) -> None:
         """One control period under drive commands (N, m), which have to be finite."""
         plant, tables, settings = self._plant, self._tables, self.settings
-        plant.set_demand(action)
+        plant.set_demand(self._disturbances.late(action))
+        self._disturbances.push(plant)
         plant.advance(tables.physics, tables.physics_ends, substeps=settings.substeps, step=settings.physics_step)
         self._observe(self._everyone, fresh=False)
 
     def _observe(self, lanes: NDArray[np.int64], *, fresh: bool) -> None:
         plant, tables, settings = self._plant, self._tables, self.settings
+        self._disturbances.measure(lanes, plant.step_index[lanes])
         outcome.outcome(
             fresh,
             settings.robot.flexible,
@@ -169,6 +205,7 @@ class Simulation:
             settings.termination_radius,
             settings.slack_time,
             self._slack_for,
+            self._disturbances.noise,
             self.observation,
             self.reward,
             self.reason,

@@ -48,7 +48,7 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     | name | size | meaning |
     |---|---|---|
-    | `pose` | n | X, true pose of the platform |
+    | `pose` | n | X, measured: exact unless sensors are noisy |
     | `velocity` | n | Ẋ |
     | `motor_angle` | m | flexible only: β′; less the pulley's angle, the wind-up of the springs |
     | `motor_speed` | m | flexible only: β̇′ |
@@ -106,12 +106,13 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     | name | default | meaning |
     |---|---|---|
-    | `payload`* | 0 | true payload [kg] |
+    | `payload`* | 0 | payload [kg]; the true one too, unless it is uncertain |
     | `payload_range` | None | (low, high): uniform payload, drawn anew each episode |
     | `payload_known`* | True | whether the observation tells the payload |
     | `trajectory`* | the paper's circle | a name, `{"name": …, …}` or a `Trajectory` |
     | `initial_error`* | 0 | start pose less reference, n values |
     | `initial_error_range` | None | n half widths of a uniform start error |
+    | `uncertainty`* | None | what the controller does not know, see below |
     | `limits`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, scale the reward |
     | `robot` | by id | a name, `Robot.to_dict()` data or a `Robot` |
     | `cable` | "unilateral" | or "bilateral", cables that can push |
@@ -120,6 +121,15 @@ class CableBotEnv(gym.Env[Array, Array]):
     | `termination_radius` | 0.1 | [m] |
     | `slack_time` | 0.1 | [s] |
     | `reward_weights` | see `DEFAULT_WEIGHTS` | weights by term |
+
+    ## Uncertainty
+
+    `uncertainty` is a name (`"table6"`, the paper's; `"sensors"`), names joined by `+`, a dict such as
+    `{"parameters": {"stiffness": {"low": -0.2, "high": 0.2}}, "wrench": {"force_std": 1.0}, "delay": 1}`, or a
+    :class:`~cablebot_gym.uncertainty.Uncertainty`. Parameters are drawn around the nominal robot at each reset; an
+    external wrench acts on the platform; sensor noise is added to `pose`, `velocity`, `motor_angle`, `motor_speed`;
+    commands arrive `delay` control steps late, and until then the motors hold the start. The observation and the
+    task keep telling the nominal robot and payload; `info` and `env.unwrapped.truth` tell the true ones.
 
     ## Version history
 
@@ -151,6 +161,11 @@ class CableBotEnv(gym.Env[Array, Array]):
         return self._simulation.tasks[0]
 
     @property
+    def truth(self) -> dict[str, Array]:
+        """True parameters of the present episode, names as in :data:`cablebot_gym.uncertainty.PARAMETERS`."""
+        return {name: values[0].copy() for name, values in self._simulation.truth.items()}
+
+    @property
     def pose(self) -> Array:
         """True pose X, shape (n,)."""
         pose: Array = self._simulation.pose[0]
@@ -164,15 +179,15 @@ class CableBotEnv(gym.Env[Array, Array]):
         """
         if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
             raise ValueError(SEED_MESSAGE.format(seed))
-        before = self._np_random, self._np_random_seed, self._simulation.streams()
+        before = self._np_random, self._np_random_seed, self._simulation.streams.standing()
         try:
             if seed is not None or not self._started:
                 super().reset(seed=seed)
-                self._simulation.seed([0], [self.np_random_seed])
+                self._simulation.streams.seed([0], [self.np_random_seed])
             self._simulation.reset(self._lane, options)
         except Exception:  # a refused reset takes nothing, not even its seed
             self._np_random, self._np_random_seed, streams = before
-            self._simulation.restore_streams(streams)
+            self._simulation.streams.restore(streams)
             raise
         self._started = True
         observation, _, _, info = self._result()

@@ -28,7 +28,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     """N :class:`~cablebot_gym.envs.single.CableBotEnv` at once, each lane equal to the single environment bit for bit.
 
     Made by ``gym.make_vec(id, num_envs=N)``. Takes the single environment's keywords, where ``payload``,
-    ``payload_known`` and ``initial_error`` may be given per environment, with a leading axis N, and:
+    ``payload_known``, ``initial_error`` and ``uncertainty`` may be given per environment, with a leading axis N, and:
 
     Args:
         num_envs: N.
@@ -90,6 +90,11 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         return self._simulation.tasks
 
     @property
+    def truth(self) -> dict[str, Array]:
+        """True parameters of the present episodes, names as in :data:`cablebot_gym.uncertainty.PARAMETERS`, (N, …)."""
+        return {name: values.copy() for name, values in self._simulation.truth.items()}
+
+    @property
     def pose(self) -> Array:
         """True poses X, shape (N, n)."""
         return self._simulation.pose
@@ -97,7 +102,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """Seed of each environment, as Gymnasium's own vector environments give it."""
-        return tuple(self._simulation.streams()[0].tolist())
+        return tuple(self._simulation.streams.seeds.tolist())
 
     def reset(
         self,
@@ -122,13 +127,13 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             for lane, item in zip(missing, entropy, strict=True):
                 seeds[lane] = int(item)
         # Seeds first, so that this episode draws from them; taken back if an option turns out to be wrong.
-        before = self._simulation.streams()
+        before = self._simulation.streams.standing()
         chosen = [lane for lane in lanes.tolist() if seeds[lane] is not None]
-        self._simulation.seed(chosen, [seeds[lane] for lane in chosen])
+        self._simulation.streams.seed(chosen, [seeds[lane] for lane in chosen])
         try:
             self._simulation.reset(lanes, options)
         except Exception:
-            self._simulation.restore_streams(before)
+            self._simulation.streams.restore(before)
             raise
         self._started = True
         self._steps[lanes] = 0

@@ -5,9 +5,9 @@ Newton and Euler in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns
     q_i  = ‖s_i‖,  s_i = Rᵀ(p − A_i) + b_i,  u_i = s_i/q_i,  n_i = b_i × u_i,  row_i = (u_i, n_i)
     q̇_i = u_i·w_i,  w_i = Rᵀṗ + ω × b_i,  q̈_i = row_i·y + bias_i,  bias_i = u_i·(ω×(ω×b_i)) + (w_i·w_i − q̇_i²)/q_i
     t_i  = κ_i/r_i + (J_i/r_i²) q̈_i + (c_i/r_i²) q̇_i,   T_i = max(0, t_i)  (unilateral)   or   T_i = t_i  (bilateral)
-    (m I₃, I) y = (m g Rᵀe_z, −ω × Iω) − Σ row_i T_i
+    (m I₃, I) y = (Rᵀ(m g e_z + F), RᵀM − ω × Iω) − Σ row_i T_i
 
-The Euler accelerations are recovered last. A cable is slack when t_i ≤ 0; the set of taut cables is unique (the
+F and M are force and moment from outside, at the centre of mass and in the base frame; mostly zero. The Euler accelerations are recovered last. A cable is slack when t_i ≤ 0; the set of taut cables is unique (the
 problem is strictly convex), so the result does not depend on where the search for it starts.
 
 Memory: robots stand in tiles of ``lanes`` lanes; each tile is a flat array of rows, ``array[row * lanes + lane]``, so
@@ -35,7 +35,7 @@ _inline = njit(forceinline=True, error_model="numpy")
 _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, then CABLE_PARAMETERS rows for each cable.
-MASS, INERTIA, GRAVITY, FIRST_CABLE_PARAMETER = 0, 1, 4, 5
+MASS, INERTIA, GRAVITY, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 8, 11
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
 STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH = 11, 12, 13, 14
 CABLE_PARAMETERS = 15
@@ -54,12 +54,16 @@ RECORD_ROWS = np.array(
 
 # Rows of the scratch, which nobody reads between calls.
 _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
-_ROTATION, _BODY_VELOCITY, _OMEGA, _SPIN, _GYRO, _TRIG = 42, 51, 54, 57, 60, 63
-_Y, _WRONG, _FIRST_CABLE = 67, 73, 74
+_ROTATION, _BODY_VELOCITY, _OMEGA, _SPIN, _LOAD, _TRIG = 42, 51, 54, 57, 60, 66
+_Y, _WRONG, _LEAST_SUM, _PAIR, _FIRST_CABLE = 70, 76, 77, 78, 82
 _ROW, _LENGTH_RATE, _BIAS, _REQUEST, _DRIVE, _TAUT, _FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
 # The motor behind its spring: angle β′ and speed β̇′ stand next to each other in each of the first three.
 _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 15, 17, 19, 20
-_CABLE_ROWS = 21
+_RESULTS = 21
+_CABLE_ROWS = 25
+
+TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
+"""Inverse dynamics' results, in the order in which they are written."""
 
 
 def parameter_rows(cables: int) -> int:
@@ -166,13 +170,22 @@ def _spatial_platform(p, w, at, lanes):
     )
     inertia = _load(p, INERTIA, at, lanes)
     gyro = _cross((inertia[0] * omega[0], inertia[1] * omega[1], inertia[2] * omega[2]), omega)
+    push, moment = _load(p, FORCE, at, lanes), _load(p, MOMENT, at, lanes)
+    force = (push[0], push[1], _fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2]))
     _store(w, _ROTATION, at, lanes, first)
     _store(w, _ROTATION + 3, at, lanes, second)
     _store(w, _ROTATION + 6, at, lanes, third)
     _store(w, _BODY_VELOCITY, at, lanes, (_dot(first, velocity), _dot(second, velocity), _dot(third, velocity)))
     _store(w, _OMEGA, at, lanes, omega)
     _store(w, _SPIN, at, lanes, spin)
-    _store(w, _GYRO, at, lanes, gyro)
+    _store(w, _LOAD, at, lanes, (_dot(first, force), _dot(second, force), _dot(third, force)))
+    _store(
+        w,
+        _LOAD + 3,
+        at,
+        lanes,
+        (gyro[0] + _dot(first, moment), gyro[1] + _dot(second, moment), gyro[2] + _dot(third, moment)),
+    )
     _store(w, _TRIG, at, lanes, (sx, cx, sy))
     w[(_TRIG + 3) * lanes + at] = cy
 
@@ -228,15 +241,28 @@ def _known_tension(p, w, at, lanes, i):
 @_inline
 def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
     """Adds cable i to the left side ((a, b), (bᵀ, c)) and takes its known tension from the right side (f, g)."""
-    row = _FIRST_CABLE + _CABLE_ROWS * i
     mu, known = _weights(p, w, at, lanes, i)
-    u, n = _load(w, row + _ROW, at, lanes), _load(w, row + _ROW + 3, at, lanes)
-    mu_u, mu_n = (mu * u[0], mu * u[1], mu * u[2]), (mu * n[0], mu * n[1], mu * n[2])
-    a = _add_outer(a, mu_u, u)
-    c = _add_outer(c, mu_n, n)
-    b = (_ahead(mu_u[0], n, b[0]), _ahead(mu_u[1], n, b[1]), _ahead(mu_u[2], n, b[2]))
-    f, g = _ahead(-known, u, f), _ahead(-known, n, g)
+    a, b, c = _add_row(a, b, c, mu, w, at, lanes, i)
+    f, g = _add_pull(f, g, known, w, at, lanes, i)
     return a, b, c, f, g
+
+
+@_inline
+def _add_row(a, b, c, weight, w, at, lanes, i):
+    """Adds weight · row_i row_iᵀ to ((a, b), (bᵀ, c))."""
+    row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
+    u, n = _load(w, row, at, lanes), _load(w, row + 3, at, lanes)
+    heavy = (weight * u[0], weight * u[1], weight * u[2])
+    a = _add_outer(a, heavy, u)
+    c = _add_outer(c, (weight * n[0], weight * n[1], weight * n[2]), n)
+    return a, (_ahead(heavy[0], n, b[0]), _ahead(heavy[1], n, b[1]), _ahead(heavy[2], n, b[2])), c
+
+
+@_inline
+def _add_pull(f, g, tension, w, at, lanes, i):
+    """Takes row_i · tension, cable i's pull, from (f, g)."""
+    row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
+    return _ahead(-tension, _load(w, row, at, lanes), f), _ahead(-tension, _load(w, row + 3, at, lanes), g)
 
 
 @_inline
@@ -280,24 +306,8 @@ def _times(a, x):
 
 
 @_inline
-def _spatial_solve(p, w, at, lanes):
-    """y of the taut set: the 6 × 6 system by its Schur complement in 3 × 3 blocks."""
-    mass, weight = p[MASS * lanes + at], p[MASS * lanes + at] * p[GRAVITY * lanes + at]
-    inertia = _load(p, INERTIA, at, lanes)
-    down = (
-        w[(_ROTATION + 2) * lanes + at],
-        w[(_ROTATION + 5) * lanes + at],
-        w[(_ROTATION + 8) * lanes + at],
-    )
-    zero = (0.0, 0.0, 0.0)
-    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), (inertia[0], 0.0, 0.0, inertia[1], 0.0, inertia[2])
-    f, g = (weight * down[0], weight * down[1], weight * down[2]), _load(w, _GYRO, at, lanes)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 2)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
+def _factored(a, b, c):
+    """What :func:`_solved` needs of the symmetric 6 × 6 ((a, b), (bᵀ, c)): its Schur complement in 3 × 3 blocks."""
     inverse = _inverse(a)
     column0, column1, column2 = (b[0][0], b[1][0], b[2][0]), (b[0][1], b[1][1], b[2][1]), (b[0][2], b[1][2], b[2][2])
     e0, e1, e2 = _times(inverse, column0), _times(inverse, column1), _times(inverse, column2)
@@ -309,16 +319,32 @@ def _spatial_solve(p, w, at, lanes):
         c[4] - _dot(column1, e2),
         c[5] - _dot(column2, e2),
     )
-    rest = (g[0] - _dot(e0, f), g[1] - _dot(e1, f), g[2] - _dot(e2, f))
-    turn = _times(_inverse(complement), rest)
-    push = _times(inverse, f)
-    _store(
-        w,
-        _Y,
-        at,
-        lanes,
-        _ahead(-turn[0], e0, _ahead(-turn[1], e1, _ahead(-turn[2], e2, push))),
-    )
+    return inverse, (e0, e1, e2), _inverse(complement)
+
+
+@_inline
+def _solved(factors, f, g):
+    """Both halves of the solution for the right side (f, g)."""
+    inverse, e, complement = factors
+    half = _times(complement, (g[0] - _dot(e[0], f), g[1] - _dot(e[1], f), g[2] - _dot(e[2], f)))
+    return _ahead(-half[0], e[0], _ahead(-half[1], e[1], _ahead(-half[2], e[2], _times(inverse, f)))), half
+
+
+@_inline
+def _spatial_solve(p, w, at, lanes):
+    """y of the taut set."""
+    mass, inertia = p[MASS * lanes + at], _load(p, INERTIA, at, lanes)
+    zero = (0.0, 0.0, 0.0)
+    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), (inertia[0], 0.0, 0.0, inertia[1], 0.0, inertia[2])
+    f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 2)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
+    push, turn = _solved(_factored(a, b, c), f, g)
+    _store(w, _Y, at, lanes, push)
     _store(w, _Y + 3, at, lanes, turn)
 
 
@@ -371,7 +397,7 @@ def _planar_cable(p, w, at, lanes, i):
 def _planar_solve(cables, p, w, at, lanes):
     """y = Ẍ of the taut set: two equations."""
     mass = p[MASS * lanes + at]
-    xx, xy, yy, fx, fy = mass, 0.0, mass, 0.0, 0.0
+    xx, xy, yy, fx, fy = mass, 0.0, mass, p[FORCE * lanes + at], p[(FORCE + 1) * lanes + at]
     for i in range(cables):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         mu, known = _weights(p, w, at, lanes, i)
@@ -387,17 +413,23 @@ def _planar_solve(cables, p, w, at, lanes):
 
 
 @_inline
+def _along(spatial, w, at, lanes, i):
+    """row_i · y."""
+    row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
+    along = w[row * lanes + at] * w[_Y * lanes + at]
+    along += w[(row + 1) * lanes + at] * w[(_Y + 1) * lanes + at]
+    if spatial:
+        along += w[(row + 2) * lanes + at] * w[(_Y + 2) * lanes + at]
+        along += _dot(_load(w, row + 3, at, lanes), _load(w, _Y + 3, at, lanes))
+    return along
+
+
+@_inline
 def _free_tension(spatial, p, w, at, lanes, i):
     """t_i: the tension if taut; where it is not positive, the cable is slack and −r t_i is the take-up torque u."""
-    row = _FIRST_CABLE + _CABLE_ROWS * i
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
-    along = w[(row + _ROW) * lanes + at] * w[_Y * lanes + at]
-    along += w[(row + _ROW + 1) * lanes + at] * w[(_Y + 1) * lanes + at]
-    if spatial:
-        along += w[(row + _ROW + 2) * lanes + at] * w[(_Y + 2) * lanes + at]
-        along += _dot(_load(w, row + _ROW + 3, at, lanes), _load(w, _Y + 3, at, lanes))
-    tension = _known_tension(p, w, at, lanes, i) + mu * along
-    w[(row + _FREE_TENSION) * lanes + at] = tension
+    tension = _known_tension(p, w, at, lanes, i) + mu * _along(spatial, w, at, lanes, i)
+    w[(_FIRST_CABLE + _CABLE_ROWS * i + _FREE_TENSION) * lanes + at] = tension
     return tension
 
 
@@ -673,6 +705,170 @@ def _evaluate(spatial, flexible, lanes, cables, unilateral, parameters, record, 
                 acceleration[tile, j * lanes + at] = w[(_RATE + j) * lanes + at]
 
 
+# --------------------------------------------------------------------------------------------- inverse dynamics
+
+
+@_inline
+def _spatial_y(w, at, lanes):
+    """y from Ẍ, the inverse of :func:`_spatial_acceleration`: y₁ = Rᵀp̈, ω̇ = P Θ̈ + Ṗ Θ̇."""
+    push = _load(w, _RATE, at, lanes)
+    roll, pitch, yaw = _load(w, _RATE + 3, at, lanes)
+    spin = _load(w, _SPIN, at, lanes)
+    sx, cx, sy = _load(w, _TRIG, at, lanes)
+    level = w[(_TRIG + 3) * lanes + at] * yaw
+    _store(
+        w,
+        _Y,
+        at,
+        lanes,
+        (
+            _dot(_load(w, _ROTATION, at, lanes), push),
+            _dot(_load(w, _ROTATION + 3, at, lanes), push),
+            _dot(_load(w, _ROTATION + 6, at, lanes), push),
+        ),
+    )
+    turn = (roll - sy * yaw, cx * pitch + sx * level, cx * level - sx * pitch)
+    _store(w, _Y + 3, at, lanes, (turn[0] + spin[0], turn[1] + spin[1], turn[2] + spin[2]))
+
+
+@_inline
+def _spatial_tensions(p, w, at, lanes):
+    """The T of Σ row_i T_i = (f, g), what the cables have to give: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
+
+    The matrix is the square of one that may be badly conditioned, hence a second pass with what the first one left.
+    """
+    y, load = _load(w, _Y, at, lanes), _load(w, _LOAD, at, lanes)
+    f = _ahead(-p[MASS * lanes + at], y, load)
+    turn, moment, inertia = _load(w, _Y + 3, at, lanes), _load(w, _LOAD + 3, at, lanes), _load(p, INERTIA, at, lanes)
+    g = (
+        _fma(-inertia[0], turn[0], moment[0]),
+        _fma(-inertia[1], turn[1], moment[1]),
+        _fma(-inertia[2], turn[2], moment[2]),
+    )
+    zero = (0.0, 0.0, 0.0)
+    a, b, c = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (zero, zero, zero), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 0)
+    a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 1)
+    a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 2)
+    a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 3)
+    a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 4)
+    a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 5)
+    factors = _factored(a, b, c)
+    for i in range(6):
+        w[(_FIRST_CABLE + _CABLE_ROWS * i + _RESULTS + TENSIONS) * lanes + at] = 0.0
+    f, g = _add_tensions(factors, f, g, w, at, lanes)
+    _add_tensions(factors, f, g, w, at, lanes)
+
+
+@_inline
+def _add_tensions(factors, f, g, w, at, lanes):
+    """Adds the tensions that give (f, g) to those in the results; returns what they fail to give."""
+    push, turn = _solved(factors, f, g)
+    for i in range(6):
+        row = _FIRST_CABLE + _CABLE_ROWS * i
+        part = _dot(_load(w, row + _ROW, at, lanes), push) + _dot(_load(w, row + _ROW + 3, at, lanes), turn)
+        w[(row + _RESULTS + TENSIONS) * lanes + at] += part
+        f, g = _add_pull(f, g, part, w, at, lanes, i)
+    return f, g
+
+
+@_inline
+def _planar_tensions(cables, minimum, p, w, lanes):
+    """The least T of Σ u_i T_i = f with T_i ≥ ``minimum``, as :func:`textbook.least_tensions`: pair by pair."""
+    for at in range(lanes):
+        mass = p[MASS * lanes + at]
+        fx, fy = -mass * w[_Y * lanes + at], -mass * w[(_Y + 1) * lanes + at]
+        for i in range(cables):
+            row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
+            fx, fy = fx - minimum * w[row * lanes + at], fy - minimum * w[(row + 1) * lanes + at]
+        w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at] = fx, fy
+        w[_LEAST_SUM * lanes + at] = np.inf
+        for j in range(4):
+            w[(_PAIR + j) * lanes + at] = 0.0
+    for i in range(cables):
+        for j in range(i + 1, cables):
+            for at in range(lanes):
+                _try_pair(w, at, lanes, i, j)
+    for i in range(cables):
+        for at in range(lanes):
+            one, other = w[_PAIR * lanes + at], w[(_PAIR + 1) * lanes + at]
+            pull = w[(_PAIR + 2) * lanes + at] if one == i else (w[(_PAIR + 3) * lanes + at] if other == i else 0.0)
+            row = _FIRST_CABLE + _CABLE_ROWS * i + _RESULTS + TENSIONS
+            w[row * lanes + at] = minimum + max(pull, 0.0)
+
+
+@_inline
+def _try_pair(w, at, lanes, i, j):
+    """Keeps cables i and j and their pulls in _PAIR if they give the force and no pair before did with less."""
+    first_row, second_row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW, _FIRST_CABLE + _CABLE_ROWS * j + _ROW
+    ax, ay = w[first_row * lanes + at], w[(first_row + 1) * lanes + at]
+    bx, by = w[second_row * lanes + at], w[(second_row + 1) * lanes + at]
+    fx, fy = w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at]
+    determinant = ax * by - ay * bx
+    first, second = (fx * by - fy * bx) / determinant, (ax * fy - ay * fx) / determinant
+    # The slightest negative value is rounding, of a force along one of the two cables.
+    slack = 1e-12 * (1.0 + abs(first) + abs(second))
+    pulls = (first >= -slack) & (second >= -slack) & (abs(determinant) > 1e-12)
+    better = pulls & (first + second < w[_LEAST_SUM * lanes + at])
+    w[_LEAST_SUM * lanes + at] = first + second if better else w[_LEAST_SUM * lanes + at]
+    w[_PAIR * lanes + at] = i if better else w[_PAIR * lanes + at]
+    w[(_PAIR + 1) * lanes + at] = j if better else w[(_PAIR + 1) * lanes + at]
+    w[(_PAIR + 2) * lanes + at] = first if better else w[(_PAIR + 2) * lanes + at]
+    w[(_PAIR + 3) * lanes + at] = second if better else w[(_PAIR + 3) * lanes + at]
+
+
+@_inline
+def _required_motor(spatial, p, w, at, lanes, i):
+    """τ = r T + J β̈ + c β̇ (Eq. 1), β̇ and β̈ of cable i."""
+    par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+    per_radius = p[(par + PER_RADIUS) * lanes + at]
+    rate = w[(row + _LENGTH_RATE) * lanes + at]
+    acceleration = _along(spatial, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
+    inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at] * acceleration
+    damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
+    pull = w[(row + _RESULTS + TENSIONS) * lanes + at] - inertia - damping
+    w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius
+    w[(row + _RESULTS + SPEEDS) * lanes + at] = -rate * per_radius
+    w[(row + _RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
+
+
+@_inline
+def _required(spatial, cables, parameters, minimum, w, mass, motion, results):
+    """Inverse dynamics of all lanes in tiles; lanes that fill up the last tile repeat the last robot."""
+    lanes, count, n = LANES, mass.shape[0], 6 if spatial else 2
+    p = np.empty(parameters.shape[0] * lanes)
+    for row in range(parameters.shape[0]):
+        for at in range(lanes):
+            p[row * lanes + at] = parameters[row]
+    for first in range(0, count, lanes):
+        for at in range(lanes):
+            lane = min(first + at, count - 1)
+            p[MASS * lanes + at] = mass[lane]
+            for j in range(n):
+                w[(_STAGE + j) * lanes + at] = motion[0, lane, j]
+                w[(_STAGE + 6 + j) * lanes + at] = motion[1, lane, j]
+                w[(_RATE + j) * lanes + at] = motion[2, lane, j]
+        _kinematics(spatial, cables, p, w, lanes)
+        if spatial:
+            for at in range(lanes):
+                _spatial_y(w, at, lanes)
+            for at in range(lanes):
+                _spatial_tensions(p, w, at, lanes)
+        else:
+            for j in range(n):
+                for at in range(lanes):
+                    w[(_Y + j) * lanes + at] = w[(_RATE + j) * lanes + at]
+            _planar_tensions(cables, minimum, p, w, lanes)
+        for i in range(cables):
+            for at in range(lanes):
+                _required_motor(spatial, p, w, at, lanes, i)
+        for result in range(4):
+            for at in range(min(lanes, count - first)):
+                for i in range(cables):
+                    value = w[(_FIRST_CABLE + _CABLE_ROWS * i + _RESULTS + result) * lanes + at]
+                    results[result, first + at, i] = value
+
+
 # ------------------------------------------------------------------------------------------------- entry points
 # One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six, rigid and
 # flexible.
@@ -762,3 +958,19 @@ def advance_one_flexible_spatial(cables, unilateral, parameters, record, w, refe
 def evaluate_flexible_spatial(cables, unilateral, parameters, record, w, acceleration):
     """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
     _evaluate(True, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
+
+
+# Inverse dynamics. Shapes: parameters (parameter_rows,) of one robot, w as above, mass (N,), motion (3, N, n) = (X, Ẋ, Ẍ), results
+# (4, N, m) in the order of TENSIONS to WINDINGS.
+
+
+@_compile
+def required_planar(cables, parameters, minimum, w, mass, motion, results):
+    """Least tensions of at least ``minimum``, torques, speeds and winding accelerations of planar robots."""
+    _required(False, len(cables), parameters, minimum, w, mass, motion, results)
+
+
+@_compile
+def required_spatial(cables, parameters, minimum, w, mass, motion, results):
+    """Tensions, torques, speeds and winding accelerations of spatial robots; ``minimum`` has no effect."""
+    _required(True, len(cables), parameters, minimum, w, mass, motion, results)

@@ -222,6 +222,13 @@ class MujocoRobot:
         self.data.qpos[self._platform_positions :] = angle * self.robot.pulley_radius
         self.data.qvel[self._platform_speeds :] = speed * self.robot.pulley_radius
 
+    def set_wrench(self, force: ArrayLike, moment: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """External force [N] and moment [N·m] at the platform's centre of mass, in the base frame, each of shape (3,).
+
+        They last until the next :meth:`set_state`.
+        """
+        self.data.body("platform").xfrc_applied[:] = np.concatenate([force, moment])
+
     def state(self) -> tuple[Array, Array]:
         """``(X, Ẋ)``, new arrays of shape (n,)."""
         positions, speeds = np.array(self._platform_qpos), np.array(self._platform_qvel)

@@ -7,29 +7,31 @@ import numpy as np
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.textbook import Cable
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import Robot, RobotArrays
 
 
-def pack_parameters(robot: Robot) -> Array:
-    """The kernel's parameters of one robot without payload, shape (parameter rows,)."""
-    rows = np.zeros(kernel.parameter_rows(robot.cables))
-    rows[kernel.MASS] = robot.mass
-    rows[kernel.INERTIA : kernel.INERTIA + 3] = robot.inertia or (1.0, 1.0, 1.0)
-    rows[kernel.GRAVITY] = robot.gravity
-    cables = rows[kernel.FIRST_CABLE_PARAMETER :].reshape(robot.cables, kernel.CABLE_PARAMETERS)
-    columns = robot.base.shape[1]
-    cables[:, kernel.BASE : kernel.BASE + columns] = robot.base
-    cables[:, kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform
-    cables[:, kernel.PER_RADIUS] = 1 / robot.pulley_radius
-    cables[:, kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
-    cables[:, kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
+def pack_parameters(robot: RobotArrays) -> Array:
+    """The kernel's parameters of one robot, shape (parameter rows,), or of N, (N, parameter rows), without payload."""
+    batch = robot.base.shape[:-2]
+    rows = np.zeros((*batch, kernel.parameter_rows(robot.cables)))
+    rows[..., kernel.MASS] = robot.mass
+    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = 1.0 if robot.planar else robot.inertia
+    rows[..., kernel.GRAVITY] = robot.gravity
+    cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
+    columns = robot.base.shape[-1]
+    cables[..., kernel.BASE : kernel.BASE + columns] = robot.base
+    cables[..., kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform
+    cables[..., kernel.PER_RADIUS] = 1 / robot.pulley_radius
+    cables[..., kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
+    cables[..., kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
     if robot.flexible:
-        cables[:, kernel.STIFFNESS] = robot.stiffness
-        cables[:, kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
-        cables[:, kernel.MOTOR_DAMPING] = robot.motor_damping
-        cables[:, kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
-    cables[:, kernel.STALL] = robot.stall_torque
-    cables[:, kernel.SLOPE] = robot.speed_slope
+        cables[..., kernel.STIFFNESS] = robot.stiffness
+        cables[..., kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
+        cables[..., kernel.MOTOR_DAMPING] = robot.motor_damping
+        cables[..., kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
+    cables[..., kernel.STALL] = robot.stall_torque
+    cables[..., kernel.SLOPE] = robot.speed_slope
+    rows[..., kernel.FIRST_CABLE_PARAMETER :] = cables.reshape(*batch, -1)
     return rows
 
 
@@ -88,8 +90,25 @@ class Plant:
             view[fill // self.lanes, :, fill % self.lanes] = last
 
     def set_parameters(self, index: Array, rows: Array) -> None:
-        """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows)."""
+        """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows).
+
+        These are whole rows, so an external wrench is gone afterwards.
+        """
         self._write(self._parameters, 0, np.asarray(index), np.asarray(rows, float))
+
+    def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
+        """External wrench on the platforms of the robots at ``index``, from now on until changed.
+
+        Args:
+            index: robots, shape (k,).
+            force: at the centre of mass, in the base frame [N], shape (k, 3), or (k, 2) of planar robots.
+            moment: in the base frame [N·m], shape (k, 3); None for none. Has no effect on a planar robot.
+        """
+        index, force = np.asarray(index), np.asarray(force, float)
+        wrench = np.zeros((len(index), 6))
+        wrench[:, : force.shape[-1]] = force
+        wrench[:, 3:] = 0.0 if moment is None else moment
+        self._write(self._parameters, kernel.FORCE, index, wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
         """Starts the robots at ``index`` at poses X and velocities Ẋ, each (len(index), n), at control step 0."""

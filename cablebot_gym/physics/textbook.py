@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import Robot, RobotArrays
 
 Cable = Literal["unilateral", "bilateral"]
 
@@ -25,17 +25,17 @@ MINIMUM_TENSION = 5.0
 loop; a few newtons keep them taut."""
 
 
-def jacobian(robot: Robot, pose: ArrayLike) -> Array:
+def jacobian(robot: RobotArrays, pose: ArrayLike) -> Array:
     """S = ∂q/∂X (Eq. 3), shape (..., m, n)."""
     return kinematics.structure_jacobian(robot.base, robot.platform, pose)
 
 
-def jacobian_rate(robot: Robot, pose: ArrayLike, velocity: ArrayLike) -> Array:
+def jacobian_rate(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """Ṡ along Ẋ, shape (..., m, n)."""
     return kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity)
 
 
-def mass_matrix(robot: Robot, mass: ArrayLike, pose: ArrayLike) -> Array:
+def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
     """D(X) of Eq. 3, shape (..., n, n): ``blkdiag(m I₃, PᵀIP)``; planar ``m I₂``."""
     pose = np.asarray(pose, float)
     mass = np.broadcast_to(np.asarray(mass, float), pose.shape[:-1])[..., None, None]
@@ -44,11 +44,11 @@ def mass_matrix(robot: Robot, mass: ArrayLike, pose: ArrayLike) -> Array:
     matrix = np.zeros((*pose.shape[:-1], 6, 6))
     matrix[..., :3, :3] = mass * np.eye(3)
     to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
-    matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ (np.asarray(robot.inertia)[:, None] * to_omega)
+    matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ (np.asarray(robot.inertia)[..., None] * to_omega)
     return matrix
 
 
-def bias(robot: Robot, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
+def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """h(X, Ẋ) = C Ẋ + g of Eq. 3, shape (..., n): ``(0, 0, −m g, Pᵀ{I Ṗ Θ̇ + (PΘ̇) × I(PΘ̇)})``; planar 0."""
     pose, velocity = np.asarray(pose, float), np.asarray(velocity, float)
     vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape))
@@ -64,47 +64,53 @@ def bias(robot: Robot, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) ->
     return vector
 
 
-def pulley_speed(robot: Robot, pose: ArrayLike, velocity: ArrayLike) -> Array:
+def pulley_speed(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """β̇ = −S Ẋ / r [rad/s], shape (..., m); winding is positive. With a rigid transmission, the motor speed."""
     return -_apply(jacobian(robot, pose), np.asarray(velocity, float)) / robot.pulley_radius
 
 
-def pulley_angle(robot: Robot, pose: ArrayLike) -> Array:
+def pulley_angle(robot: RobotArrays, pose: ArrayLike) -> Array:
     """β = −(q(X) − q(X₀))/r [rad], shape (..., m)."""
     home = kinematics.cable_lengths(robot.base, robot.platform, robot.home)
     return (home - kinematics.cable_lengths(robot.base, robot.platform, pose)) / robot.pulley_radius
 
 
-def static_motor_angle(robot: Robot, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
-    """β′ = β + r T/K of a flexible robot at rest [rad], shape (..., m), T as :func:`required_tensions` at rest."""
+def static_torque(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
+    """τ = r T at rest [N·m], shape (..., m), T as :func:`required_tensions` at rest."""
     rest = np.zeros_like(np.asarray(pose, float))
-    tensions = required_tensions(robot, mass, pose, rest, rest, minimum=minimum, strict=False)
-    return pulley_angle(robot, pose) + robot.pulley_radius * tensions / robot.stiffness
+    return robot.pulley_radius * required_tensions(robot, mass, pose, rest, rest, minimum=minimum, strict=False)
 
 
-def highest_frequency(robot: Robot) -> float:
+def static_motor_angle(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
+    """β′ = β + r T/K of a flexible robot at rest [rad], shape (..., m)."""
+    return pulley_angle(robot, pose) + static_torque(robot, mass, pose, minimum=minimum) / robot.stiffness
+
+
+def highest_frequency(robot: RobotArrays) -> float:
     """Highest natural frequency of a flexible robot about its home pose, cables taut [rad/s].
 
     Of ``blkdiag(D + Sᵀ(J/r²)S, J′) ẍ + K-terms x = 0`` in x = (X, β′), with twist ``β′ + S X/r``.
     """
     structure = jacobian(robot, robot.home)
     turning = structure / robot.pulley_radius[:, None]
-    m, n = structure.shape
-    inertia = np.zeros((n + m, n + m))
-    inertia[:n, :n] = mass_matrix(robot, robot.mass, robot.home) + turning.T @ (robot.pulley_inertia[:, None] * turning)
-    inertia[n:, n:] = np.diag(robot.motor_inertia)
-    twist = np.concatenate([turning, np.eye(m)], axis=1)
-    stiffness = twist.T @ (robot.stiffness[:, None] * twist)
+    m, n = structure.shape[-2:]
+    pulleys = np.swapaxes(turning, -1, -2) @ (robot.pulley_inertia[..., None] * turning)
+    home = np.broadcast_to(robot.home, (*structure.shape[:-2], n))
+    inertia = np.zeros((*structure.shape[:-2], n + m, n + m))
+    inertia[..., :n, :n] = mass_matrix(robot, robot.mass, home) + pulleys
+    inertia[..., n:, n:] = robot.motor_inertia[..., None] * np.eye(m)
+    twist = np.concatenate([turning, np.broadcast_to(np.eye(m), (*turning.shape[:-2], m, m))], axis=-1)
+    stiffness = np.swapaxes(twist, -1, -2) @ (robot.stiffness[..., None] * twist)
     return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real.max()))
 
 
-def fastest_motor_rate(robot: Robot) -> float:
+def fastest_motor_rate(robot: RobotArrays) -> float:
     """Largest rate at which a flexible robot's motors settle by friction or along their torque-speed line [1/s]."""
     line = np.sqrt(2) * robot.speed_slope  # held for a physics step, and so less stable than friction
     return float(np.max(np.maximum(robot.motor_damping, line) / robot.motor_inertia))
 
 
-def pulley_acceleration(robot: Robot, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+def pulley_acceleration(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """β̈ = −(S Ẍ + Ṡ Ẋ)/r (Eq. 6) [rad/s²], shape (..., m)."""
     cable = _apply(jacobian(robot, pose), np.asarray(acceleration, float))
     cable = cable + _apply(jacobian_rate(robot, pose, velocity), np.asarray(velocity, float))
@@ -112,7 +118,7 @@ def pulley_acceleration(robot: Robot, pose: ArrayLike, velocity: ArrayLike, acce
 
 
 def required_tensions(
-    robot: Robot,
+    robot: RobotArrays,
     mass: ArrayLike,
     pose: ArrayLike,
     velocity: ArrayLike,
@@ -131,7 +137,7 @@ def required_tensions(
 
 
 def _tensions(
-    robot: Robot,
+    robot: RobotArrays,
     mass: ArrayLike,
     pose: Array,
     velocity: ArrayLike,
@@ -209,6 +215,8 @@ class InverseDynamics:
     """τ [N·m], see :func:`required_torques`."""
     speeds: Array
     """β̇ [rad/s], see :func:`pulley_speed`."""
+    windings: Array
+    """β̈ [rad/s²], see :func:`pulley_acceleration`."""
 
 
 def inverse_dynamics(
@@ -221,13 +229,14 @@ def inverse_dynamics(
     minimum: float = 0.0,
     strict: bool = True,
 ) -> InverseDynamics:
-    """Tensions, torques and speeds of a motion at once; arguments as for :func:`required_tensions`."""
+    """Tensions, torques, speeds and windings of a motion at once; arguments as for :func:`required_tensions`."""
     pose, velocity, acceleration = (np.asarray(array, float) for array in (pose, velocity, acceleration))
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
     speed = -_apply(structure, velocity) / robot.pulley_radius
     winding = -(_apply(structure, acceleration) + _apply(rate, velocity)) / robot.pulley_radius
     tensions = _tensions(robot, mass, pose, velocity, acceleration, structure, minimum, strict)
-    return InverseDynamics(tensions=tensions, torques=_torques(robot, tensions, speed, winding), speeds=speed)
+    torques = _torques(robot, tensions, speed, winding)
+    return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, windings=winding)
 
 
 def torque_limits(robot: Robot, speed: ArrayLike) -> tuple[Array, Array]:

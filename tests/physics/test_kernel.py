@@ -90,7 +90,7 @@ def evaluated(robot, mass, pose, velocity, torques, cable="unilateral"):
 @both_cables
 @every_robot
 def test_bits_exclude_a_lane_that_differs_from_a_robot_alone(robot, cable, count):
-    """Over slack, clipped motors, unequal masses, own references and a reset half way."""
+    """Over slack, clipped motors, unequal masses and wrenches, own references and a reset half way."""
     pose, velocity, _ = random_states(robot, count, seed=count)
     mass = robot.mass * np.linspace(1, 1.6, count)
     rng = np.random.default_rng(7)
@@ -99,11 +99,13 @@ def test_bits_exclude_a_lane_that_differs_from_a_robot_alone(robot, cable, count
     ends = np.array([24, 11, 19])
     which = np.arange(count) % 3
     late = count - 1  # reset half way: the lane that fills up the last tile
+    force, moment = rng.uniform(-8, 8, (count, 2 if robot.planar else 3)), rng.uniform(-2, 2, (count, 3))
 
     def run(members):
         plant = loaded_plant(robot, mass[members], pose[members], velocity[members], cable)
         assert plant.lanes == (1 if len(members) == 1 else kernel.LANES)  # else a tile is compared with a tile
         plant.which[: len(members)] = which[members]
+        plant.set_wrench(np.arange(len(members)), force[members], moment[members])
         records = []
         for step, demand in enumerate(demands):
             if step == 4 and late in members:
@@ -357,6 +359,42 @@ def test_the_last_line_excludes_reading_references_beyond_the_end(robot):
             assert np.all(found <= error + 0.01)  # as far as it moves in one step
 
 
+# --- external wrench ----------------------------------------------------------------------------------------------
+
+
+def wrench_rows(plant):
+    """Force and moment of all lanes in memory, the fill included, shape (width, 6)."""
+    tiles = plant._parameters.reshape(len(plant.record), -1, plant.lanes)
+    return tiles[:, kernel.FORCE : kernel.FIRST_CABLE_PARAMETER].transpose(0, 2, 1).reshape(plant.width, 6)
+
+
+def test_the_wrench_excludes_one_that_fades_spreads_or_leaves_a_moment_behind():
+    """It lasts over resets until it is set anew or the parameters are; the fill does as the last robot does."""
+    pose, velocity, demand = random_states(UNEQUAL, 33, seed=14)
+    plant = loaded_plant(UNEQUAL, UNEQUAL.mass, pose, velocity)
+    assert not wrench_rows(plant).any()
+    pushed = np.array([4, 32])
+    plant.set_wrench(pushed, np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), np.array([[7.0, 8.0, 9.0]] * 2))
+    expected = np.zeros((plant.width, 6))
+    expected[4], expected[32:] = [1, 2, 3, 7, 8, 9], [4, 5, 6, 7, 8, 9]
+    plant.set_demand(demand)
+    plant.advance(*no_reference(UNEQUAL), substeps=2, step=1e-3)
+    plant.set_state(np.arange(33), pose, velocity)
+    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    plant.set_wrench(pushed[:1], np.array([[1.0, 0.0, 0.0]]))
+    expected[4] = [1, 0, 0, 0, 0, 0]
+    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    plant.set_parameters(pushed[1:], pack_parameters(UNEQUAL)[None])
+    expected[32:] = 0
+    np.testing.assert_array_equal(wrench_rows(plant), expected)
+
+
+def test_a_planar_force_excludes_a_third_number_taken_for_another_robots():
+    plant = Plant(PLANAR, 2)
+    plant.set_wrench(np.arange(2), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    np.testing.assert_array_equal(wrench_rows(plant)[:2], [[1, 2, 0, 0, 0, 0], [3, 4, 0, 0, 0, 0]])
+
+
 # --- motors -------------------------------------------------------------------------------------------------------
 
 
@@ -421,6 +459,27 @@ def test_energy_excludes_an_undriven_plant_that_drifts(robot):
     assert moved > 0.05
     assert drifts[2] < 3e-11
     assert drifts[0] > 14 * drifts[1]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("robot", [QUAD, UNEQUAL], ids=lambda robot: robot.name)
+def test_work_excludes_a_force_that_turns_with_the_platform_or_pushes_for_a_part_of_the_step(robot, count):
+    """An undriven, undamped plant under a constant force F gains F·Δp. Reached at 1 ms: 3e-11 J of 10 J."""
+    free = Motors(stall_torque=1.0, free_speed=1e100)  # no line to run into
+    robot = with_damping(robot.replace(motors=free), 0.0)
+    mass, space = 1.3 * robot.mass, 2 if robot.planar else 3
+    pose, velocity, force = robot.home + 0.05, np.full(robot.coordinates, 0.4), np.array([25.0, -40.0, 30.0])[:space]
+    if not robot.planar:
+        pose[2] += 0.25
+    pose, velocity = np.tile(pose, (count, 1)), np.tile(velocity, (count, 1))
+    plant = loaded_plant(robot, mass, pose, velocity, "bilateral")
+    plant.set_wrench(np.arange(count), np.tile(force, (count, 1)))
+    plant.set_demand(np.zeros((count, robot.cables)))
+    plant.advance(*no_reference(robot), substeps=300, step=1e-3)
+    work = (plant.pose - pose)[:, :space] @ force
+    assert np.abs(work).min() > 0.5
+    gained = energy(robot, mass, plant.pose, plant.velocity) - energy(robot, mass, pose, velocity)
+    np.testing.assert_allclose(gained, work, rtol=0, atol=1e-8)
 
 
 @both_cables

@@ -7,7 +7,7 @@ import pytest
 
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import kernel, mujoco_model, plant, textbook
-from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Transmission
 
 pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
 
@@ -99,6 +99,33 @@ def test_mujocos_accelerations_exclude_a_wrong_term_in_the_compiled_kernel(robot
     compiled = loaded_plant(robot, payload, STATES)
     compiled.set_state(np.arange(STATES), pose, velocity)
     assert worst_relative_error(compiled.evaluate(torques)[0], expected) <= 1e-13
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [PLANAR, SPATIAL, UNEQUAL_PLANAR, UNEQUAL_SPATIAL, FLEX_PLANAR, FLEX_SPATIAL],
+    ids=lambda robot: robot.name,
+)
+def test_mujocos_accelerations_exclude_a_wrench_in_the_wrong_frame_or_at_the_wrong_point(robot):
+    """Reached: 5e-15, and 2e-12 flexible, where winches far off cost MuJoCo's springs digits."""
+    pose, velocity, torques = random_states(robot, seed=22)
+    rng, lanes = np.random.default_rng(23), np.arange(STATES)
+    force, moment = rng.uniform(-50, 50, (STATES, 3)), rng.uniform(-10, 10, (STATES, 3))
+    compiled, peer = loaded_plant(robot, 1.0, STATES), mujoco_model.MujocoRobot(robot, payload=1.0)
+    compiled.set_state(lanes, pose, velocity)
+    compiled.set_wrench(lanes, force[:, :2] if robot.planar else force, moment)
+    turned = textbook.pulley_angle(robot, pose) + rng.uniform(-1, 2, torques.shape)
+    speed = rng.uniform(-20, 20, torques.shape)
+    if robot.flexible:
+        compiled.set_motors(lanes, turned, speed)
+    expected = []
+    for lane in lanes:
+        peer.set_state(pose[lane], velocity[lane])
+        if robot.flexible:
+            peer.set_motors(turned[lane], speed[lane])
+        peer.set_wrench(force[lane], moment[lane])
+        expected.append(peer.accelerations(torques[lane]))
+    assert worst_relative_error(compiled.evaluate(torques)[0], np.array(expected)) <= 1e-10
 
 
 @pytest.mark.parametrize("count", [1, 2])

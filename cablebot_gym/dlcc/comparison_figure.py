@@ -1,0 +1,86 @@
+"""A comparison, drawn: errors over time and their largest values over draws, as the paper's Fig. 9. Extra ``plot``."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cablebot_gym.dlcc.comparison import Comparison
+from cablebot_gym.dlcc.figures import DPI, add_legend, entitle, mark_bound, new_figure
+from cablebot_gym.files import write_whole
+from cablebot_gym.kinematics import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Of Okabe and Ito, for policies in order."""
+
+STYLES = ("-", "--", "-.", ":")
+"""Lines differ by more than their colour."""
+
+BAND = (0.05, 0.95)
+"""Quantiles over draws between which the band lies."""
+
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """Position error, and rotation error of a spatial robot, over time and as distribution of the largest one.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    kinds = [("position", "mm", "error", "max_error")]
+    if not comparison.task.robot.planar:
+        kinds.append(("rotation", "mrad", "rotation", "max_rotation"))
+    figure = new_figure(1.6 + 2.6 * len(kinds))
+    grid = figure.subplots(
+        len(kinds), 2, squeeze=False, width_ratios=[1.6, 1], sharex="col" if len(kinds) < 2 else False
+    )
+    for (over_time, largest), (name, unit, series, peak) in zip(grid, kinds, strict=True):
+        bound = getattr(comparison.limits, name)
+        _over_time(over_time, comparison, series)
+        over_time.set(ylabel=f"{name} error [{unit}]", ylim=(0, None))
+        mark_bound(over_time, bound, unit)
+        _distribution(largest, comparison, peak)
+        largest.axvline(1e3 * bound, color="black", linewidth=1.0)
+        largest.set(xlabel=f"largest {name} error [{unit}]", ylabel="share of draws", ylim=(0, 1.02))
+    grid[-1, 0].set_xlabel("time [s]")
+    add_legend(figure, grid[0, 0])
+    draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
+    told = "told" if comparison.payload_known else "not told"
+    head = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}; {draws}"
+    entitle(figure, head, "mean over draws, band from the 5th to the 95th percentile" if comparison.draws > 1 else "")
+    return figure
+
+
+def save_comparison(comparison: Comparison, folder: Path) -> Path:
+    """Writes ``comparison.png``; an interrupt leaves no half-written file.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    figure, path = draw_comparison(comparison), folder / "comparison.png"
+    write_whole(path, partial(figure.savefig, dpi=DPI, format="png"))
+    return path
+
+
+def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:
+    for place, one in enumerate(comparison.measured):
+        error: Array = 1e3 * getattr(one, series)
+        time = np.arange(1, len(error) + 1) / comparison.task.control_frequency
+        colour, style = COLOURS[place % len(COLOURS)], STYLES[place % len(STYLES)]
+        if comparison.draws > 1:
+            low, high = np.nanquantile(error, BAND, axis=1)
+            axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(time, np.nanmean(error, axis=1), style, color=colour, linewidth=1.8, label=one.policy)
+    axes.set_xlim(0, comparison.task.trajectory.duration)
+
+
+def _distribution(axes: Axes, comparison: Comparison, peak: str) -> None:
+    for place, one in enumerate(comparison.measured):
+        colour, style = COLOURS[place % len(COLOURS)], STYLES[place % len(STYLES)]
+        axes.ecdf(1e3 * getattr(one, peak), color=colour, linestyle=style, linewidth=1.8)

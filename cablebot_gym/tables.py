@@ -1,0 +1,136 @@
+"""Results as tables in the terminal."""
+
+from __future__ import annotations
+
+import sys
+
+from rich.console import Console
+from rich.table import Table
+
+from cablebot_gym.dlcc.comparison import CONFIDENCE, REDUCED, Comparison, Estimate
+from cablebot_gym.dlcc.result import DLCCResult
+
+_PLAIN_WIDTH = 150
+"""Columns where the output is no terminal."""
+
+
+def _console() -> Console:
+    return Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
+
+
+def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
+    """Evaluations of one policy, and the criteria that do not apply to it."""
+    console = _console()
+    first = results[0]
+    told = "payload told" if first.payload_known else "payload not told"
+    unknown = "" if first.uncertainty is None else f", {first.uncertainty}, {_number(first.draws, 'draw')}"
+    table = Table(
+        title=f"{first.env_id}, {first.policy}, {first.environment['trajectory'].get('name', '')}, {told}{unknown}",
+        title_justify="left",
+    )
+    for column, justify in (
+        ("criterion", "left"),
+        ("payload", "right"),
+        ("total mass", "right"),
+        ("what fails first beyond it", "left"),
+        ("left at that payload", "left"),
+    ):
+        table.add_column(column, justify=justify)  # type: ignore[arg-type]
+    for result in results:
+        if result.payload is None:
+            payload, total = "none", "–"
+            intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
+            margins = f"not even zero is carried; carried: {intervals or 'nothing'}"
+        else:
+            payload, total = f"{result.payload:.3f} kg", f"{result.total_mass:.3f} kg"
+            margins = _margins_text(result)
+        table.add_row(result.criterion, payload, total, _failure_text(result), margins)
+    for name in left_out:
+        table.add_row(name, "n/a", "–", "not applicable: the policy does not declare unclipped", "–")
+    console.print(table)
+    bounds = f"position {1e3 * (first.limits['position'] or 0.0):g} mm"
+    rotation = next((result.limits["rotation"] for result in results if result.limits["rotation"] is not None), None)
+    if rotation is not None:
+        bounds += f", rotation {rotation * 1e3:g} mrad (task only)"
+    notes = [f"bounds: {bounds}"]
+    if first.resolution > 0:
+        notes.append(f"resolution {first.resolution * 1e3:.2g} g")
+    if first.probability is not None:
+        notes.append(f"carried in at least {first.probability:.0%} of the draws")
+        notes += [f"{result.criterion}: {_assured_text(result)}" for result in results]
+    if any(result.limit.kind == "scan_end" for result in results):
+        notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
+    console.print("; ".join(notes), highlight=False)
+
+
+def _failure_text(result: DLCCResult) -> str:
+    if not result.failures:
+        return str(result.limit)
+    kinds = ", ".join(f"{kind} in {number}" for kind, number in result.failures.items())
+    return f"{kinds} of {result.draws} draws; {result.limit}"
+
+
+def _assured_text(result: DLCCResult) -> str:
+    if result.assured_payload is not None:
+        return f"{result.assured_payload:.2f} kg assured with {result.confidence:.0%} confidence"
+    return f"no payload assured with {result.confidence:.0%} confidence by {result.draws} draws"
+
+
+def _number(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def _margins_text(result: DLCCResult) -> str:
+    torque = result.margins["torque"]
+    parts = [f"torque {torque:.1%}" if torque >= 0 else f"demand {-torque:.1%} beyond the torque line"]
+    parts += [f"position {result.margins['position']:.1%}"]
+    if "rotation" in result.margins:
+        parts.append(f"rotation {result.margins['rotation']:.1%}")
+    return ", ".join([*parts, f"tension ≥ {result.margins['tension']:.1f} N"])
+
+
+_COLUMNS = (
+    ("mean_error", "error, mean [mm]", 1e3),
+    ("rms_error", "rms [mm]", 1e3),
+    ("max_error", "max [mm]", 1e3),
+    ("max_rotation", "rotation, max [mrad]", 1e3),
+    ("rms_torque", "torque, rms [N·m]", 1.0),
+    ("peak_torque", "peak [N·m]", 1.0),
+    ("torque_margin", "margin [%]", 100.0),
+    ("least_tension", "least tension [N]", 1.0),
+)
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Policies over the same draws."""
+    told = "told" if comparison.payload_known else "not told"
+    unknown = f"{_number(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
+    title = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}, {unknown}"
+    table = Table(title=title, title_justify="left")
+    table.add_column("policy")
+    for column in ("carried", *(column for _, column, _ in _COLUMNS)):
+        table.add_column(column, justify="right")
+    for one in comparison.measured:
+        cells = []
+        for name, _, scale in _COLUMNS:
+            estimate = one.estimate(name)
+            width = f" ± {scale * (estimate.high - estimate.mean):.2g}" if comparison.draws > 1 else ""
+            cells.append(f"{scale * estimate.mean:.3g}{width}")
+        table.add_row(one.policy, f"{one.carried.mean():.0%}", *cells)
+    console = _console()
+    console.print(table)
+    first = comparison.measured[0].policy
+    for place, one in enumerate(comparison.measured[1:], 1):
+        shares = [f"{name.replace('_', ' ')} {_change(comparison.reduction(place, name))}" for name in REDUCED]
+        console.print(f"{one.policy} against {first}: {', '.join(shares)}", highlight=False)
+    notes = [f"± and brackets: {CONFIDENCE:.0%} confidence over draws"] if comparison.draws > 1 else []
+    if ended := sum(int(one.ended.sum()) for one in comparison.measured):
+        notes.append(f"{_number(ended, 'episode')} ended early and counted up to the end")
+    if notes:
+        console.print("; ".join(notes), highlight=False)
+
+
+def _change(share: Estimate) -> str:
+    """Less of something is a gain, and written with a minus sign."""
+    interval = f" [{-share.high:+.0%}, {-share.low:+.0%}]" if share.high > share.low else ""
+    return f"{-share.mean:+.0%}{interval}"
