@@ -70,8 +70,7 @@ class FlexibleLaw(ClassicalLaw):
     def _as_rigid(self, mass: Array, part: dict[str, Array], acceleration: Array) -> tuple[Array, Array, Array]:
         """κ + c′ β̇, β̈ and β̇ of an acceleration: but for J′ β̈, the torque that rigid joints would need."""
         needed = self._inverse_dynamics(mass, part["pose"], part["velocity"], acceleration)
-        winding = textbook.pulley_acceleration(self.robot, part["pose"], part["velocity"], acceleration)
-        return needed.torques + self.robot.motor_damping * needed.speeds, winding, needed.speeds
+        return needed.torques + self.robot.motor_damping * needed.speeds, needed.windings, needed.speeds
 
     def _spring(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
         """κ = r T + J β̈ + c β̇, what the springs have to give."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -84,10 +85,8 @@ class ClassicalLaw:
         return (torques + self.robot.speed_slope * speeds) / self.robot.stall_torque
 
     def _inverse_dynamics(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> InverseDynamics:
-        """Tensions, torques and speeds at the pulleys; the laws' only way to the equations of motion."""
-        return textbook.inverse_dynamics(
-            self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension, strict=False
-        )
+        """Tensions, torques, speeds and windings β̈ at the pulleys."""
+        return inverse_dynamics(self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension)
 
     @property
     def turning_inertia(self) -> Array:
