@@ -1,6 +1,6 @@
 """The paper's control laws, and laws that work where they do not."""
 
-from baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_FL4, Adaptive
+from baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE, Adaptive
 from baselines.classical.feedback_linearization import FL, FL_TUNED, FeedbackLinearization
 from baselines.classical.flex_eq22 import FLEX_EQ22, PaperFlexible
 from baselines.classical.flexible import COMPOSITE, COMPOSITE_TUNED, FL4, MOTOR_PD, Composite, FourthOrder, MotorPD
@@ -9,7 +9,7 @@ from baselines.classical.robust import ROBUST, ROBUST_COMPOSITE, ROBUST_TUNED, R
 
 __all__ = [
     "ADAPTIVE",
-    "ADAPTIVE_FL4",
+    "ADAPTIVE_COMPOSITE",
     "COMPOSITE",
     "COMPOSITE_TUNED",
     "FL",

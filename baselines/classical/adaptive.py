@@ -10,9 +10,9 @@ import numpy as np
 
 from baselines.classical.allocation import attainable
 from baselines.classical.feedback_linearization import FeedbackLinearization
-from baselines.classical.flexible import SPATIAL_ENV_IDS, FourthOrder
+from baselines.classical.flexible import composite_tuned
 from baselines.classical.law import Array, ClassicalLaw, first_steps
-from cablebot_gym.envs import RIGID_ENV_IDS
+from cablebot_gym.envs import FLEXIBLE_ENV_IDS, RIGID_ENV_IDS
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import STANDARD_GRAVITY, Robot
@@ -145,8 +145,8 @@ def _adaptive(robot: Robot) -> Adaptive:
     return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
 
 
-def _adaptive_fl4(robot: Robot) -> Adaptive:
-    return Adaptive(FourthOrder(robot))
+def _adaptive_composite(robot: Robot) -> Adaptive:
+    return Adaptive(composite_tuned(robot))
 
 
 ADAPTIVE = PolicyEntry(
@@ -157,10 +157,10 @@ ADAPTIVE = PolicyEntry(
     summary="feedback linearization that weighs its payload and shares out what the motors can give",
 )
 
-ADAPTIVE_FL4 = PolicyEntry(
-    name="adaptive-fl4",
+ADAPTIVE_COMPOSITE = PolicyEntry(
+    name="adaptive-composite",
     kind="classical",
-    env_ids=SPATIAL_ENV_IDS,
-    factory=_adaptive_fl4,
-    summary="fl4 that weighs its payload and shares out what the motors can give",
+    env_ids=FLEXIBLE_ENV_IDS,
+    factory=_adaptive_composite,
+    summary="composite-tuned that weighs its payload and shares out what the motors can give",
 )
