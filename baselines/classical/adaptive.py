@@ -36,8 +36,6 @@ class Memory:
     """β̇ [rad/s]."""
     torques: Array
     """Rigid: asked of the motors. Flexible: κ of the springs [N·m]."""
-    weight: Array
-    """w = p̈_d − g of the reference [m/s²]."""
     time_left: Array
     """The observation's clock [s]."""
     impulse: Array
@@ -51,8 +49,8 @@ class Adaptive(ClassicalLaw):
 
     Over a control period of length h momentum balances as m y = f, with y = Δṗ − g h and f = −∫ (SᵀT)_p dt, where
     ∫ r T dt = ∫ (κ − c β̇) dt − J Δβ̇ and κ the motors' torques, clipped as the plant clips them, or the springs'.
-    The estimate m̂ = (λ m_told + Σ w·f)/(λ + Σ w·y) weighs the periods by the reference's w = p̈_d − g rather than by y
-    itself: y's noise then has no bias and mostly cancels from one period to the next. Nothing is differentiated.
+    The estimate m̂ = (λ m_told + Σ w·f)/(λ + Σ w·y) weighs the periods by the reference's w = p̈_d − g [m/s²], not by
+    y itself: y's noise then has no bias and mostly cancels from one period to the next. Nothing is differentiated.
 
     Args:
         law: without memory; asked for torques with the estimated mass.
@@ -107,7 +105,6 @@ class Adaptive(ClassicalLaw):
             velocity=velocity.copy(),
             pulley=pulley,
             torques=torques,
-            weight=weight,
             time_left=part["time_left"].copy(),
             impulse=nothing,
             change=nothing,
@@ -115,7 +112,7 @@ class Adaptive(ClassicalLaw):
         if before is None:
             return now
         first = first_steps(before, episode_start, pose.shape[:-1])[..., None]
-        impulse, change = self._period(before, now)
+        impulse, change = self._period(before, now, weight)
         # The clock stands still once the reference has ended: the estimate stays what it was.
         runs = now.time_left < before.time_left
         return replace(
@@ -124,7 +121,7 @@ class Adaptive(ClassicalLaw):
             change=np.where(first, 0.0, before.change + np.where(runs, change, 0.0)),
         )
 
-    def _period(self, before: Memory, now: Memory) -> tuple[Array, Array]:
+    def _period(self, before: Memory, now: Memory, weight: Array) -> tuple[Array, Array]:
         """w·f and w·y of the control period between two memories, each (..., 1)."""
         robot, h = self.robot, before.time_left - now.time_left
         first, last = before.torques, now.torques
@@ -137,7 +134,7 @@ class Adaptive(ClassicalLaw):
         change = (now.velocity - before.velocity)[..., :3]
         if not robot.planar:
             change[..., 2] -= robot.gravity * h[..., 0]
-        along_force, along_change = (np.sum(before.weight * value, axis=-1, keepdims=True) for value in (force, change))
+        along_force, along_change = (np.sum(weight * value, axis=-1, keepdims=True) for value in (force, change))
         return along_force, along_change
 
 
