@@ -1,15 +1,33 @@
 """The paper's control laws, and laws that work where they do not."""
 
-from baselines.classical.feedback_linearization import FL, FeedbackLinearization
-from baselines.classical.flexible import COMPOSITE, FL4, MOTOR_PD, Composite, FourthOrder, MotorPD
+from baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE, Adaptive
+from baselines.classical.feedback_linearization import FL, FL_TUNED, FeedbackLinearization
+from baselines.classical.flex_eq22 import FLEX_EQ22, PaperFlexible
+from baselines.classical.flexible import COMPOSITE, COMPOSITE_TUNED, FL4, MOTOR_PD, Composite, FourthOrder, MotorPD
+from baselines.classical.outer_loop import PD, RobustPD
+from baselines.classical.robust import ROBUST, ROBUST_COMPOSITE, ROBUST_TUNED, Robust, RobustComposite
 
 __all__ = [
+    "ADAPTIVE",
+    "ADAPTIVE_COMPOSITE",
     "COMPOSITE",
+    "COMPOSITE_TUNED",
     "FL",
     "FL4",
+    "FLEX_EQ22",
+    "FL_TUNED",
     "MOTOR_PD",
+    "PD",
+    "ROBUST",
+    "ROBUST_COMPOSITE",
+    "ROBUST_TUNED",
+    "Adaptive",
     "Composite",
     "FeedbackLinearization",
     "FourthOrder",
     "MotorPD",
+    "PaperFlexible",
+    "Robust",
+    "RobustComposite",
+    "RobustPD",
 ]

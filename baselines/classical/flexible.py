@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.classical.law import Array, ClassicalLaw, checked_gains, outer_loop
+from baselines.classical.law import Array, ClassicalLaw
+from baselines.classical.outer_loop import PD, OuterLoop, checked_gains
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
@@ -60,18 +61,20 @@ class FlexibleLaw(ClassicalLaw):
             raise ValueError(f"{type(self).__name__} needs joint springs, and {robot.name!r} has none: use fl")
         super().__init__(robot, minimum_tension=minimum_tension)
 
-    def _torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+    def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         return self._torque(part, mass), part["motor_speed"]
 
     def _torque(self, part: dict[str, Array], mass: Array) -> Array:
         raise NotImplementedError
 
+    def _as_rigid(self, mass: Array, part: dict[str, Array], acceleration: Array) -> tuple[Array, Array, Array]:
+        """κ + c′ β̇, β̈ and β̇ of an acceleration: but for J′ β̈, the torque that rigid joints would need."""
+        needed = self._inverse_dynamics(mass, part["pose"], part["velocity"], acceleration)
+        return needed.torques + self.robot.motor_damping * needed.speeds, needed.windings, needed.speeds
+
     def _spring(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
         """κ = r T + J β̈ + c β̇, what the springs have to give."""
-        needed = textbook.inverse_dynamics(
-            self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension, strict=False
-        )
-        return needed.torques
+        return self._inverse_dynamics(mass, pose, velocity, acceleration).torques
 
     def _spring_rates(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
         """κ, κ̇ and κ̈ along a motion."""
@@ -100,20 +103,19 @@ class Composite(FlexibleLaw):
         minimum_tension: float = MINIMUM_TENSION,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        self.gains = checked_gains(gains, robot)
+        self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
         if not 0 <= spring_damping < math.inf:
             raise ValueError(f"spring_damping must be at least 0, not {spring_damping}")
         self._damping = spring_damping * np.sqrt(robot.stiffness * robot.motor_inertia)
 
+    @property
+    def turning_inertia(self) -> Array:
+        """J + J′: motor and pulley as one [kg·m²], (m,)."""
+        return self.robot.pulley_inertia + self.robot.motor_inertia
+
     def _torque(self, part: dict[str, Array], mass: Array) -> Array:
-        robot, pose, velocity = self.robot, part["pose"], part["velocity"]
-        outer = outer_loop(part, self.gains)
-        needed = textbook.inverse_dynamics(
-            robot, mass, pose, velocity, outer, minimum=self.minimum_tension, strict=False
-        )
-        winding = textbook.pulley_acceleration(robot, pose, velocity, outer)
-        motor = robot.motor_inertia * winding + robot.motor_damping * needed.speeds
-        return needed.torques + motor + self._damping * (needed.speeds - part["motor_speed"])
+        torques, winding, speeds = self._as_rigid(mass, part, self.outer(part))
+        return torques + self.robot.motor_inertia * winding + self._damping * (speeds - part["motor_speed"])
 
 
 class MotorPD(FlexibleLaw):
@@ -181,8 +183,7 @@ class FourthOrder(FlexibleLaw):
 
     def _torque(self, part: dict[str, Array], mass: Array) -> Array:
         robot, pose, velocity = self.robot, part["pose"], part["velocity"]
-        structure, still = textbook.jacobian(robot, pose), np.zeros_like(pose)
-        slope = self._slope(structure, textbook.mass_matrix(robot, mass, pose))
+        still, slope = np.zeros_like(pose), self.torque_slope(mass, pose)
         spring = robot.stiffness * (part["motor_angle"] - textbook.pulley_angle(robot, pose))
         spring_rate = robot.stiffness * (part["motor_speed"] - textbook.pulley_speed(robot, pose, velocity))
         acceleration = _solved(slope, spring - self._spring(mass, pose, velocity, still))
@@ -202,26 +203,38 @@ class FourthOrder(FlexibleLaw):
         motor = robot.motor_inertia * (winding + spring_second / robot.stiffness)
         return spring + motor + robot.motor_damping * part["motor_speed"]
 
-    def _slope(self, structure: Array, mass_matrix: Array) -> Array:
-        """∂κ/∂Ẍ = −r S⁻ᵀ D − (J/r) S."""
-        robot = self.robot
-        platform = robot.pulley_radius[:, None] * np.linalg.solve(np.swapaxes(structure, -1, -2), mass_matrix)
-        return -platform - (robot.pulley_inertia / robot.pulley_radius)[:, None] * structure
-
 
 def _solved(matrix: Array, vector: Array) -> Array:
     solution: Array = np.linalg.solve(matrix, vector[..., None])[..., 0]
     return solution
 
 
-_SPATIAL = tuple(env_id for env_id in FLEXIBLE_ENV_IDS if "Spatial" in env_id)
+def composite_tuned(robot: Robot) -> Composite:
+    """Composite with gains that also work on the planar robot, and for a payload that is not told.
+
+    Much more damping of the springs loses what it gains: β̇′ follows β̇ only as far as the springs' torque is constant.
+    """
+    if robot.planar:
+        return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
+    return Composite(robot, gains=(200.0, 28.0), spring_damping=0.4)
+
+
+SPATIAL_ENV_IDS = tuple(env_id for env_id in FLEXIBLE_ENV_IDS if "Spatial" in env_id)
 
 COMPOSITE = PolicyEntry(
     name="composite",
     kind="classical",
-    env_ids=_SPATIAL,  # the paper's planar gains are too stiff for springs this soft
+    env_ids=SPATIAL_ENV_IDS,  # the paper's planar gains are too stiff for springs this soft
     factory=Composite,
     summary="rigid law and damping of the joint springs",
+)
+
+COMPOSITE_TUNED = PolicyEntry(
+    name="composite-tuned",
+    kind="classical",
+    env_ids=FLEXIBLE_ENV_IDS,
+    factory=composite_tuned,
+    summary="composite with gains that work on the planar robot too, and better for a payload that is not told",
 )
 
 MOTOR_PD = PolicyEntry(
@@ -235,7 +248,7 @@ MOTOR_PD = PolicyEntry(
 FL4 = PolicyEntry(
     name="fl4",
     kind="classical",
-    env_ids=_SPATIAL,
+    env_ids=SPATIAL_ENV_IDS,
     factory=FourthOrder,
     summary="fourth-order feedback linearization",
 )

@@ -1,21 +1,22 @@
-"""What the classical laws share: nominal robot, told payload, observation, outer loop, and the drive command."""
+"""What the classical laws share: nominal robot, told payload, inverse dynamics, observation, and the drive command."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics
 from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
 
 Array = NDArray[Any]
-
-PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
-"""(K_P, K_D) of Tables 2 and 4 [1/s², 1/s]."""
 
 
 class ClassicalLaw:
@@ -35,6 +36,19 @@ class ClassicalLaw:
         self.robot, self.minimum_tension = robot, minimum_tension
         self._layout = observation_layout(robot)
 
+    def begin(self, tasks: Sequence[Task]) -> None:
+        """Refuses episodes of another robot. Other parameters, such as a mass, are a study of mismatch and welcome.
+
+        Raises:
+            ValueError: if a task's robot is of another kind, or has other anchors.
+        """
+        for robot in {task.robot for task in tasks}:
+            if difference := _difference(self.robot, robot):
+                raise ValueError(
+                    f"{type(self).__name__} was built for robot {self.robot.name!r}, but the task's {robot.name!r} has "
+                    f"{difference}: build the law from the task's robot"
+                )
+
     def predict(
         self,
         observation: ArrayLike,
@@ -42,38 +56,63 @@ class ClassicalLaw:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """Drive commands (m,) for one observation or (N, m) for a batch; ``state`` is passed through.
+        """Drive commands (m,) for one observation or (N, m) for a batch, and the state to pass next time.
+
+        A law without memory passes ``state`` through.
 
         Raises:
             ValueError: if the observation is not of this robot's layout.
         """
         part = self._layout.split(self._layout.checked(observation, self.robot.name))
         mass = self.robot.mass + part["told_payload"][..., 0]
-        torques, speeds = self._torques(part, mass)
-        return (torques + self.robot.speed_slope * speeds) / self.robot.stall_torque, state
+        torques, speeds, state = self._control(part, mass, state, episode_start)
+        return self._command(torques, speeds), state
 
-    def _torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
-        """Torques asked of the motors [N·m] and the motors' speeds [rad/s], each (..., m)."""
+    def _control(self, part: dict[str, Array], mass: Array, state: Any, episode_start: Any) -> tuple[Array, Array, Any]:
+        """Torques asked of the motors [N·m], the motors' speeds [rad/s], each (..., m), and the next state."""
+        return *self.torques(part, mass), state
+
+    def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """What a law without memory asks of the motors [N·m] and their speeds [rad/s], each (..., m).
+
+        Args:
+            part: the blocks of the observation by name, each (..., size).
+            mass: of platform and payload [kg], (...).
+        """
         raise NotImplementedError
 
+    def _command(self, torques: Array, speeds: Array) -> Array:
+        return (torques + self.robot.speed_slope * speeds) / self.robot.stall_torque
 
-def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[float, float]:
-    """(K_P, K_D), the paper's for None.
+    def _inverse_dynamics(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> InverseDynamics:
+        """Tensions, torques, speeds and windings β̈ at the pulleys."""
+        return inverse_dynamics(self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension)
 
-    Raises:
-        ValueError: if they are not two positive numbers.
-    """
-    if gains is None:
-        return PAPER_GAINS["planar" if robot.planar else "spatial"]
-    checked = np.asarray(gains)
-    if checked.shape != (2,) or checked.dtype.kind not in "iuf" or not np.all((checked > 0) & (checked < np.inf)):
-        raise ValueError(f"gains must be two positive numbers (K_P, K_D), not {gains!r}")
-    return float(checked[0]), float(checked[1])
+    @property
+    def turning_inertia(self) -> Array:
+        """What the law's torque has to turn with the pulleys [kg·m²], (m,)."""
+        return self.robot.pulley_inertia
+
+    def torque_slope(self, mass: Array, pose: Array) -> Array:
+        """∂(r T + J β̈)/∂Ẍ = −r S⁻ᵀ D − (J/r) S with as many cables as coordinates, (..., n, n)."""
+        robot = self.robot
+        structure, matrix = textbook.jacobian(robot, pose), textbook.mass_matrix(robot, mass, pose)
+        platform = robot.pulley_radius[:, None] * np.linalg.solve(np.swapaxes(structure, -1, -2), matrix)
+        return -platform - (self.turning_inertia / robot.pulley_radius)[:, None] * structure
 
 
-def outer_loop(part: dict[str, Array], gains: tuple[float, float]) -> Array:
-    """``v = Ẍ_d + K_D ė + K_P e`` (Eqs. 13 and 18) from the blocks of an observation, (..., n)."""
-    stiffness, damping = gains
-    correction = damping * (part["reference_velocity"] - part["velocity"])
-    correction = correction + stiffness * (part["reference_pose"] - part["pose"])
-    return part["reference_acceleration"] + correction
+def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which observations of a batch of this shape have no past; without a state, all."""
+    start = False if episode_start is None else episode_start
+    return np.broadcast_to(np.asarray(True if state is None else start, np.bool_), shape)
+
+
+def _difference(robot: Robot, other: Robot) -> str | None:
+    """What another robot has that a law for ``robot`` cannot cope with."""
+    if other.flexible != robot.flexible:
+        return "joint springs" if other.flexible else "no joint springs"
+    if other.cables != robot.cables or other.planar != robot.planar:
+        return f"{other.cables} cables {'in the plane' if other.planar else 'in space'}"
+    if not (np.array_equal(other.base, robot.base) and np.array_equal(other.platform, robot.platform)):
+        return "other anchors"
+    return None

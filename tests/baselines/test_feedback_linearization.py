@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.classical import FL, FeedbackLinearization
+from baselines.classical import FL, FL_TUNED, FeedbackLinearization
+from cablebot_gym.dlcc import evaluate_dlcc
 from cablebot_gym.envs import RIGID_ENV_IDS
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
@@ -293,6 +294,18 @@ def test_negative_or_infinite_minimum_tension_is_not_accepted(minimum):
 def test_entry_does_not_name_another_law():
     assert (FL.name, FL.kind, FL.env_ids) == ("fl", "classical", RIGID_ENV_IDS)
     assert isinstance(FL.factory(PLANAR), FeedbackLinearization)
+
+
+@pytest.mark.parametrize(
+    ("kind", "paper", "tuned"), [("planar", (1.92, 0.66), (1.94, 0.79)), ("spatial", (4.03, 0.39), (3.88, 4.15))]
+)
+def test_tuned_gains_are_not_the_papers(kind, paper, tuned):
+    """Payload told and not told [kg]: told, gains hardly matter."""
+    for entry, payloads in ((FL, paper), (FL_TUNED, tuned)):
+        for known, payload in zip((True, False), payloads, strict=True):
+            law_ = entry.factory(ROBOTS[kind])
+            result = evaluate_dlcc(law_, IDS[kind], payload_known=known, resolution=0.01)
+            assert result.payload == pytest.approx(payload, abs=0.03)
 
 
 # --- in the loop ------------------------------------------------------------------------------------------------------
