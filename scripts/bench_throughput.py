@@ -2,7 +2,7 @@
 
 Every contender takes a short turn after the other, round after round, so that a change of the machine's speed hits all
 of them; the table gives medians over the rounds and medians of the ratios within a round. Steps of ours are complete:
-observation, reward, termination and info included. Example: python scripts/bench_throughput.py --rounds 7 --json
+observation, reward, termination and info included. Example: python scripts/bench_throughput.py --rounds 7 --search
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from rich.progress import track
 from rich.table import Table
 
 import cablebot_gym  # noqa: F401 - registers the ids
-from cablebot_gym.robots import PLANAR, SPATIAL, Robot
+from cablebot_gym.dlcc.batch import Batch
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.task import Limits
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the peer beside this file, wherever it is run from
 try:
@@ -42,6 +44,19 @@ SUBSTEPS = 10
 SIZES = (1, 64, 1024, 8192)
 """Sizes of the vector environment."""
 
+ROBOTS = {
+    "CableBot-Planar-v0": PLANAR,
+    "CableBot-Spatial-v0": SPATIAL,
+    "CableBot-FlexPlanar-v0": FLEX_PLANAR,
+    "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
+}
+
+RANDOM_SIZE = 1024
+"""Size at which the price of drawn parameters is measured."""
+
+SEARCHES = {"CableBot-Spatial-v0": "fl", "CableBot-FlexSpatial-v0": "composite"}
+"""Policies whose payload batches are timed by ``--search``."""
+
 Turn = Callable[[], int]
 """Does some work and returns how many units it was."""
 
@@ -49,6 +64,14 @@ PEER = "MuJoCo RK4, 300 steps a call"
 PEER_ENV = "MuJoCo env, torques clipped each RK4 step as ours"
 PEER_ENV_ONCE = "MuJoCo env, one call, no clipping"
 OURS_ENV = "our env"
+
+
+def vector_name(count: int) -> str:
+    """What a size of our vector environment is called."""
+    return f"our vector env, N = {count}"
+
+
+RANDOM = f"{vector_name(RANDOM_SIZE)}, parameters drawn"
 
 
 def action_near_holding(robot: Robot) -> np.ndarray:
@@ -62,6 +85,8 @@ def mujoco_turn(robot: Robot) -> Turn:
 
     def turn() -> int:
         plant.set_state(robot.home, np.zeros(robot.coordinates))
+        if robot.flexible:
+            plant.set_motors(torques / robot.stiffness, np.zeros(robot.cables))
         plant.step(torques, 300)
         return 300
 
@@ -83,10 +108,14 @@ def env_turn(env: gym.Env[Any, Any], robot: Robot) -> Turn:
     return turn
 
 
-def vector_turn(env_id: str, robot: Robot, count: int) -> Turn:
-    """RK4 steps of our vector environment."""
-    keywords = {"control_frequency": 100.0, "substeps": SUBSTEPS, "trajectory": f"hold-{robot.name}"}
-    env = gym.make_vec(env_id, num_envs=count, max_episode_steps=50, **keywords)
+def vector_turn(env_id: str, robot: Robot, count: int, *, drawn: bool = False) -> Turn:
+    """RK4 steps of our vector environment, episodes of one second; ``drawn``: each with parameters of its own."""
+    keywords: dict[str, Any] = {"control_frequency": 100.0, "substeps": SUBSTEPS, "trajectory": holding(robot)}
+    if drawn:
+        tenth = {"low": -0.1, "high": 0.1}
+        names = ["platform_mass", "motor_strength", "damping", *(["stiffness"] if robot.flexible else [])]
+        keywords["uncertainty"] = {"parameters": dict.fromkeys(names, tenth)}
+    env = gym.make_vec(env_id, num_envs=count, max_episode_steps=100, **keywords)
     actions = np.tile(action_near_holding(robot), (count, 1))
     env.reset(seed=0)
 
@@ -100,7 +129,40 @@ def vector_turn(env_id: str, robot: Robot, count: int) -> Turn:
 
 def our_env(env_id: str, robot: Robot) -> gym.Env[Any, Any]:
     """Our single environment with ten RK4 steps of 1 ms in each control step."""
-    return gym.make(env_id, control_frequency=100.0, substeps=SUBSTEPS, trajectory=f"hold-{robot.name}").unwrapped
+    return gym.make(env_id, control_frequency=100.0, substeps=SUBSTEPS, trajectory=holding(robot)).unwrapped
+
+
+def holding(robot: Robot) -> str:
+    """The motion that rests at home."""
+    return "hold-planar" if robot.planar else "hold-spatial"
+
+
+def search_seconds(env_id: str, policy: str) -> dict[str, float]:
+    """Wall time of 64 payloads × 256 draws of table6 × 1 s at 500 Hz, law included.
+
+    Once with the usual bounds and payloads up to 20 kg, of which most fail early, and once with bounds so wide and
+    payloads so light that none does.
+    """
+    seconds = {}
+    for name, limits, top in (("usual", Limits(), 20.0), ("none fails", Limits(position=10.0, rotation=10.0), 1.0)):
+        batch = Batch(
+            policy,
+            env_id,
+            name=None,
+            criterion="task",
+            limits=limits,
+            uncertainty="table6",
+            draws=256,
+            seed=0,
+            together=64,
+            keywords={},
+        )
+        with batch:
+            batch.run([0.0])  # compiles and warms up
+            start = time.perf_counter()
+            batch.run(np.linspace(0.0, top, 64))
+            seconds[name] = time.perf_counter() - start
+    return seconds
 
 
 def rate(turn: Turn, seconds: float) -> float:
@@ -119,18 +181,29 @@ def warm_start_seconds(env_id: str) -> float:
     return time.perf_counter() - start
 
 
-def measure(rounds: int, seconds: float) -> dict[str, Any]:
-    """Medians and ratios for both robots."""
-    report: dict[str, Any] = {}
-    for env_id, robot in (("CableBot-Planar-v0", PLANAR), ("CableBot-Spatial-v0", SPATIAL)):
+def contenders_for(env_id: str, robot: Robot) -> dict[str, Turn]:
+    """Everything that is measured for a robot, by name."""
+    contenders = {
+        PEER: mujoco_turn(robot),
+        **{vector_name(count): vector_turn(env_id, robot, count) for count in SIZES},
+        RANDOM: vector_turn(env_id, robot, RANDOM_SIZE, drawn=True),
+    }
+    if not robot.flexible:  # the peer environment knows no springs
         table = home_table(robot)
-        contenders = {
-            PEER: mujoco_turn(robot),
-            **{f"our vector env, N = {count}": vector_turn(env_id, robot, count) for count in SIZES},
+        contenders |= {
             PEER_ENV: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS, clip_each_step=True), robot),
             PEER_ENV_ONCE: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS), robot),
             OURS_ENV: env_turn(our_env(env_id, robot), robot),
         }
+    return contenders
+
+
+def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) -> dict[str, Any]:
+    """Medians and ratios for the robots of ``env_ids``."""
+    report: dict[str, Any] = {}
+    for env_id in env_ids:
+        robot = ROBOTS[env_id]
+        contenders = contenders_for(env_id, robot)
         for turn in contenders.values():
             turn()  # compiles and warms up
         rates: dict[str, list[float]] = {name: [] for name in contenders}
@@ -140,7 +213,7 @@ def measure(rounds: int, seconds: float) -> dict[str, Any]:
         rows = []
         for name, values in rates.items():
             single = name in (OURS_ENV, PEER_ENV, PEER_ENV_ONCE)
-            peer = PEER_ENV if single else PEER
+            peer = PEER_ENV if single else vector_name(RANDOM_SIZE) if name == RANDOM else PEER
             ratios = [ours / theirs for ours, theirs in zip(values, rates[peer], strict=True)]
             rows.append(
                 {
@@ -153,6 +226,8 @@ def measure(rounds: int, seconds: float) -> dict[str, Any]:
             )
         starts = [warm_start_seconds(env_id) for _ in range(rounds)]
         report[env_id] = {"rows": rows, "warm_start_seconds": statistics.median(starts)}
+        if search and env_id in SEARCHES:
+            report[env_id]["search_seconds"] = search_seconds(env_id, SEARCHES[env_id])
     packages = ("cablebot-gym", "mujoco", "numba", "numpy", "gymnasium")
     report["versions"] = {"python": platform.python_version(), **{name: version(name) for name in packages}}
     report["rounds"], report["seconds"] = rounds, seconds
@@ -169,9 +244,12 @@ def print_report(report: dict[str, Any]) -> None:
         for column in ("contender", "unit", "per second", "×", "of"):
             table.add_column(column, justify="right" if column in ("per second", "×") else "left")
         for row in part["rows"]:
-            table.add_row(row["contender"], row["unit"], f"{row['median']:,.0f}", f"{row['ratio']:.1f}", row["to"])
+            table.add_row(row["contender"], row["unit"], f"{row['median']:,.0f}", f"{row['ratio']:.3g}", row["to"])
         console.print(table)
-        console.print(f"new process to first step, compiled before: {part['warm_start_seconds']:.2f} s\n")
+        console.print(f"new process to first step, compiled before: {part['warm_start_seconds']:.2f} s")
+        for name, spent in part.get("search_seconds", {}).items():
+            console.print(f"64 payloads × 256 draws × 1 s, {SEARCHES[env_id]}, {name}: {spent:.1f} s", highlight=False)
+        console.print()
 
 
 def main() -> None:
@@ -179,11 +257,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7, help="turns of each contender (default 7)")
     parser.add_argument("--seconds", type=float, default=0.3, help="length of a turn (default 0.3)")
+    parser.add_argument("--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="environments (default all)")
+    parser.add_argument("--search", action="store_true", help="time a payload search's batch over draws too")
     parser.add_argument("--json", action="store_true", help="print only JSON")
     arguments = parser.parse_args()
     if arguments.rounds < 1 or arguments.seconds <= 0:
         parser.error("--rounds must be at least 1 and --seconds greater than 0")
-    report = measure(arguments.rounds, arguments.seconds)
+    report = measure(arguments.ids, arguments.rounds, arguments.seconds, search=arguments.search)
     if arguments.json:
         print(json.dumps(report, indent=2))
     else:
