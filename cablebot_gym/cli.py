@@ -120,8 +120,7 @@ def dlcc(
 
         import_matplotlib()
         usable_folder(out)
-        if (out / "result.json").is_dir():
-            raise ValueError(f"cannot write {str(out / 'result.json')!r}: it is a folder; choose another --out")
+        _no_folder(out / "result.json")
     loaded = load_policy(policy, find_robot(env_robot(env_id)))
     chosen = list(CRITERIA) if criterion.value == _BOTH else [criterion.value]
     left_out = []
@@ -196,6 +195,8 @@ def compare(
 
         import_matplotlib()
         usable_folder(out)
+        _no_folder(out / "comparison.json")
+        _no_folder(out / "comparison.png")
     names, robot = [name.strip() for name in policies.split(",") if name.strip()], find_robot(env_robot(env_id))
     with _progress() as step:
         comparison = compare_policies(
@@ -245,7 +246,7 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.
         }
         print(json.dumps(data, indent=2))
         return
-    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False, emoji=False)
     console.print("environments: " + ", ".join(ENV_IDS))
     console.print("trajectories: " + ", ".join(trajectory_names()))
     console.print("uncertainties: " + ", ".join(UNCERTAINTIES))
@@ -306,6 +307,11 @@ def _data(option: str, text: str | None) -> Any:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise ValueError(f"{option} is no valid JSON: {error}") from error
+
+
+def _no_folder(path: Path) -> None:
+    if path.is_dir():
+        raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another --out")
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -15,7 +15,8 @@ _PLAIN_WIDTH = 150
 
 
 def _console() -> Console:
-    return Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
+    # No markup, no emoji: names of policies hold brackets and colons.
+    return Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH, markup=False, emoji=False)
 
 
 def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
@@ -23,7 +24,9 @@ def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
     console = _console()
     first = results[0]
     told = "payload told" if first.payload_known else "payload not told"
-    unknown = "" if first.uncertainty is None else f", {first.uncertainty}, {_number(first.draws, 'draw')}"
+    unknown = "" if first.uncertainty is None else f", {first.uncertainty}"
+    if first.uncertainty is not None or first.draws > 1:
+        unknown += f", {_number(first.draws, 'draw')}"
     table = Table(
         title=f"{first.env_id}, {first.policy}, {first.environment['trajectory'].get('name', '')}, {told}{unknown}",
         title_justify="left",
@@ -53,8 +56,8 @@ def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
     if rotation is not None:
         bounds += f", rotation {rotation * 1e3:g} mrad (task only)"
     notes = [f"bounds: {bounds}"]
-    if first.resolution > 0:
-        notes.append(f"resolution {first.resolution * 1e3:.2g} g")
+    if (resolution := max(result.resolution for result in results)) > 0:
+        notes.append(f"resolution {resolution * 1e3:.2g} g")
     if first.probability is not None:
         notes.append(f"carried in at least {first.probability:.0%} of the draws")
         notes += [f"{result.criterion}: {_assured_text(result)}" for result in results]
@@ -107,12 +110,13 @@ def print_comparison(comparison: Comparison) -> None:
     unknown = f"{_number(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
     title = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}, {unknown}"
     table = Table(title=title, title_justify="left")
-    table.add_column("policy")
-    for column in ("carried", *(column for _, column, _ in _COLUMNS)):
-        table.add_column(column, justify="right")
+    table.add_column("policy", overflow="fold")
+    columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.planar]
+    for heading in ("carried", *(heading for _, heading, _ in columns)):
+        table.add_column(heading, justify="right")
     for one in comparison.measured:
         cells = []
-        for name, _, scale in _COLUMNS:
+        for name, _, scale in columns:
             estimate = one.estimate(name)
             width = f" ± {scale * (estimate.high - estimate.mean):.2g}" if comparison.draws > 1 else ""
             cells.append(f"{scale * estimate.mean:.3g}{width}")
@@ -132,5 +136,5 @@ def print_comparison(comparison: Comparison) -> None:
 
 def _change(share: Estimate) -> str:
     """Less of something is a gain, and written with a minus sign."""
-    interval = f" [{-share.high:+.0%}, {-share.low:+.0%}]" if share.high > share.low else ""
-    return f"{-share.mean:+.0%}{interval}"
+    mean, low, high = (f"{round(-end, 2) + 0.0:+.0%}" for end in (share.mean, share.high, share.low))  # no "-0%"
+    return f"{mean} [{low}, {high}]" if share.high > share.low else mean

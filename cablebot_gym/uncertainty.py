@@ -52,6 +52,9 @@ class Spread:
     def __post_init__(self) -> None:
         for name in ("low", "high", "mean"):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
+        for name in ("relative", "each"):
+            if not isinstance(getattr(self, name), (bool, np.bool_)):
+                raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
         if self.low > self.high:
             raise ValueError(f"a spread needs low ≤ high, not {self.low:g} and {self.high:g}: exchange them")
         if self.distribution not in get_args(Distribution):
@@ -228,9 +231,17 @@ class Uncertainty:
     """Control steps by which a drive command arrives late. Until the first one arrives the motors hold the start."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.parameters, Mapping):
+            raise ValueError(f"parameters must be a dict with keys out of {', '.join(PARAMETERS)}")
+        kinds = [("wrench", self.wrench, ExternalWrench), ("sensors", self.sensors, SensorNoise)]
+        for name, value, kind in kinds:
+            if value is not None and not isinstance(value, kind):
+                raise ValueError(f"{name} must be of {kind.__name__} or None, not {value!r}")
         for name, spread in self.parameters.items():
             if name not in PARAMETERS:
                 raise ValueError(f"unknown uncertain parameter {name!r}; choose out of {', '.join(PARAMETERS)}")
+            if not isinstance(spread, Spread):
+                raise ValueError(f"{name} needs a Spread, not {spread!r}")
             if PARAMETERS[name].place and spread.relative:
                 raise ValueError(f"{name}: a position has no share of itself: give the spread in m with relative=False")
         whole = isinstance(self.delay, (int, np.integer)) and not isinstance(self.delay, bool)
@@ -268,7 +279,7 @@ class Uncertainty:
             if least < 0 or (least == 0 and parameter.positive):
                 bound = "stay above" if parameter.positive else "not fall below"
                 raise ValueError(f"{name} of {robot.name!r} can reach {least:g}; it has to {bound} 0: raise low")
-            if name == "platform_inertia" and spread.each:
+            if name == "platform_inertia":
                 self._check_axes(robot, spread)
         if self.wrench is not None:
             self.wrench.statistics(robot)
@@ -276,12 +287,12 @@ class Uncertainty:
     def _check_axes(self, robot: Robot, spread: Spread) -> None:
         moments = np.asarray(robot.inertia)
         least, most = (spread.applied(moments, np.asarray(end)) for end in (spread.low, spread.high))
-        for axis in range(3):
-            others = float(np.sum(least) - least[axis])
-            if others < most[axis] * (1 - 1e-9):
+        # With one deviation for all, the three moments stand at the same end.
+        for others, own in ((least, most),) if spread.each else ((least, least), (most, most)):
+            if np.any(np.sum(others) - others < own * (1 - 1e-9)):
                 raise ValueError(
                     "platform_inertia: one moment can exceed the sum of the others, which no body has: "
-                    "draw one deviation for all with each=False, or narrow the spread"
+                    "draw one relative deviation for all with each=False, or narrow the spread"
                 )
 
     def draw(self, robot: Robot, payload: Array, uniform: Array) -> TrueRobots:
@@ -475,10 +486,8 @@ def _from_data(data: Mapping[str, Any]) -> Uncertainty:
     if unknown := [key for key in data if key not in _FIELDS]:
         raise ValueError(f"unknown field {unknown[0]!r} of an uncertainty; the fields are {', '.join(_FIELDS)}")
     values = {key: value for key, value in data.items() if value is not None}
-    if not isinstance(values.get("parameters", {}), Mapping):
-        raise ValueError(f"parameters must be a dict with keys out of {', '.join(PARAMETERS)}")
-    spreads = values.get("parameters", {}).items()
-    values["parameters"] = {name: _made(Spread, spread, f"spread of {name}") for name, spread in spreads}
+    if isinstance(spreads := values.get("parameters", {}), Mapping):
+        values["parameters"] = {name: _made(Spread, spread, f"spread of {name}") for name, spread in spreads.items()}
     for key, kind in (("wrench", ExternalWrench), ("sensors", SensorNoise)):
         if key in values:
             values[key] = _made(kind, values[key], key)

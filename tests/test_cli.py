@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,10 +16,12 @@ import pytest
 import typer
 
 import cablebot_gym.dlcc
+import cablebot_gym.dlcc.comparison
 import cablebot_gym.rollout
 from cablebot_gym import ENV_IDS, cli
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.trajectories import trajectory_names
+from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
 
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 HANG = '{"name": "hold-spatial", "duration": 0.05}'
@@ -134,6 +137,8 @@ def test_list_does_not_print_anything_but_json(cablebot):
     data = loads(ended.out)
     assert data["env_ids"] == list(ENV_IDS)
     assert data["trajectories"] == trajectory_names()
+    assert data["uncertainties"] == list(UNCERTAINTIES)
+    assert data["uncertain_parameters"] == list(PARAMETERS)
     assert [policy["name"] for policy in data["policies"]] == list(policy_entries())
     for policy in data["policies"]:
         assert set(policy) >= {"name", "kind", "env_ids"}
@@ -145,22 +150,25 @@ def test_list_does_not_print_anything_but_json(cablebot):
 def test_list_for_people_does_not_leave_a_name_out(cablebot):
     ended = cablebot("list")
     assert ended.status == 0
-    for name in (*ENV_IDS, *trajectory_names(), *policy_entries()):
-        assert name in ended.out
+    printed = " ".join(ended.out.split())
+    for names_ in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS):
+        assert ", ".join(names_) in printed
+    for name in policy_entries():
+        assert f" {name} (" in printed
 
 
 COMMANDS = sorted(typer.main.get_command(cli.app).commands)
 
 
 def test_no_command_is_missing():
-    assert set(COMMANDS) >= {"dlcc", "list", "rollout"}
+    assert set(COMMANDS) >= {"compare", "dlcc", "list", "rollout"}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_no_command_lacks_an_example(cablebot, command):
     ended = cablebot(command, "--help")
     assert (ended.status, ended.err) == (0, "")
-    assert f"Example: cablebot {command}" in ended.out
+    assert re.search(rf"Examples?:\s+cablebot {command}\b", ended.out)
 
 
 def test_help_does_not_fail(cablebot):
@@ -307,6 +315,7 @@ def no_work(monkeypatch):
         pytest.fail("found out after the work")
 
     monkeypatch.setattr(cablebot_gym.dlcc, "evaluate_dlcc", work)
+    monkeypatch.setattr(cablebot_gym.dlcc.comparison, "compare_policies", work)
     monkeypatch.setattr(cablebot_gym.rollout, "record_rollout", work)
 
 
@@ -345,6 +354,186 @@ def test_missing_matplotlib_is_not_found_out_after_the_work(cablebot, tmp_path, 
 def test_bad_input_does_not_leave_an_empty_folder(cablebot, tmp_path, wrong):
     one_line(cablebot(*wrong, "--out", tmp_path / "results"), 2)
     assert names(tmp_path) == []
+
+
+# --- dlcc --uncertainty -----------------------------------------------------------------------------------------------
+
+DRAWN = (*QUICK, "--uncertainty", "table6", "--draws", "4", "--probability", "0.5", "--criterion", "task")
+"""Arguments of an evaluation over draws."""
+
+
+def test_table_over_draws_does_not_lack_draws_probability_or_bound(cablebot):
+    ended = cablebot("dlcc", *DRAWN, "--confidence", "0.9")
+    assert (ended.status, ended.err) == (0, "")
+    text = " ".join(ended.out.split())
+    for part in (
+        f"{SPATIAL}, fl, hold-spatial, payload told, table6, 4 draws",
+        "carried in at least 50% of the draws",
+        "assured with 90% confidence",
+    ):
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    ("option", "place", "value"),
+    [
+        ((), ("draws",), 4),
+        ((), ("probability",), 0.5),
+        ((), ("uncertainty",), "table6"),
+        ((), ("environment", "uncertainty", "wrench", "force_mean"), 0.5),
+        (("--draws", "3"), ("draws",), 3),
+        (("--probability", "0.7"), ("probability",), 0.7),
+        (("--confidence", "0.6"), ("confidence",), 0.6),
+        (("--uncertainty", '{"sensors": {"position": 0.001}}'), ("uncertainty",), "custom"),
+        (
+            ("--uncertainty", '{"sensors": {"position": 0.001}, "delay": 2}'),
+            ("environment", "uncertainty", "sensors", "position"),
+            0.001,
+        ),
+        (("--uncertainty", "table6+sensors"), ("environment", "uncertainty", "sensors", "position"), 1e-4),
+    ],
+)
+def test_option_of_the_uncertainty_is_not_read_and_then_discarded(cablebot, option, place, value):
+    ended = cablebot("dlcc", *DRAWN, *option, "--json")
+    assert (ended.status, ended.err) == (0, "")
+    (found,) = loads(ended.out)
+    for key in place:
+        found = found[key]
+    assert found == value
+
+
+def test_evaluation_without_an_uncertainty_is_not_over_draws(cablebot):
+    (result,) = loads(cablebot("dlcc", *QUICK, "--criterion", "task", "--json").out)
+    assert (result["draws"], result["uncertainty"], result["probability"]) == (1, None, None)
+
+
+def test_seed_of_the_draws_is_not_read_and_then_discarded(cablebot):
+    arguments = (*DRAWN, "--position-bound", "0.001", "--rotation-bound", "1", "--probability", "0.3")
+    one, same, other = (loads(cablebot("dlcc", *arguments, "--seed", seed, "--json").out)[0] for seed in (0, 0, 1))
+    assert one == same
+    assert (one["success"], one["margins"]) != (other["success"], other["margins"])
+
+
+# --- compare ----------------------------------------------------------------------------------------------------------
+
+PAIR = ("compare", SPATIAL, "--trajectory", HANG, "--uncertainty", "table6", "--draws", "3", "--policies")
+"""Arguments of a comparison that takes no time, but for the policies."""
+
+
+def test_comparison_does_not_lack_a_policy_or_the_reduction(cablebot, toys):
+    ended = cablebot(*PAIR, f"fl,{toys('limp')}", "--payload", "1.5", "--payload-unknown")
+    assert (ended.status, ended.err) == (0, "")
+    lines = ended.out.splitlines()
+    assert lines[0].strip() == f"{SPATIAL}, payload 1.5 kg, not told, 3 draws of table6"
+    assert sum(line.startswith(("│ fl ", "│ cli_toys:limp ")) for line in lines) == 2
+    assert any(line.startswith("cli_toys:limp against fl: mean error +") for line in lines)
+
+
+def test_comparison_as_json_is_not_mixed_with_anything_else(cablebot, toys):
+    ended = cablebot(*PAIR, f" fl , {toys('limp')},", "--json")
+    assert (ended.status, ended.err) == (0, "")
+    data = loads(ended.out)
+    assert [policy["policy"] for policy in data["policies"]] == ["fl", "cli_toys:limp"]
+    assert (data["draws"], data["uncertainty"], data["env_id"], data["payload"]) == (3, "table6", SPATIAL, 0)
+
+
+@pytest.mark.parametrize(
+    ("option", "place", "value"),
+    [
+        (("--payload", "2.5"), ("payload",), 2.5),
+        (("--payload-unknown",), ("payload_known",), False),
+        (("--uncertainty", "sensors"), ("uncertainty",), "sensors"),
+        (("--draws", "2"), ("draws",), 2),
+        (("--seed", "9"), ("seed",), 9),
+        (("--position-bound", "0.02"), ("limits", "position"), 0.02),
+        (("--rotation-bound", "0.03"), ("limits", "rotation"), 0.03),
+        (("--control-frequency", "400"), ("environment", "control_frequency"), 400),
+        (
+            ("--trajectory", '{"name": "line-spatial", "duration": 0.05}'),
+            ("environment", "trajectory", "name"),
+            "line-spatial",
+        ),
+    ],
+)
+def test_option_of_a_comparison_is_not_read_and_then_discarded(cablebot, option, place, value):
+    arguments = (*PAIR, "fl", "--payload", "2")
+    usual, changed = (loads(cablebot(*arguments, *more, "--json").out) for more in ((), option))
+    assert usual["policies"] != changed["policies"] or "bound" in option[0]
+    for key in place:
+        usual, changed = usual[key], changed[key]
+    assert changed == value
+    assert usual != value
+
+
+def test_comparison_does_not_lack_a_file(cablebot, tmp_path):
+    folder = tmp_path / "new" / "results"
+    ended = cablebot(*PAIR, "fl", "--out", folder, "--json")
+    assert ended.status == 0, ended.err
+    assert names(folder) == ["comparison.json", "comparison.png"]
+    assert loads((folder / "comparison.json").read_text(encoding="utf-8")) == loads(ended.out)
+    assert (folder / "comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert all(name in ended.err for name in names(folder))
+
+
+@pytest.mark.usefixtures("no_work")
+def test_folder_of_a_comparison_that_cannot_be_written_is_not_found_out_after_the_work(cablebot, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("kept", encoding="utf-8")
+    assert "cannot write to folder" in one_line(cablebot(*PAIR, "fl", "--out", file / "sub"), 2)
+    for name in ("comparison.json", "comparison.png"):
+        (tmp_path / name).mkdir()
+        assert f"{name}': it is a folder" in one_line(cablebot(*PAIR, "fl", "--out", tmp_path), 2)
+        (tmp_path / name).rmdir()
+    assert names(tmp_path) == ["file"]
+    assert file.read_text(encoding="utf-8") == "kept"
+
+
+@pytest.mark.usefixtures("no_work")
+def test_missing_matplotlib_for_a_comparison_is_not_found_out_after_the_work(cablebot, tmp_path, monkeypatch):
+    for module in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    line = one_line(cablebot(*PAIR, "fl", "--out", tmp_path / "results"), 2)
+    assert "pip install 'cablebot-gym[plot]'" in line
+    assert names(tmp_path) == []
+
+
+@pytest.fixture
+def heard():
+    """Ctrl-C is heard, also where a shell that starts jobs in the background has them ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
+def test_interrupted_comparison_does_not_touch_what_was_there(cablebot, toys, tmp_path):
+    for name in ("comparison.json", "comparison.png"):
+        (tmp_path / name).write_text("old", encoding="utf-8")
+    ended = cablebot(*PAIR, f"fl,{toys('interrupted')}", "--out", tmp_path)
+    assert "interrupted" in one_line(ended, 130)
+    assert names(tmp_path) == ["comparison.json", "comparison.png", "modules"]
+    assert (tmp_path / "comparison.json").read_text(encoding="utf-8") == "old"
+
+
+def test_interrupted_figure_of_a_comparison_does_not_leave_half_a_file(cablebot, tmp_path, monkeypatch):
+    figure = pytest.importorskip("matplotlib.figure")
+
+    def savefig(self, path, **keywords):
+        path.write_bytes(b"\x89PNG half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(figure.Figure, "savefig", savefig)
+    assert cablebot(*PAIR, "fl", "--out", tmp_path).status == 130
+    assert set(names(tmp_path)) <= {"comparison.json"}
+
+
+def test_policy_that_fails_in_a_comparison_is_not_without_its_name(cablebot, toys, tmp_path):
+    ended = cablebot(*PAIR, f"fl,{toys('raises')}", "--payload", "0.5", "--out", tmp_path / "out")
+    line = one_line(ended, 1)
+    assert line.startswith("cablebot: policy 'cli_toys:raises' raised RuntimeError at t = 0.020 s with ")
+    assert line.endswith("0.5 kg: lost")
+    assert names(tmp_path) == ["modules"]
 
 
 # --- interrupted ------------------------------------------------------------------------------------------------------
@@ -404,14 +593,15 @@ def test_interrupted_recording_does_not_touch_what_was_there(cablebot, tmp_path,
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("command", ["dlcc", "rollout"])
+@pytest.mark.parametrize("command", ["dlcc", "compare", "rollout"])
 def test_ctrl_c_does_not_end_with_another_status_than_130(toys, tmp_path, command):
     out = tmp_path / "out"
     out.mkdir()
-    target = {"dlcc": out, "rollout": out / "run.npz"}[command]
+    target = {"dlcc": out, "compare": out, "rollout": out / "run.npz"}[command]
     # A shell that starts jobs in the background may have them ignore the signal, which Python inherits.
     start = f"import signal, cablebot_gym.cli as c; signal.signal({int(signal.SIGINT)}, signal.default_int_handler); "
-    arguments = (command, PLANAR, "--policy", toys("interrupted"), "--out", str(target))
+    option = "--policies" if command == "compare" else "--policy"
+    arguments = (command, PLANAR, option, toys("interrupted"), "--out", str(target))
     ended = subprocess.run(
         [sys.executable, "-c", start + "c.main()", *arguments],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path / "modules"), *sys.path])},
@@ -490,6 +680,33 @@ BAD = [
     (("dlcc", SPATIAL, "--policy", "fl", "--payload", "1"), "--payload"),
     (("dlcc", SPATIAL), "--policy"),
     (("dlcc", "--policy", "fl"), "ID"),
+    (
+        ("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table5"),
+        "unknown uncertainty 'table5'; choose one of none",
+    ),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6+table6"), "gives parameters twice: leave one"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"delay": '), "--uncertainty is no valid JSON"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"noise": 1}'), "unknown field 'noise' of an uncertainty"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"delay": -1}'), "delay must be 0 to "),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "0"), "draws must be a whole number"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "-4"), "draws must be a whole number"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "2.5"), "--draws"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--draws", "4"), "4 draws would all be the same: give an uncertainty"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--probability", "1"), "probability must lie between 0 and 1"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--probability", "95"), "probability must lie between 0 and 1"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--confidence", "0"), "confidence must lie between 0 and 1"),
+    (("compare", SPATIAL, "--policies", "fl,lqr"), "unknown policy 'lqr'; choose one of "),
+    (("compare", SPATIAL, "--policies", "fl, fl"), "policies need one name each, all different, not fl, fl"),
+    (("compare", SPATIAL, "--policies", " , "), "nothing to compare: name at least one policy"),
+    (("compare", SPATIAL), "--policies"),
+    (("compare", "CableBot-Cubic-v0", "--policies", "fl"), "choose one of CableBot-Planar-v0, CableBot-Spatial-v0"),
+    (("compare", SPATIAL, "--policies", "fl", "--payload", "-1"), "payload must be at least 0 kg"),
+    (("compare", SPATIAL, "--policies", "fl", "--draws", "0"), "draws must be a whole number"),
+    (("compare", SPATIAL, "--policies", "fl", "--draws", "4"), "4 draws would all be the same: give an uncertainty"),
+    (("compare", SPATIAL, "--policies", "fl", "--uncertainty", "table5"), "unknown uncertainty 'table5'"),
+    (("compare", SPATIAL, "--policies", "fl", "--position-bound", "0"), "position must be a number greater than 0"),
+    (("compare", SPATIAL, "--policies", "fl", "--trajectory", "spiral"), "unknown trajectory 'spiral'"),
+    (("compare", SPATIAL, "--policies", "fl", "--probability", "0.5"), "--probability"),
     (("list", "--yaml"), "--yaml"),
     (("weigh", SPATIAL), "weigh"),
 ]
@@ -509,6 +726,8 @@ def test_bad_input_is_not_answered_by_more_or_less_than_one_sentence(cablebot, a
         ((PLANAR, "--policy", "lqr"), "unknown policy 'lqr'; choose one of "),
         ((PLANAR, "--policy", "fl", "--trajectory", "spiral"), "unknown trajectory 'spiral'; choose one of paper"),
         ((PLANAR, "--policy", "fl", "--payload", "-1"), "payload must be at least 0 kg"),
+        ((PLANAR, "--policy", "fl", "--uncertainty", "table5"), "unknown uncertainty 'table5'"),
+        ((PLANAR, "--policy", "fl", "--uncertainty", "{"), "--uncertainty is no valid JSON"),
         ((PLANAR, "--policy", "fl", "--payload", "nan"), "payload must be at least 0 kg"),
         ((PLANAR, "--policy", "fl", "--seed", "-1"), "eed must be "),
     ],
@@ -587,6 +806,26 @@ def test_payload_and_what_is_told_are_not_read_and_then_discarded(cablebot, tmp_
     np.testing.assert_array_equal(first["empty"], first["untold"])
     assert np.all(np.abs(first["told"] - first["empty"]) > 1e-3)
     assert runs["told"]["tracking_error_peak"].max() < 0.01 < runs["untold"]["tracking_error_peak"].max()
+
+
+def test_uncertainty_of_a_recording_is_not_read_and_then_discarded(cablebot, tmp_path):
+    runs = {}
+    for name, options in {
+        "nominal": (),
+        "drawn": ("--uncertainty", "table6"),
+        "again": ("--uncertainty", "table6"),
+        "other": ("--uncertainty", "table6", "--seed", "1"),
+        "late": ("--uncertainty", '{"delay": 3}'),
+    }.items():
+        path = tmp_path / f"{name}.npz"
+        motion = ("--trajectory", '{"name": "circle-spatial", "duration": 1}')
+        ended = cablebot("rollout", SPATIAL, "--policy", "fl", *motion, *options, "--out", path)
+        assert (ended.status, ended.err) == (0, "")
+        runs[name] = dict(np.load(path))["pose"]
+    np.testing.assert_array_equal(runs["drawn"], runs["again"])
+    for name in ("drawn", "other", "late"):
+        assert np.abs(runs[name] - runs["nominal"]).max() > 1e-9
+    assert np.abs(runs["drawn"] - runs["other"]).max() > 1e-6
 
 
 def test_motion_that_is_not_carried_is_not_said_to_be(cablebot, tmp_path):

@@ -32,7 +32,8 @@ Progress = Callable[[int, int], None]
 """Called after every control step with the steps done and the steps expected."""
 
 Observer = Callable[[dict[str, Any], Array, NDArray[np.bool_]], None]
-"""Called after every control step of the first batch with info, poses (N, n), and which episodes still last (N,)."""
+"""Called after every control step of the first batch with info, poses (N, n), and which episodes the step was still of
+(N,): not those that had ended before, nor, unless it is run whole, those that had broken a limit before."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -230,6 +231,7 @@ class Batch:
         state, start = None, np.ones(len(batch), np.bool_)
         ended = np.zeros(len(batch), np.bool_)
         for step in range(task.steps):
+            over = (ended if whole else judge.failed).copy()
             action, state = commands(
                 self.policy,
                 self.name,
@@ -239,12 +241,12 @@ class Batch:
                 cables=task.robot.cables,
                 payloads=batch,
                 time=step / task.control_frequency,
-                ignored=ended if whole else judge.failed,
+                ignored=over,
             )
             observation, _, terminated, _, info = self.env.step(action)
             judge.observe(info, terminated)
             if observe is not None:
-                observe(info, plain.pose, ~ended)  # type: ignore[attr-defined]
+                observe(info, plain.pose, ~over)  # type: ignore[attr-defined]
             ended |= terminated
             start = terminated  # the environment starts these anew, though nobody judges them any more
             if progress is not None:

@@ -267,7 +267,7 @@ class _Watch:
     def __call__(self, info: dict[str, Any], pose: Array, lasting: NDArray[np.bool_]) -> None:
         self._error.append(np.where(lasting, info["tracking_error"], np.nan))
         self._rotation.append(np.where(lasting, info["rotation_error"], np.nan))
-        self._ended = ~lasting
+        self._ended |= lasting & (info["termination_reason"] != "")
         torque, demand = np.abs(info["torques"]), np.abs(info["drive_demand"])
         self._squares += np.where(lasting, np.sum(torque**2, axis=1), 0.0)
         self._lasted += lasting

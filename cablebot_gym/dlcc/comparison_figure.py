@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cablebot_gym.dlcc.comparison import Comparison
-from cablebot_gym.dlcc.figures import DPI, add_legend, entitle, mark_bound, new_figure
+from cablebot_gym.dlcc.figures import DPI, GREY, add_legend, entitle, new_figure
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
 
@@ -25,6 +25,9 @@ STYLES = ("-", "--", "-.", ":")
 
 BAND = (0.05, 0.95)
 """Quantiles over draws between which the band lies."""
+
+FAR = 5.0
+"""How many times the largest error a bound may be and still be drawn."""
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
@@ -42,18 +45,27 @@ def draw_comparison(comparison: Comparison) -> Figure:
     )
     for (over_time, largest), (name, unit, series, peak) in zip(grid, kinds, strict=True):
         bound = getattr(comparison.limits, name)
+        seen = max(float(np.max(getattr(one, peak))) for one in comparison.measured)
         _over_time(over_time, comparison, series)
-        over_time.set(ylabel=f"{name} error [{unit}]", ylim=(0, None))
-        mark_bound(over_time, bound, unit)
+        over_time.set(ylabel=f"{name} error [{unit}]")
         _distribution(largest, comparison, peak)
-        largest.axvline(1e3 * bound, color="black", linewidth=1.0)
+        if bound <= FAR * seen:
+            over_time.axhline(1e3 * bound, color="black", linewidth=1.0)
+            largest.axvline(1e3 * bound, color="black", linewidth=1.0)
+            where, top = "black line", max(1.05 * seen, 1.1 * bound)
+        else:  # nothing would be seen of the errors beside it
+            where, top = "far above", 1.05 * seen
+        # Above the panel, where no curve can cross it.
+        over_time.set_title(f"bound {1e3 * bound:g} {unit}: {where}", fontsize=10, loc="right", color=GREY)
+        over_time.set(ylim=(0, 1e3 * top or 1.0))
         largest.set(xlabel=f"largest {name} error [{unit}]", ylabel="share of draws", ylim=(0, 1.02))
     grid[-1, 0].set_xlabel("time [s]")
     add_legend(figure, grid[0, 0])
     draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
     told = "told" if comparison.payload_known else "not told"
     head = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}; {draws}"
-    entitle(figure, head, "mean over draws, band from the 5th to the 95th percentile" if comparison.draws > 1 else "")
+    band = ["mean over draws, band from the 5th to the 95th percentile"] if comparison.draws > 1 else []
+    entitle(figure, head, *band)
     return figure
 
 
@@ -69,14 +81,14 @@ def save_comparison(comparison: Comparison, folder: Path) -> Path:
 
 
 def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:
-    for place, one in enumerate(comparison.measured):
+    for place, one in enumerate(comparison.measured):  # labels begin with a space: matplotlib hides those with "_"
         error: Array = 1e3 * getattr(one, series)
         time = np.arange(1, len(error) + 1) / comparison.task.control_frequency
         colour, style = COLOURS[place % len(COLOURS)], STYLES[place % len(STYLES)]
         if comparison.draws > 1:
             low, high = np.nanquantile(error, BAND, axis=1)
             axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(time, np.nanmean(error, axis=1), style, color=colour, linewidth=1.8, label=one.policy)
+        axes.plot(time, np.nanmean(error, axis=1), style, color=colour, linewidth=1.8, label=f" {one.policy}")
     axes.set_xlim(0, comparison.task.trajectory.duration)
 
 

@@ -188,7 +188,13 @@ class _Search:
             feasible[0] = (0.0, below.payload)
         history, shown = History(), 0 if below is None else _first_carried(below)
         first = self._tried[0.0] if below is None else below
-        again = self._run([first.payload], lambda info, pose, lasting: history.append(info, pose, shown))[0]
+
+        def watch(info: dict[str, Any], pose: Array, lasting: NDArray[np.bool_]) -> None:
+            if lasting[shown]:
+                history.append(info, pose, shown)
+
+        self._expected = min(self._expected, self._done + self._batch.steps(1))
+        again = self._run([first.payload], watch)[0]
         if again.carried != first.carried:
             raise PolicyError(
                 f"policy {self._batch.name!r} is not reproducible: {again.payload:g} kg was carried in "

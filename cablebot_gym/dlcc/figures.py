@@ -36,6 +36,8 @@ _WIDTH = 9.6
 LETTERS = 112
 """Of a title's line: what fits that width."""
 
+_HANDLE = 6
+"""What a line in a legend takes [letters]."""
 
 _FEW = 20
 """Steps of an episode up to which each one gets a dot: a line would not be seen."""
@@ -165,9 +167,12 @@ def _entitle(figure: FigureBase, result: DLCCResult) -> None:
             f"first limit above it: {result.limit}"
         )
     head = f"{result.env_id}, policy {result.policy}, {result.criterion} criterion"
+    drawn = []
     if result.probability is not None:
-        head += f", carried in {result.probability:.0%} of {result.draws} draws of {result.uncertainty}; one is shown"
-    entitle(figure, head, found)
+        draws = f"{result.draws} draws of {result.uncertainty or 'the start'}"
+        carried = f"carried in at least {result.probability:.0%} of {draws}, the first that carries it is shown"
+        drawn = [carried if result.payload is not None else f"{draws}, the first is shown"]
+    entitle(figure, head, *drawn, found)
 
 
 def _torques(figure: FigureBase, result: DLCCResult) -> None:
@@ -252,7 +257,12 @@ def _mark_tightest(axes: Axes, result: DLCCResult, step: int, motor: int) -> Non
 def add_legend(figure: FigureBase, axes: Axes) -> None:
     """A legend of what ``axes`` shows below the figure."""
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    labels = [textwrap.fill(label.strip(), LETTERS - _HANDLE) for label in labels]
+    room = sum(len(label) + _HANDLE for label in labels)
+    columns = len(labels) if room <= LETTERS else max(1, LETTERS // (max(map(len, labels)) + _HANDLE))
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def _path(figure: FigureBase, result: DLCCResult) -> None:
@@ -312,8 +322,9 @@ def mark_bound(axes: Axes, bound: float, unit: str) -> None:
         f"bound {1e3 * bound:g} {unit}",
         (0.99, 1e3 * bound),
         xycoords=("axes fraction", "data"),
-        xytext=(0, 2),
+        xytext=(0, 4),
         textcoords="offset points",
         horizontalalignment="right",
         verticalalignment="bottom",
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
     )

@@ -52,7 +52,8 @@ class Disturbances:
             self._wrench_mean, self._wrench_std, self._factor = (np.zeros((self._count, mean.size)) for _ in range(3))
             self._wrench = NormalRows(self._streams, Purpose.WRENCH, self._count, mean.size)
         self._wrench.restart(lanes)
-        self._hold[lanes] = max(1, round(uncertainty.wrench.correlation_time * self._frequency))
+        periods = min(uncertainty.wrench.correlation_time * self._frequency, 2.0**62)  # whole numbers end there
+        self._hold[lanes] = max(1, round(periods))
         self._wrench_mean[lanes], self._wrench_std[lanes] = mean, std
         low, high = uncertainty.wrench.factor
         self._factor[lanes] = low + (high - low) * self._streams.uniform(lanes, Purpose.WRENCH_FACTOR, mean.size)
@@ -69,10 +70,11 @@ class Disturbances:
         self._noise_std[lanes] = std
 
     def late(self, action: Array) -> Array:
-        """The commands (N, m) that arrive now, when ``action`` is sent."""
+        """The commands (N, m) that arrive now, when ``action`` is sent, (N, m), or (m,) of one lane."""
         late = self._delay > 0
         if not late.any():
             return action
+        action = action.reshape(self._count, -1)
         arriving = np.where(late[:, None], self._pending[:, 0], action)
         self._pending[:, :-1] = self._pending[:, 1:]
         self._pending[late, self._delay[late] - 1] = action[late]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,26 @@ from cablebot_gym.robots import RobotArrays
 from cablebot_gym.task import Limits, Task
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import PARAMETERS, Uncertainty, draw_size
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Start:
+    """Where the episodes of some lanes begin, k of them."""
+
+    lanes: NDArray[np.int64]
+    uncertainty: Uncertainty
+    robot: RobotArrays
+    """Of all k, or of each."""
+    payload: Array
+    """True, (k,)."""
+    parameters: Array
+    """The kernel's, (k, rows)."""
+    pose: Array
+    velocity: Array
+    torque: Array
+    """That holds the robot at rest, (k, m); zeros if nobody asks."""
+    speed: Array
+    """Of the pulleys, (k, m); zeros if nobody asks."""
 
 
 class Simulation:
@@ -112,6 +133,10 @@ class Simulation:
             uniform = self.streams.uniform(lanes, Purpose.START, robot.coordinates)
             pose = pose + settings.initial_error_range * (2 * uniform - 1)
         velocity = np.broadcast_to(start.velocity, pose.shape)
+        starts = [
+            self._drawn(lanes[some], uncertainty, payload[some], pose[some], velocity[some])
+            for uncertainty, some in self._by_uncertainty(lanes, uncertainties)
+        ]
 
         bounds = np.array([limits.position, limits.rotation])
         self._lane_settings[lanes, outcome.TOLD] = payload * known
@@ -119,8 +144,8 @@ class Simulation:
         self._lane_settings[lanes, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
         for lane in lanes:
             self._trajectories[lane], self._limits[lane] = trajectory, limits
-        for uncertainty, some in self._by_uncertainty(lanes, uncertainties):
-            self._start(lanes[some], uncertainty, payload[some], pose[some], velocity[some])
+        for one in starts:
+            self._start(one)
         self._tables.follow(lanes, trajectory, self._plant.which)
         self._observe(lanes, fresh=True)
 
@@ -138,10 +163,14 @@ class Simulation:
         for uncertainty in dict.fromkeys(uncertainties[lane] for lane in lanes):
             yield uncertainty, np.flatnonzero([uncertainties[lane] == uncertainty for lane in lanes])
 
-    def _start(
+    def _drawn(
         self, lanes: NDArray[np.int64], uncertainty: Uncertainty, payload: Array, pose: Array, velocity: Array
-    ) -> None:
-        """Draws the true robots and puts them where their episodes begin."""
+    ) -> _Start:
+        """Draws the true robots; changes nothing yet.
+
+        Raises:
+            ValueError: if no tensions hold a robot where it has to be held.
+        """
         robot: RobotArrays = self.settings.robot
         parameters = self._parameters
         if uncertainty.parameters:
@@ -150,20 +179,37 @@ class Simulation:
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(lanes), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
-        self._lane_settings[lanes, outcome.PAYLOAD] = payload
-        self._remember(lanes, robot, payload)
-        plant, loaded = self._plant, robot.mass + payload
-        plant.set_parameters(lanes, rows)
-        plant.set_state(lanes, pose, velocity)
-        if robot.flexible:
-            angle = textbook.static_motor_angle(robot, loaded, pose, minimum=textbook.MINIMUM_TENSION)
-            plant.set_motors(lanes, angle, textbook.pulley_speed(robot, pose, velocity))
-        holding = np.zeros((len(lanes), robot.cables))
-        if uncertainty.delay:
-            torque = textbook.static_torque(robot, loaded, pose, minimum=textbook.MINIMUM_TENSION)
+        torque = speed = np.zeros((len(lanes), robot.cables))
+        if robot.flexible or uncertainty.delay:
+            try:
+                torque = textbook.static_torque(robot, robot.mass + payload, pose, minimum=textbook.MINIMUM_TENSION)
+            except np.linalg.LinAlgError as error:
+                raise ValueError("no tensions hold the robot at its start pose: choose another start") from error
             speed = textbook.pulley_speed(robot, pose, velocity)
-            holding = (torque + robot.speed_slope * speed) / robot.stall_torque
-        self._disturbances.begin(lanes, uncertainty, holding)
+        return _Start(
+            lanes=lanes,
+            uncertainty=uncertainty,
+            robot=robot,
+            payload=payload,
+            parameters=rows,
+            pose=pose,
+            velocity=velocity,
+            torque=torque,
+            speed=speed,
+        )
+
+    def _start(self, start: _Start) -> None:
+        """Puts the true robots where their episodes begin."""
+        lanes, robot = start.lanes, start.robot
+        self._lane_settings[lanes, outcome.PAYLOAD] = start.payload
+        self._remember(lanes, robot, start.payload)
+        self._plant.set_parameters(lanes, start.parameters)
+        self._plant.set_state(lanes, start.pose, start.velocity)
+        if robot.flexible:
+            angle = textbook.pulley_angle(robot, start.pose) + start.torque / robot.stiffness
+            self._plant.set_motors(lanes, angle, start.speed)
+        holding = (start.torque + robot.speed_slope * start.speed) / robot.stall_torque
+        self._disturbances.begin(lanes, start.uncertainty, holding)
 
     def _remember(self, lanes: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         for name, parameter in PARAMETERS.items():

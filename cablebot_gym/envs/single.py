@@ -182,7 +182,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         before = self._np_random, self._np_random_seed, self._simulation.streams.standing()
         try:
             if seed is not None or not self._started:
-                super().reset(seed=seed)
+                super().reset(seed=None if seed is None else int(seed))
                 self._simulation.streams.seed([0], [self.np_random_seed])
             self._simulation.reset(self._lane, options)
         except Exception:  # a refused reset takes nothing, not even its seed

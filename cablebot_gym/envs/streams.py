@@ -86,14 +86,18 @@ class Streams:
             if first < row:
                 numbers[row] = numbers[first]
                 continue
-            key[:] = seed & _WORD, (seed >> 64) & _WORD
+            key[:] = _key(seed)
             counter[:] = 0, block, episode, purpose
             self._philox.state = self._state
             draw(out=numbers[row])
         return numbers
 
 
-_WORD = 2**64 - 1
+def _key(seed: int) -> Sequence[int]:
+    """Two words: the seed itself, or, of one that is longer, a hash."""
+    if seed < 2**128:
+        return seed & (2**64 - 1), seed >> 64
+    return np.random.SeedSequence(seed).generate_state(2, np.uint64).tolist()
 
 
 class NormalRows:

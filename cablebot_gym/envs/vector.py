@@ -164,7 +164,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             raise ValueError(SEED_MESSAGE.format(seed))
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
-        return seeds
+        return [None if item is None else int(item) for item in seeds]
 
     def step(self, actions: ArrayLike) -> VectorStep:
         """One control period of every environment.

@@ -795,7 +795,9 @@ def test_policy_that_forgets_is_not_reported_as_if_it_had_carried():
             action, state = super().predict(observation, state)
             return action * (0.0 if self.rounds > 1 else 1.0), state
 
-    with pytest.raises(PolicyError, match="not reproducible: 1 kg was carried in 1 of 1 episodes at first, and in 0 when tried again"):
+    with pytest.raises(
+        PolicyError, match="not reproducible: 1 kg was carried in 1 of 1 episodes at first, and in 0 when tried again"
+    ):
         evaluate_dlcc(Moody(SPATIAL), SPATIAL_ID, trajectory=HANG, payload_max=1.0)
 
 

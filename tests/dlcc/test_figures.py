@@ -212,3 +212,20 @@ def test_a_policy_name_is_not_read_as_mathematics_and_four_cables_find_room(resu
     hold = evaluate_dlcc(idle, "CableBot-Planar-v0", trajectory="hold-planar", **SMALL)
     figures.save_figures(hold, tmp_path)
     hold.plot().savefig(tmp_path / "both.png")
+
+
+def test_title_over_draws_does_not_claim_what_no_draw_carried(results, tmp_path):
+    drawn = {"draws": 60, "probability": 0.9, "confidence": 0.95, "uncertainty": "table6"}
+    carried = dataclasses.replace(results["planar"], **drawn)
+    assert "carried in at least 90% of 60 draws of table6" in figures.draw_path(carried).get_suptitle()
+    failed = figures.draw_torques(dataclasses.replace(results["violent"], **drawn)).get_suptitle()
+    assert "carried in at least" not in failed
+    assert "60 draws of table6, the first is shown" in failed
+    assert "draws" not in figures.draw_path(results["planar"]).get_suptitle()
+
+
+def test_label_of_a_bound_is_not_crossed_by_the_curve(results):
+    for axes in figures.draw_path(results["beyond"]).axes[1:]:
+        (label,) = axes.texts
+        assert label.get_text() == "bound 10 mm"
+        assert label.get_bbox_patch().get_facecolor()[:3] == (1, 1, 1)

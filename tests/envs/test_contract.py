@@ -47,6 +47,7 @@ JSON_KEYWORDS: dict[str, dict[str, Any]] = {
         "payload_range": [0.5, 1.5],
         "initial_error": [0.01, 0.0],
         "reward_weights": {"slack": 0.5},
+        "uncertainty": {"wrench": {"force_mean": [1.0, -1.0], "factor": [0.5, 1.5]}, "delay": 2},
     },
     "CableBot-Spatial-v0": {
         "trajectory": {"name": "circle-spatial", "duration": 1.5, "radius": 0.05},
@@ -55,15 +56,26 @@ JSON_KEYWORDS: dict[str, dict[str, Any]] = {
         "payload": 1.5,
         "initial_error_range": [0.001, 0.0, 0.001, 0.0, 0.01, 0.0],
         "cable": "bilateral",
+        "uncertainty": {
+            "parameters": {
+                "platform_mass": {"low": -0.1, "high": 0.2, "distribution": "normal", "mean": 0.05, "std": 0.1},
+                "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
+            },
+        },
     },
     "CableBot-FlexPlanar-v0": {
         "trajectory": {"name": "lemniscate-planar", "duration": 2.0},
         "robot": json.loads(json.dumps(FLEX_PLANAR.replace(mass=1.5).to_dict())),
+        "uncertainty": "table6+sensors",
     },
     "CableBot-FlexSpatial-v0": {
         "trajectory": {"name": "line-spatial", "duration": 1.5},
         "robot": json.loads(json.dumps(FLEX_SPATIAL.replace(mass=8.0).to_dict())),
         "limits": {"position": 0.02},
+        "uncertainty": {
+            "parameters": {"stiffness": {"low": -0.2, "high": 0.2, "each": False}},
+            "sensors": {"position": 1e-4, "motor_angle": 1e-3},
+        },
     },
 }
 
@@ -149,6 +161,15 @@ def test_gymnasium_check_env_finds_nothing_even_as_warning(env_id):
 def test_sb3_check_env_finds_nothing_even_as_warning(env_id):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make(env_id).unwrapped, warn=True)
+
+
+@each_id
+def test_checkers_find_nothing_under_uncertainty_either(env_id):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = gym.make(env_id, uncertainty="table6+sensors")
+    check_env(env.unwrapped)
+    checker.check_env(env.unwrapped, warn=True)
+    checker.check_env(gym.make(env_id, uncertainty={"delay": 3}).unwrapped, warn=True)
 
 
 @each_id
@@ -467,6 +488,53 @@ def test_a_drawn_payload_that_is_not_told_stays_out_of_the_observation():
     assert len({info["payload"] for _, info in resets}) == 4
     for observation, _ in resets:
         np.testing.assert_array_equal(observation, resets[0][0])
+
+
+@each_id
+@pytest.mark.parametrize("known", [True, False])
+def test_observation_and_task_tell_the_nominal_payload_and_robot_and_info_the_true_payload(env_id, known):
+    """A rigid robot's first observation does not know the truth; flexible, the springs' wind-up is physics."""
+    robot = ROBOTS[env_id]
+    uncertainty = {
+        "parameters": {
+            "payload": {"low": 0.5, "high": 1.0},
+            "platform_mass": {"low": 0.05, "high": 0.1},
+            "motor_strength": {"low": 0.05, "high": 0.1},
+        }
+    }
+    env = gym.make(env_id, uncertainty=uncertainty, payload=2.0, payload_known=known).unwrapped
+    usual = gym.make(env_id, payload=2.0, payload_known=known).unwrapped
+    blind = np.ones(env.layout.size, bool)
+    if robot.flexible:
+        blind[env.layout.slices()["motor_angle"]] = False
+    true = set()
+    for seed in range(4):
+        (observation, info), (expected, _) = env.reset(seed=seed), usual.reset(seed=seed)
+        np.testing.assert_array_equal(observation[blind], expected[blind])
+        assert 3.0 <= info["payload"] <= 4.0
+        assert info["payload"] == env.truth["payload"]
+        true.add(info["payload"])
+        observation, _, _, _, later = env.step(np.full(robot.cables, 0.3))
+        assert later["payload"] == info["payload"]
+        part = env.layout.split(observation)
+        assert part["told_payload"][0] == env.task.told_payload == (2.0 if known else 0.0)
+        assert part["payload_known"][0] == env.task.payload_known == known
+        assert env.task.robot == robot
+        for hidden in (info["payload"], env.truth["platform_mass"], env.truth["motor_strength"][0]):
+            assert f"{hidden}" not in repr(env.task)
+    assert len(true) == 4
+
+
+def test_a_payload_that_would_be_negative_is_zero_and_not_a_lighter_platform():
+    uncertainty = {"parameters": {"payload": {"low": -2.0, "high": -1.0, "relative": False}}}
+    env = gym.make("CableBot-Spatial-v0", uncertainty=uncertainty, payload=0.5).unwrapped
+    empty = gym.make("CableBot-Spatial-v0").unwrapped
+    for one in (env, empty):
+        one.reset(seed=0)
+    info, expected = (one.step(np.full(6, 0.2))[4] for one in (env, empty))
+    assert info["payload"] == env.truth["payload"] == 0.0
+    assert env.task.told_payload == 0.5
+    np.testing.assert_array_equal(info["tensions"], expected["tensions"])
 
 
 def test_the_public_task_has_no_place_for_the_true_payload_or_a_seed():

@@ -19,9 +19,11 @@ from cablebot_gym.envs.settings import DEFAULT_WEIGHTS, FOREIGN_OPTIONS, check_o
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.kinematics import structure_jacobian
-from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.physics.textbook import fastest_motor_rate, highest_frequency
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import Reference
+from cablebot_gym.uncertainty import PARAMETERS, Spread, Uncertainty
 
 ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
 IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
@@ -94,6 +96,11 @@ OPTIONS = {
     "trajectory": Case(lambda kind: f"line-{kind}", ("reset observation", "observation", "reward", "info tensions")),
     "initial_error": Case(
         millimetre, ("reset observation", "observation", "reward", "info tracking_error", "reset info")
+    ),
+    "uncertainty": Case(
+        {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}, "sensors": {"position": 1e-4}, "delay": 1},
+        ("reset observation", "observation", "reward", "info drive_demand", "info torques", "info tracking_error"),
+        ("info payload", "flags", "reset info"),
     ),
     "limits": Case({"position": 0.02, "rotation": 0.02}, ("reward", "info reward_position"), ("observation",)),
 }
@@ -443,7 +450,7 @@ def test_two_physics_steps_a_period_are_as_good_as_twenty(kind):
 
 # ----------------------------------------------------------------------------------------------------- bad input
 
-ALL_OPTIONS = ("payload", "payload_known", "trajectory", "initial_error", "limits")
+ALL_OPTIONS = ("payload", "payload_known", "trajectory", "initial_error", "uncertainty", "limits")
 
 BAD_OPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "unknown key": ({"paylaod": 1.0}, ("paylaod", *ALL_OPTIONS)),
@@ -468,6 +475,20 @@ BAD_OPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "start error of the wrong length": ({"initial_error": [0.0, 0.0, 0.0]}, ("initial_error", "2", "(3,)")),
     "start error as one number": ({"initial_error": 0.01}, ("initial_error", "2")),
     "NaN in the start error": ({"initial_error": [0.0, float("nan")]}, ("initial_error", "finite")),
+    "unknown uncertainty": ({"uncertainty": "table7"}, ("table7", "table6", "sensors")),
+    "unknown uncertain parameter": ({"uncertainty": {"parameters": {"colour": {"low": 0, "high": 1}}}}, ("colour",)),
+    "parameter of another robot": (
+        {"uncertainty": {"parameters": {"stiffness": {"low": 0, "high": 1}}}},
+        ("planar", "stiffness"),
+    ),
+    "uncertain mass that can reach zero": (
+        {"uncertainty": {"parameters": {"platform_mass": {"low": -1, "high": 1}}}},
+        ("platform_mass", "above 0"),
+    ),
+    "uncertainties of the wrong number": ({"uncertainty": ["table6", "sensors"]}, ("uncertainty", "2")),
+    "no uncertainties in a list": ({"uncertainty": []}, ("uncertainty", "0")),
+    "uncertainty as a number": ({"uncertainty": 6}, ("6", "table6", "parameters")),
+    "half a step of delay": ({"uncertainty": {"delay": 0.5}}, ("delay", "whole", "0.5")),
 }
 
 BAD_ACTIONS = {
@@ -520,7 +541,7 @@ def check_message(error, words):
 @pytest.mark.parametrize("name", list(BAD_OPTIONS))
 def test_a_bad_option_is_named_and_the_episode_goes_on_to_the_last_bit(name):
     options, words = BAD_OPTIONS[name]
-    keywords = {"payload_range": (0.0, 2.0), "initial_error_range": [0.01, 0.01]}
+    keywords = {"payload_range": (0.0, 2.0), "initial_error_range": [0.01, 0.01], "uncertainty": "table6+sensors"}
     env, twin = make("planar", **keywords), make("planar", **keywords)
     rng = np.random.default_rng(0)
     env.reset(seed=4)
@@ -641,6 +662,185 @@ def test_limits_objects_and_arrays_are_welcome_too():
     env.reset(options={"limits": {"position": 0.03}, "payload": np.float32(1.5), "payload_known": np.True_})
     assert env.task.limits.position == 0.03
     assert env.task.told_payload == 1.5
+
+
+# ---------------------------------------------------------------------------------------------------- uncertainty
+
+MASS_ONLY = Uncertainty(parameters={"platform_mass": Spread(low=0.1, high=0.2)})
+FLEX = {"FlexPlanar": FLEX_PLANAR, "FlexSpatial": FLEX_SPATIAL}
+each_flexible = pytest.mark.parametrize("flexible", list(FLEX))
+
+
+def several(env_id, count, **keywords):
+    return gym.make_vec(env_id, num_envs=count, **keywords).unwrapped
+
+
+@each_kind
+def test_an_uncertain_option_holds_for_its_episode_alone_and_replaces_the_keyword(kind):
+    env, nominal = make(kind, uncertainty="table6"), ROBOTS[kind].mass
+    env.reset(seed=0)
+    assert env.truth["platform_mass"] != nominal
+    env.reset(options={"uncertainty": None})
+    assert env.truth["platform_mass"] == nominal
+    env.reset(options={"uncertainty": MASS_ONLY})
+    assert 1.1 * nominal <= env.truth["platform_mass"] <= 1.2 * nominal
+    env.reset()
+    assert 0.9 * nominal <= env.truth["platform_mass"] <= 1.1 * nominal
+    assert env.settings.uncertainty[0].wrench is not None
+
+
+def test_each_environment_of_a_batch_may_have_its_own_uncertainty():
+    forms = ["table6", None, MASS_ONLY, {"parameters": {"platform_mass": {"low": -0.5, "high": -0.4}}}, "table6"]
+    bounds = [(0.9, 1.1), (1.0, 1.0), (1.1, 1.2), (0.5, 0.6), (0.9, 1.1)]
+    by_keyword, by_option = several(IDS["spatial"], 5, uncertainty=forms), several(IDS["spatial"], 5)
+    by_keyword.reset(seed=0)
+    by_option.reset(seed=0, options={"uncertainty": forms})
+    for env in (by_keyword, by_option):
+        for mass, (low, high) in zip(env.truth["platform_mass"] / SPATIAL.mass, bounds, strict=True):
+            assert low <= mass <= high
+    np.testing.assert_array_equal(by_keyword.truth["platform_mass"], by_option.truth["platform_mass"])
+    mask = np.array([False, True, False, False, True])
+    before = by_keyword.truth["platform_mass"]
+    by_keyword.reset(options={"reset_mask": mask})  # each lane its own, not the first ones of the list
+    after = by_keyword.truth["platform_mass"]
+    np.testing.assert_array_equal(after[~mask], before[~mask])
+    assert after[1] == SPATIAL.mass
+    assert 0.9 * SPATIAL.mass <= after[4] <= 1.1 * SPATIAL.mass
+    assert after[4] != before[4]
+    single = make("spatial", uncertainty="table6")  # nor does a list change what a lane draws
+    single.reset(seed=4)
+    assert single.truth["platform_mass"] == before[4]
+
+
+@pytest.mark.parametrize("forms", [["table6"] * 2, ["table6"] * 4, []])
+def test_as_many_uncertainties_as_environments_are_needed(forms):
+    words = ("uncertainty", "3", str(len(forms)))
+    env, twin = (several(IDS["planar"], 3, uncertainty="table6") for _ in range(2))
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(ValueError, match="uncertainty") as caught:
+        env.reset(seed=8, options={"uncertainty": forms})
+    check_message(caught.value, words)
+    with pytest.raises(ValueError, match="uncertainty") as caught:
+        several(IDS["planar"], 3, uncertainty=forms)
+    check_message(caught.value, words)
+    np.testing.assert_array_equal(env.reset()[0], twin.reset()[0])  # neither seed nor episode was taken
+    np.testing.assert_array_equal(env.truth["platform_mass"], twin.truth["platform_mass"])
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"uncertainty": {"parameters": {"stiffness": {"low": 0, "high": 8000}}}},  # too stiff for the substeps
+        {"uncertainty": "table6", "initial_error": [0, 0, -0.1, 0, 0, 0]},  # cables in one plane: nothing holds it
+        {"uncertainty": {"delay": 9}, "payload": -1.0},
+    ],
+)
+def test_a_refused_reset_leaves_truth_streams_wrench_delay_and_noise(option):
+    keywords = {"uncertainty": Uncertainty(parameters=MASS_ONLY.parameters, delay=2), "trajectory": "hold-spatial"}
+    env, twin = (gym.make("CableBot-FlexSpatial-v0", **keywords).unwrapped for _ in range(2))
+    same_reset(env, twin, seed=0, options={"uncertainty": "table6+sensors", "payload": 1.0})
+    for step in range(12):
+        if step % 3 == 0:
+            with pytest.raises(ValueError, match=r"\w"):
+                env.reset(seed=99, options={"limits": {"position": 0.5}, **option})
+            assert {name: value.tolist() for name, value in env.truth.items()} == {
+                name: value.tolist() for name, value in twin.truth.items()
+            }
+            assert env.task.told_payload == 1.0
+            assert env.task.limits == twin.task.limits
+        same_step(env, twin, np.full(6, 0.5 + 0.01 * step))
+    same_reset(env, twin)
+    same_step(env, twin, np.full(6, 0.5))
+
+
+def test_a_start_that_no_tensions_hold_is_refused_in_words_where_it_has_to_be_held():
+    flat = {"initial_error": [0, 0, -0.1, 0, 0, 0], "trajectory": "hold-spatial"}
+    for env, options in (
+        (gym.make("CableBot-FlexSpatial-v0").unwrapped, flat),
+        (make("spatial"), flat | {"uncertainty": {"delay": 1}}),
+    ):
+        with pytest.raises(ValueError, match="start pose") as caught:
+            env.reset(options=options)
+        check_message(caught.value, ("no tensions",))
+
+
+def rate(robot):
+    """Fastest rate of a robot [rad/s]."""
+    return max(highest_frequency(robot), fastest_motor_rate(robot))
+
+
+@each_flexible
+def test_springs_too_stiff_for_the_substeps_are_refused_with_frequency_and_substeps(flexible):
+    """By option, by keyword with explicit substeps; a default chooses substeps that do."""
+    stiff = {"parameters": {"stiffness": {"low": 0.0, "high": 8000.0}}}
+    env_id = f"CableBot-{flexible}-v0"
+    env = gym.make(env_id).unwrapped
+    env.reset(seed=0)
+    robot = FLEX[flexible]
+    transmission = robot.transmission
+    hard = robot.replace(transmission=type(transmission)(**vars(transmission) | {"stiffness": 8001 * 3.0}))
+    for call in (
+        lambda: env.reset(options={"uncertainty": stiff}),
+        lambda: gym.make(env_id, uncertainty=stiff, substeps=env.settings.substeps),
+        lambda: several(env_id, 2, uncertainty=[None, stiff], substeps=env.settings.substeps),
+        lambda: gym.make(env_id, robot=hard, substeps=env.settings.substeps),
+    ):
+        with pytest.raises(ValueError, match="motors swing or settle at") as caught:
+            call()
+        message = str(caught.value)
+        check_message(caught.value, (f"substeps={env.settings.substeps} ", "Hz", "leave it out"))
+        assert float(message.split(" at ")[1].split(" Hz")[0]) == pytest.approx(rate(hard) / (2 * np.pi), rel=0.01)
+        needed = int(message.split("use at least ")[1].split(",")[0])
+        gym.make(env_id, uncertainty=stiff, substeps=needed)
+        with pytest.raises(ValueError, match="motors swing or settle at"):
+            gym.make(env_id, uncertainty=stiff, substeps=needed - 1)
+    for by_default in (
+        gym.make(env_id, uncertainty=stiff).unwrapped,
+        several(env_id, 2, uncertainty=[None, stiff]),
+    ):
+        assert by_default.settings.substeps >= needed
+        by_default.reset(seed=0)
+        for _ in range(50):
+            observation = by_default.step(np.full(by_default.action_space.shape, 0.4))[0]
+        assert np.all(np.abs(by_default.layout.split(observation)["motor_speed"]) < 999)  # it has not blown up
+
+
+@each_flexible
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [("motor_inertia", -0.999, 0.0), ("motor_strength", 0.0, 300.0), ("motor_damping", 0.0, 10.0)],
+)
+def test_other_parameters_that_make_motors_too_fast_are_refused_too(flexible, name, low, high):
+    spread = {"low": low, "high": high, "relative": name != "motor_damping"}
+    env = gym.make(f"CableBot-{flexible}-v0").unwrapped
+    with pytest.raises(ValueError, match="motors swing or settle at"):
+        env.reset(options={"uncertainty": {"parameters": {name: spread}}})
+
+
+@each_flexible
+def test_a_small_uncertainty_does_not_make_the_default_physics_step_finer(flexible):
+    steps = [gym.make(f"CableBot-{flexible}-v0", uncertainty=form).unwrapped for form in (None, "table6", "sensors")]
+    assert len({env.settings.substeps for env in steps}) == 1
+
+
+@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+def test_every_parameter_as_an_option_changes_the_next_steps(env_id):
+    """As data, and the next episode is nominal again."""
+    env = gym.make(env_id, payload=1.0).unwrapped
+    robot = env.settings.robot
+    usual = episode(env, 0.5, 12, seed=0)
+    for name, parameter in PARAMETERS.items():
+        if (parameter.flexible and not robot.flexible) or (parameter.spatial and robot.planar):
+            continue
+        spread = {"low": 0.2, "high": 0.3, "each": name != "platform_inertia"}
+        if parameter.place or "damping" in name:
+            spread |= {"low": 0.002, "high": 0.003, "relative": False}
+        option = {"uncertainty": {"parameters": {name: spread}}}
+        found = differing(usual, episode(env, 0.5, 12, seed=0, options=option))
+        assert {"observation", "info tensions"} <= found, name
+        assert ("info payload" in found) == (name == "payload")
+        assert differing(usual, episode(env, 0.5, 12)) == set(), name
 
 
 def test_default_weights_are_those_of_every_term():

@@ -400,3 +400,33 @@ def test_an_expert_earns_nearly_all_there_is_and_a_bystander_does_not(kind):
     best = 500 * (DEFAULT_WEIGHTS["position"] + DEFAULT_WEIGHTS["rotation"] * (kind == "spatial"))
     assert 0.9 * best < earned["expert"] <= best
     assert earned["bystander"] < 0.5 * best
+
+
+# ---------------------------------------------------------------------------------------------------- uncertainty
+
+
+@each_kind
+def test_noise_beyond_radius_and_workspace_ends_nothing_and_costs_nothing(kind):
+    """The episode is judged on the true state."""
+    noise = {"sensors": {"position": 0.5, "velocity": 5.0}}
+    robot = ROBOTS[kind]
+    noisy, clean = make(kind, uncertainty=noise), make(kind)
+    policy = FeedbackLinearization(robot)
+    noisy.reset(seed=0)
+    observation, _ = clean.reset(seed=0)
+    seen = []
+    for _ in range(30):
+        action, _ = policy.predict(observation)
+        observation, reward, terminated, _, info = clean.step(action)
+        measured, *ours = noisy.step(action)
+        assert ours[:2] == [reward, terminated] == [reward, False]
+        assert ours[3]["tracking_error"] == info["tracking_error"] < 1e-6
+        seen.append(np.linalg.norm(noisy.layout.split(measured)["pose"][:2] - noisy.pose[:2]))
+    assert max(seen) > noisy.settings.termination_radius  # else the noise was too small to say anything
+
+
+@each_kind
+def test_a_wrench_can_make_the_robot_fail(kind):
+    env = make(kind, uncertainty={"wrench": {"force_mean": 200.0}})
+    _, _, info = last_step(env, 0.3, 200)
+    assert info["termination_reason"] in ("tracking_error", "slack", "workspace")

@@ -184,6 +184,57 @@ def test_async_workers_give_the_same_numbers(context):
         theirs.close()
 
 
+UNCERTAIN: dict[str, Any] = {
+    "by name": "table6+sensors",
+    "late": {
+        "parameters": {
+            "platform_mass": {"low": -0.2, "high": 0.2},
+            "payload": {"low": -0.5, "high": 0.5},
+            "damping": {"low": 0.0, "high": 0.005, "relative": False},
+            "motor_strength": {"low": -0.1, "high": 0.1, "distribution": "normal", "std": 0.1},
+            "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
+        },
+        "wrench": {"force_std": 1.0, "correlation_time": 0.02, "factor": [0.5, 2.0]},
+        "sensors": {"position": 1e-3, "velocity": 0.01, "motor_angle": 0.01},
+        "delay": 3,
+    },
+}
+
+
+@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+@pytest.mark.parametrize("form", list(UNCERTAIN))
+@each_mode
+@pytest.mark.parametrize("count", [1, 3, 33])
+def test_every_lane_is_the_single_environment_under_uncertainty_too(env_id, mode, form, count):
+    """Over block ends of the read-ahead noise, time limits and failures."""
+    steps = 90 if count < 10 else 45
+    planar = "Planar" in env_id
+    keywords = {
+        "payload_range": (0.0, 2.0),
+        "uncertainty": UNCERTAIN[form],
+        "termination_radius": 0.03,
+        "max_episode_steps": 37,
+        "initial_error_range": [0.01] * (2 if planar else 6),
+    }
+    ours = make(env_id, count, autoreset_mode=mode, **keywords)
+    theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * count, autoreset_mode=mode)
+    check_same(ours.reset(seed=7), theirs.reset(seed=7))
+    rng, restarts, truncations = np.random.default_rng(0), 0, 0
+    for _ in range(steps):
+        action = rng.uniform(0.0, 0.5 if planar else 0.9, ours.action_space.shape)
+        one, other = ours.step(action), theirs.step(action)
+        check_same(one, other)
+        ended = one[2] | one[3]
+        restarts, truncations = restarts + ended.sum(), truncations + one[3].sum()
+        if mode is AutoresetMode.DISABLED and ended.any():
+            check_same(ours.reset(options={"reset_mask": ended}), theirs.reset(options={"reset_mask": ended}))
+        for lane, env in enumerate(theirs.envs):
+            for name, value in env.unwrapped.truth.items():
+                np.testing.assert_array_equal(ours.truth[name][lane], value, err_msg=name)
+    assert restarts >= count
+    assert truncations or not planar  # planar ones last until the time limit
+
+
 # --------------------------------------------------------------------------------------------------------- seeds
 
 

@@ -1,0 +1,574 @@
+"""What uncertainty does to a running episode: true parameters, external wrench, sensor noise, late commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy import stats
+
+import cablebot_gym
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot, Transmission
+from cablebot_gym.trajectories import Reference
+from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Spread, Uncertainty
+
+ROBOTS = {
+    "CableBot-Planar-v0": PLANAR,
+    "CableBot-Spatial-v0": SPATIAL,
+    "CableBot-FlexPlanar-v0": FLEX_PLANAR,
+    "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
+}
+MEASURED = ("pose", "velocity", "motor_angle", "motor_speed")
+each_id = pytest.mark.parametrize("env_id", list(ROBOTS))
+
+
+def has(robot, name):
+    """Whether a robot has a parameter."""
+    return not ((PARAMETERS[name].flexible and not robot.flexible) or (PARAMETERS[name].spatial and robot.planar))
+
+
+each_parameter = pytest.mark.parametrize(
+    ("env_id", "name"), [(env_id, name) for env_id, robot in ROBOTS.items() for name in PARAMETERS if has(robot, name)]
+)
+
+
+def single(env_id, **keywords) -> Any:
+    """A bare environment."""
+    return gym.make(env_id, **keywords).unwrapped
+
+
+def batch(env_id, count, **keywords) -> Any:
+    """Our vector environment, whose episodes end when a test ends them."""
+    lasting = {"termination_radius": 100.0, "slack_time": 100.0, "autoreset_mode": "Disabled"}
+    wide = [(-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0), (-1.5, 1.5), (-9.0, 9.0)]
+    robot = ROBOTS[env_id].replace(workspace=wide[: ROBOTS[env_id].coordinates])
+    made = {"robot": robot, "max_episode_steps": None} | lasting | keywords
+    return gym.make_vec(env_id, num_envs=count, **made).unwrapped
+
+
+def kind(env_id):
+    return "planar" if ROBOTS[env_id].planar else "spatial"
+
+
+def wrench_of(env):
+    """The wrench that the plant feels now, (N, 6): force, then moment."""
+    plant = env._simulation._plant
+    return plant._read(plant._parameters, kernel.FORCE, 6)
+
+
+def commands(env_id, steps, seed=0):
+    """Random commands that pull more than they let go, (steps, m)."""
+    return np.random.default_rng(seed).uniform(0.0, 0.8, (steps, ROBOTS[env_id].cables))
+
+
+def rollout(env, actions, **reset):
+    """Observations and infos of an open-loop episode, the reset's first, and the rewards."""
+    observation, info = env.reset(**reset)
+    observations, infos, rewards = [observation], [info], []
+    for action in actions:
+        observation, reward, _, _, info = env.step(action)
+        observations.append(observation)
+        infos.append(info)
+        rewards.append(reward)
+    columns = {key: np.array([info[key] for info in infos]) for key in infos[0]}
+    return np.array(observations), columns, np.array(rewards)
+
+
+def check_same(one, other):
+    """Rollouts that are equal to the last bit."""
+    np.testing.assert_array_equal(one[0], other[0])
+    np.testing.assert_array_equal(one[2], other[2])
+    assert list(one[1]) == list(other[1])
+    for key in one[1]:
+        np.testing.assert_array_equal(one[1][key], other[1][key], err_msg=key)
+
+
+# ----------------------------------------------------------------------------------------------- true parameters
+
+
+def spread_of(name, low=0.05, high=0.1):
+    """A deviation that is never zero; absolute where the paper's value may be zero."""
+    if PARAMETERS[name].place:
+        return Spread(low=0.005, high=0.01, relative=False)
+    if name in ("damping", "motor_damping"):
+        return Spread(low=1e-3, high=2e-3, relative=False)
+    return Spread(low=low, high=high, each=name != "platform_inertia")
+
+
+def replaced(robot: Robot, truth) -> Robot:
+    """The robot whose nominal values are the true ones, with the nominal free speed."""
+    spring = {name: tuple(truth[name]) for name in ("stiffness", "motor_inertia", "motor_damping") if name in truth}
+    body = {} if robot.planar else {"platform_anchors": truth["platform_anchors"], "inertia": truth["platform_inertia"]}
+    return robot.replace(
+        mass=float(truth["platform_mass"]),
+        base_anchors=truth["base_anchors"],
+        motors=Motors(stall_torque=tuple(truth["motor_strength"]), free_speed=robot.motors.free_speed),
+        transmission=Transmission(
+            pulley_radius=robot.transmission.pulley_radius,
+            pulley_inertia=tuple(truth["pulley_inertia"]),
+            damping=tuple(truth["damping"]),
+            **spring,
+        ),
+        **body,
+    )
+
+
+def check_plant(env_id, uncertainty, names):
+    """The uncertain environment is the one of a robot that nominally has the drawn values."""
+    keywords = {"payload": 1.5, "payload_known": False, "substeps": 8}
+    uncertain, usual = (single(env_id, uncertainty=form, **keywords) for form in (uncertainty, None))
+    actions = commands(env_id, 30)
+    ours, theirs = rollout(uncertain, actions, seed=3), rollout(usual, actions, seed=3)
+    truth = uncertain.truth
+    nominal = usual.truth
+    for name in nominal:
+        assert (not np.array_equal(truth[name], nominal[name])) == (name in names), name
+    told = single(env_id, **keywords | {"payload": float(truth["payload"])}, robot=replaced(ROBOTS[env_id], truth))
+    made = rollout(told, actions, seed=3)
+    blocks = [part for part in MEASURED if part in uncertain.layout.slices()]
+    states = [uncertain.layout.split(one[0]) for one in (ours, theirs, made)]
+    for block in blocks:
+        np.testing.assert_allclose(states[0][block], states[2][block], rtol=1e-12, atol=1e-12, err_msg=block)
+    for key in ("payload", "tensions", "torques", "motor_speeds", "tracking_error", "slack"):
+        np.testing.assert_allclose(ours[1][key], made[1][key], rtol=1e-10, atol=1e-10, err_msg=key)
+    assert max(np.abs(states[0][block] - states[1][block]).max() for block in blocks) > 1e-7
+    return ours
+
+
+@each_parameter
+def test_every_parameter_reaches_the_plant_and_truth_tells_its_value(env_id, name):
+    uncertainty = Uncertainty(parameters={name: spread_of(name)})
+    ours = check_plant(env_id, uncertainty, {name})
+    if name == "payload":
+        assert np.all(ours[1]["payload"] > 1.5 * 1.05 - 1e-12)
+
+
+@each_id
+def test_all_parameters_together_reach_the_plant(env_id):
+    names = {name for name in PARAMETERS if has(ROBOTS[env_id], name)}
+    check_plant(env_id, Uncertainty(parameters={name: spread_of(name) for name in names}), names)
+
+
+@each_id
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_spread_of_zero_width_is_no_uncertainty_to_the_last_bit(env_id, relative):
+    parameters = {
+        name: Spread(low=0, high=0, relative=relative and not PARAMETERS[name].place)
+        for name in PARAMETERS
+        if has(ROBOTS[env_id], name)
+    }
+    actions = commands(env_id, 40)
+    for make in (single, lambda env_id, **keywords: batch(env_id, 3, **keywords)):
+        usual, uncertain = (
+            rollout(make(env_id, payload=1.3, uncertainty=form), wide(actions, make), seed=0)
+            for form in (None, Uncertainty(parameters=parameters))
+        )
+        check_same(usual, uncertain)
+
+
+def wide(actions, make):
+    """Actions for one environment, or for three."""
+    return actions if make is single else np.repeat(actions[:, None], 3, axis=1)
+
+
+@each_id
+def test_no_uncertainty_leaves_the_truth_nominal(env_id):
+    env = single(env_id, payload=1.25)
+    env.reset(seed=0)
+    robot = ROBOTS[env_id]
+    assert set(env.truth) == {name for name in PARAMETERS if has(robot, name)}
+    for name, value in env.truth.items():
+        expected = 1.25 if name == "payload" else getattr(robot, PARAMETERS[name].attribute)
+        np.testing.assert_array_equal(value, expected, err_msg=name)
+
+
+@each_id
+def test_truth_is_a_copy(env_id):
+    env, several = single(env_id), batch(env_id, 2)
+    for one in (env, several):
+        one.reset(seed=0)
+        one.truth["motor_strength"][...] = 99.0
+        assert np.all(one.truth["motor_strength"] == ROBOTS[env_id].stall_torque)
+
+
+# -------------------------------------------------------------------------------------------------------- table 6
+
+
+@each_id
+def test_table_6_draws_mass_and_stiffness_uniformly_and_nothing_else(env_id):
+    env, robot = batch(env_id, 2000, uncertainty="table6"), ROBOTS[env_id]
+    env.reset(seed=11)
+    mass = env.truth["platform_mass"] / robot.mass
+    assert stats.kstest(mass, stats.uniform(0.9, 0.2).cdf).pvalue > 0.01
+    if robot.flexible:
+        stiffness = env.truth["stiffness"] / robot.stiffness
+        np.testing.assert_allclose(stiffness, stiffness[:, :1] + np.zeros_like(stiffness), rtol=1e-14)  # one for all
+        assert stats.kstest(stiffness[:, 0], stats.uniform(0.9, 0.2).cdf).pvalue > 0.01
+        assert abs(np.corrcoef(mass, stiffness[:, 0])[0, 1]) < 0.1
+    for name, value in env.truth.items():
+        if name not in ("platform_mass", "stiffness", "payload"):
+            nominal = getattr(robot, PARAMETERS[name].attribute)
+            np.testing.assert_array_equal(value, np.broadcast_to(nominal, value.shape), err_msg=name)
+    assert not env.truth["payload"].any()
+
+
+def test_table_6_starts_from_the_nominal_at_every_reset():
+    env = batch("CableBot-FlexSpatial-v0", 8, uncertainty="table6")
+    env.reset(seed=0)
+    masses, springs = [], []
+    for _ in range(50):
+        env.reset()
+        masses.append(env.truth["platform_mass"])
+        springs.append(env.truth["stiffness"][:, 0])
+    for found, nominal in ((np.array(masses), 10.0), (np.array(springs), 3.0)):
+        assert np.all(np.abs(found / nominal - 1) <= 0.1)
+        assert np.ptp(found[-10:]) > 0.15 * nominal
+        assert len(np.unique(found)) == 400
+    assert env.settings.robot == FLEX_SPATIAL.replace(workspace=env.settings.robot.workspace)
+
+
+def wrenches(env, steps):
+    """The wrench in each control period, (steps, N, 6), wherever the robots go and whether they fail or not."""
+    found = []
+    for _ in range(steps):
+        env._simulation.step(np.full(env.action_space.shape, 0.3))
+        found.append(wrench_of(env))
+    return np.array(found)
+
+
+@each_id
+@pytest.mark.parametrize(
+    ("frequency", "hold"), [(500.0, 5), (1000.0, 10), (100.0, 1), (60.0, 1), (333.0, 3), (360.0, 4)]
+)
+def test_table_6_redraws_its_forces_every_ten_milliseconds(env_id, frequency, hold):
+    env = batch(env_id, 3, uncertainty="table6", control_frequency=frequency)
+    env.reset(seed=1)
+    found = wrenches(env, 8 * hold)
+    forces = 2 if ROBOTS[env_id].planar else 3
+    changes = np.any(found[1:] != found[:-1], axis=-1)
+    expected = (np.arange(1, 8 * hold) % hold == 0)[:, None]
+    np.testing.assert_array_equal(changes, np.repeat(expected, 3, axis=1))
+    assert np.all(found[..., :forces] != 0.0)  # from the first period on, in every lane
+    assert not found[..., forces:].any()  # no torques
+
+
+@each_id
+def test_the_wrench_over_time_does_not_depend_on_the_control_frequency(env_id):
+    histories = []
+    for frequency, hold in ((100.0, 1), (500.0, 5), (1000.0, 10)):
+        env = batch(env_id, 2, uncertainty="table6", control_frequency=frequency)
+        env.reset(seed=8)
+        histories.append(wrenches(env, 40 * hold)[::hold])
+    np.testing.assert_array_equal(histories[0], histories[1])
+    np.testing.assert_array_equal(histories[0], histories[2])
+
+
+def test_table_6_forces_have_the_papers_mean_and_variance():
+    env = batch("CableBot-Spatial-v0", 128, uncertainty="table6", control_frequency=100.0)
+    env.reset(seed=2)
+    found = wrenches(env, 150)[..., :3]
+    # A factor f uniform in [0.9, 1.1]: E f² = 1 + 0.04/12, and the variance is E f² · 0.2 + Var f · 0.5².
+    assert found.mean() == pytest.approx(0.5, abs=4 * np.sqrt(0.2 / found.size) + 4 * 0.5 * 0.058 / np.sqrt(384))
+    assert found.var() == pytest.approx(
+        0.2 * (1 + 0.04 / 12) + 0.04 / 12 * 0.25, rel=4 * np.sqrt(2 / found.size) + 0.02
+    )
+    normal = (found - found.mean(axis=0)) / found.std(axis=0)
+    assert stats.kstest(normal[::10].ravel(), "norm").pvalue > 0.01
+    assert abs(np.mean(normal[1:] * normal[:-1])) < 5 / np.sqrt(found.size)  # no memory
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        assert abs(np.mean(normal[..., i] * normal[..., j])) < 5 / np.sqrt(found.size / 3)
+
+
+def test_the_factor_is_drawn_once_an_episode_for_each_component():
+    wrench = ExternalWrench(force_mean=(1.0, 2.0, -4.0), moment_mean=8.0, factor=(0.9, 1.1), correlation_time=0.002)
+    env = batch("CableBot-Spatial-v0", 500, uncertainty=Uncertainty(wrench=wrench))
+    factors = []
+    for _ in range(2):
+        env.reset(seed=3 if not factors else None)
+        found = wrenches(env, 4)
+        np.testing.assert_array_equal(found, np.broadcast_to(found[0], found.shape))
+        factors.append(found[0] / [1.0, 2.0, -4.0, 8.0, 8.0, 8.0])
+    both = np.concatenate(factors, axis=1)
+    for column in both.T:
+        assert stats.kstest(column, stats.uniform(0.9, 0.2).cdf).pvalue > 1e-3
+    assert np.abs(np.corrcoef(both.T) - np.eye(12)).max() < 0.25  # of components, and of the two episodes
+
+
+def test_mean_and_spread_of_each_axis_are_their_own():
+    wrench = ExternalWrench(
+        force_mean=(1.0, -2.0, 3.0), force_std=(0.0, 0.1, 0.2), moment_mean=(0.0, 0.5, 0.0), moment_std=(0.3, 0.0, 0.4)
+    )
+    env = batch("CableBot-Spatial-v0", 200, uncertainty=Uncertainty(wrench=wrench), control_frequency=100.0)
+    env.reset(seed=4)
+    found = wrenches(env, 40).reshape(-1, 6)
+    np.testing.assert_allclose(found.mean(axis=0), [1.0, -2.0, 3.0, 0.0, 0.5, 0.0], atol=0.02)
+    np.testing.assert_allclose(found.std(axis=0), [0.0, 0.1, 0.2, 0.3, 0.0, 0.4], atol=1e-12, rtol=0.05)
+
+
+@pytest.mark.parametrize("time", [0.5, 1e300])
+def test_a_long_correlation_time_holds_the_draw(time):
+    wrench = ExternalWrench(force_std=1.0, correlation_time=time)
+    env = batch("CableBot-Planar-v0", 2, uncertainty=Uncertainty(wrench=wrench), control_frequency=100.0)
+    env.reset(seed=5)
+    found = wrenches(env, 60)
+    np.testing.assert_array_equal(found[:50], np.broadcast_to(found[0], found[:50].shape))
+    assert np.all((found[50] != found[0])[:, :2]) == (time == 0.5)
+
+
+def test_a_wrench_ends_with_its_episode_and_in_its_lane_alone():
+    env = batch("CableBot-Spatial-v0", 2)
+    env.reset(seed=0, options={"uncertainty": ["table6", None]})
+    found = wrenches(env, 3)
+    assert np.all(found[:, 0, :3] != 0)
+    assert not found[:, 1].any()
+    env.reset()
+    assert not wrenches(env, 7).any()
+
+
+def push(env_id, wrench):
+    """Initial acceleration of the robot at home under a wrench: with no torque, or flexible and wound up."""
+    frequency = 1e4
+    robot = ROBOTS[env_id]
+    env = single(
+        env_id,
+        trajectory={"name": f"hold-{kind(env_id)}", "pose": robot.home.tolist()},
+        cable="bilateral",
+        control_frequency=frequency,
+        uncertainty=Uncertainty(wrench=wrench),
+    )
+    env.reset(seed=0)
+    observation = env.step(np.zeros(robot.cables))[0]
+    return env.layout.split(observation)["velocity"] * frequency
+
+
+@each_id
+@pytest.mark.parametrize("axis", range(6))
+def test_a_constant_wrench_accelerates_the_platform_by_the_closed_form(env_id, axis):
+    """(D + (J/r²) SᵀS) Ẍ = w, to which a rigid robot without torque adds its weight."""
+    robot = ROBOTS[env_id]
+    if robot.planar:
+        axis %= 2
+    w = np.zeros(6)
+    w[axis] = 3.0
+    wrench = ExternalWrench(force_mean=tuple(w[: 2 if robot.planar else 3]), moment_mean=tuple(w[3:]))
+    structure = textbook.jacobian(robot, robot.home)
+    reflected = structure.T @ ((robot.pulley_inertia / robot.pulley_radius**2)[:, None] * structure)
+    matrix = textbook.mass_matrix(robot, robot.mass, robot.home) + reflected
+    load = w[: robot.coordinates].copy()
+    if not robot.planar and not robot.flexible:
+        load[2] += robot.mass * robot.gravity
+    expected = np.linalg.solve(matrix, load)
+    np.testing.assert_allclose(push(env_id, wrench), expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max())
+
+
+# -------------------------------------------------------------------------------------------------------- sensors
+
+
+@each_id
+def test_sensor_noise_is_white_has_its_sigma_and_touches_nothing_else(env_id):
+    robot = ROBOTS[env_id]
+    noisy, clean = batch(env_id, 40, uncertainty="sensors"), batch(env_id, 40)
+    actions = np.random.default_rng(0).uniform(0.0, 0.6, (150, 40, robot.cables))
+    ours, theirs = rollout(noisy, actions, seed=9), rollout(clean, actions, seed=9)
+    for key in theirs[1]:
+        np.testing.assert_array_equal(ours[1][key], theirs[1][key], err_msg=key)
+    np.testing.assert_array_equal(ours[2], theirs[2])  # the reward
+    np.testing.assert_array_equal(noisy.pose, clean.pose)
+    noise = noisy.layout.split(ours[0] - theirs[0])
+    places = 2 if robot.planar else 3
+    sigma = {"pose": (1e-4, 2e-4), "velocity": (2e-3, 4e-3), "motor_angle": (1e-3,) * 2, "motor_speed": (1e-2,) * 2}
+    seen = []
+    for name, values in noise.items():
+        if name not in MEASURED:
+            assert not values.any(), name
+            continue
+        for part, expected in zip((values[..., :places], values[..., places:]), sigma[name], strict=True):
+            if part.size:
+                seen.append(part / expected)
+                assert part.std() == pytest.approx(expected, rel=5 / np.sqrt(2 * part.size)), name
+                assert part[0].std() == pytest.approx(expected, rel=0.5), name  # at reset too
+    white = np.concatenate(seen, axis=-1)  # (steps, lanes, components)
+    assert stats.kstest(white[:, :4].ravel(), "norm").pvalue > 0.01
+    for lag in (1, 2, 31, 32, 33, 64):
+        assert abs(np.mean(white[lag:] * white[:-lag])) < 5 / np.sqrt(white[lag:].size), lag
+    components = np.corrcoef(white.reshape(-1, white.shape[-1]).T) - np.eye(white.shape[-1])
+    assert np.abs(components).max() < 6 / np.sqrt(151 * 40)
+    lanes = np.corrcoef(white.transpose(1, 0, 2).reshape(40, -1)) - np.eye(40)
+    assert np.abs(lanes).max() < 6 / np.sqrt(151 * white.shape[-1])
+
+
+@each_id
+def test_the_observation_is_noisy_at_reset_too_and_the_single_environment_judges_the_truth(env_id):
+    noisy, clean = single(env_id, uncertainty="sensors"), single(env_id)
+    ours, theirs = rollout(noisy, commands(env_id, 20), seed=5), rollout(clean, commands(env_id, 20), seed=5)
+    for key in theirs[1]:
+        np.testing.assert_array_equal(ours[1][key], theirs[1][key], err_msg=key)
+    np.testing.assert_array_equal(ours[2], theirs[2])
+    measured = np.zeros(noisy.layout.size, bool)
+    for name, where in noisy.layout.slices().items():
+        measured[where] = name in MEASURED
+    assert np.all((ours[0] != theirs[0]) == measured)
+    np.testing.assert_array_equal(noisy.pose, noisy.layout.split(theirs[0][-1])["pose"])
+
+
+@pytest.mark.parametrize("field", ["position", "rotation", "velocity", "rotation_rate", "motor_angle", "motor_speed"])
+def test_each_sensor_has_its_own_noise(field):
+    noise = Uncertainty(sensors=SensorNoise(**{field: 1e-3}))
+    noisy, clean = (single("CableBot-FlexSpatial-v0", uncertainty=form) for form in (noise, None))
+    difference = noisy.reset(seed=0)[0] - clean.reset(seed=0)[0]
+    part = noisy.layout.split(difference)
+    places = {
+        **{"position": part["pose"][:3], "rotation": part["pose"][3:]},
+        **{"velocity": part["velocity"][:3], "rotation_rate": part["velocity"][3:]},
+        **{"motor_angle": part["motor_angle"], "motor_speed": part["motor_speed"]},
+    }
+    assert np.all(places[field] != 0)
+    assert np.count_nonzero(difference) == places[field].size
+
+
+def test_noise_of_one_lane_is_no_noise_in_another_and_ends_with_its_episode():
+    env, clean = batch("CableBot-FlexPlanar-v0", 3), batch("CableBot-FlexPlanar-v0", 3)
+    forms = ["sensors", None, {"sensors": {"velocity": 0.01}}]
+    noise = env.reset(seed=0, options={"uncertainty": forms})[0] - clean.reset(seed=0)[0]
+    assert np.count_nonzero(noise[0]) == 2 + 2 + 3 + 3
+    assert not noise[1].any()
+    assert np.flatnonzero(noise[2]).tolist() == [2, 3]
+    np.testing.assert_array_equal(env.reset()[0], clean.reset()[0])
+    action = np.full((3, 3), 0.4)
+    np.testing.assert_array_equal(env.step(action)[0], clean.step(action)[0])
+
+
+# ---------------------------------------------------------------------------------------------------------- delay
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A motion that is under way at time 0."""
+
+    coordinates: int
+    name: str = "drift"
+    duration: float = 0.5
+
+    def __call__(self, times):
+        times = np.asarray(times, float)
+        rate = np.arange(1, self.coordinates + 1) * 0.01
+        center = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])[: self.coordinates]
+        position = center + np.clip(times, 0, self.duration)[..., None] * rate
+        zero = np.zeros_like(position)
+        return Reference(position=position, velocity=rate + zero, acceleration=zero, jerk=zero, snap=zero)
+
+
+def holding(robot, payload, pose, velocity):
+    """Commands that ask for the torque of rest at the present motor speed."""
+    torque = textbook.static_torque(robot, robot.mass + payload, pose, minimum=textbook.MINIMUM_TENSION)
+    return (torque + robot.speed_slope * textbook.pulley_speed(robot, pose, velocity)) / robot.stall_torque
+
+
+@each_id
+@pytest.mark.parametrize("delay", [1, 2, 5])
+def test_commands_arrive_exactly_as_many_steps_late_as_asked(env_id, delay):
+    robot = ROBOTS[env_id]
+    keywords = {"trajectory": Drift(robot.coordinates), "payload": 1.0}
+    late, prompt = single(env_id, uncertainty={"delay": delay}, **keywords), single(env_id, **keywords)
+    actions = commands(env_id, 25)
+    start = keywords["trajectory"](0.0)
+    hold = holding(robot, 1.0, start.position, start.velocity)
+    ours = rollout(late, actions, seed=0)
+    theirs = rollout(prompt, np.concatenate([np.tile(hold, (delay, 1)), actions[:-delay]]), seed=0)
+    np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-12, atol=1e-12)
+    for key in theirs[1]:
+        if theirs[1][key].dtype.kind == "f":
+            np.testing.assert_allclose(ours[1][key], theirs[1][key], rtol=1e-9, atol=1e-11, err_msg=key)
+    np.testing.assert_array_equal(ours[1]["drive_demand"][delay + 1 :], actions[:-delay])
+    assert np.ptp(ours[1]["torques"][delay + 1 :], axis=0).min() > 0.1  # else the comparison says little
+
+
+@each_id
+def test_until_the_first_command_arrives_the_motors_hold_the_true_robot_at_rest(env_id):
+    spreads = {"payload": spread_of("payload"), "platform_mass": spread_of("platform_mass")}
+    if ROBOTS[env_id].flexible:
+        spreads["stiffness"] = spread_of("stiffness")
+    spreads["motor_strength"] = spread_of("motor_strength")
+    env = single(
+        env_id,
+        payload=2.0,
+        trajectory=f"hold-{kind(env_id)}",
+        uncertainty=Uncertainty(parameters=spreads, delay=5),
+    )
+    env.reset(seed=0)
+    assert env.truth["payload"] > 2.05
+    zero = np.zeros(ROBOTS[env_id].cables)
+    for _ in range(5):
+        info = env.step(zero)[4]
+        assert info["tracking_error_peak"] < 1e-12
+        assert info["rotation_error_peak"] < 1e-12
+        assert np.all(info["torques"] > 0.1)
+    for _ in range(10 if ROBOTS[env_id].flexible else 1):
+        info = env.step(zero)[4]  # the first zero has arrived
+    if ROBOTS[env_id].planar:
+        assert not info["drive_demand"].any()
+    else:
+        assert info["tracking_error_peak"] > 1e-6
+
+
+@each_id
+def test_correct_holding_commands_keep_it_at_rest_over_the_change_of_hands(env_id):
+    robot = ROBOTS[env_id]
+    env = single(env_id, payload=2.0, trajectory=f"hold-{kind(env_id)}", uncertainty={"delay": 5})
+    env.reset(seed=0)
+    pose = env.task.trajectory.pose
+    hold = holding(robot, 2.0, np.array(pose), np.zeros(robot.coordinates))
+    for _ in range(12):
+        info = env.step(hold)[4]
+        assert info["tracking_error_peak"] < 1e-11
+        assert info["rotation_error_peak"] < 1e-11
+
+
+@each_id
+def test_delays_of_lanes_do_not_disturb_each_other(env_id):
+    """Delays 0, 3 and 1 at once; then one lane alone restarts with a longer one, and again without any."""
+    robot = ROBOTS[env_id]
+    motion = f"hold-{kind(env_id)}"
+    env = batch(env_id, 3, trajectory=motion)
+    env.reset(seed=0, options={"uncertainty": [None, {"delay": 3}, {"delay": 1}]})
+    lanes = [single(env_id, trajectory=motion) for _ in range(3)]
+    for lane, delay in zip(lanes, (0, 3, 1), strict=True):
+        lane.reset(seed=0, options={"uncertainty": {"delay": delay}})
+    actions = np.random.default_rng(1).uniform(0.0, 0.8, (24, 3, robot.cables))
+    for number, action in enumerate(actions):
+        if number in (5, 14):
+            uncertainty = {"delay": 7} if number == 5 else None
+            env.reset(options={"reset_mask": np.array([False, False, True]), "uncertainty": uncertainty})
+            lanes[2].reset(options={"uncertainty": uncertainty})
+        info = env.step(action)[4]
+        for place, lane in enumerate(lanes):
+            expected = lane.step(action[place])[4]
+            for key in ("drive_demand", "torques", "tensions", "tracking_error_peak"):
+                np.testing.assert_array_equal(info[key][place], expected[key], err_msg=f"{key} {place} {number}")
+    assert np.array_equal(info["drive_demand"][1], actions[-4, 1])
+    assert np.array_equal(info["drive_demand"][2], actions[-1, 2])
+
+
+def test_a_restarted_lane_does_not_get_the_last_episodes_late_commands():
+    env = single("CableBot-Planar-v0", uncertainty={"delay": 2})
+    first = rollout(env, commands("CableBot-Planar-v0", 6, seed=1), seed=0)
+    again = rollout(env, commands("CableBot-Planar-v0", 6, seed=2))
+    np.testing.assert_array_equal(first[1]["drive_demand"][1:3], again[1]["drive_demand"][1:3])
+    assert np.any(first[1]["drive_demand"][3] != again[1]["drive_demand"][3])
+
+
+def test_the_callers_action_array_is_copied_before_it_waits():
+    env = single("CableBot-Planar-v0", uncertainty={"delay": 1})
+    env.reset(seed=0)
+    action = np.array([0.1, 0.2, 0.3])
+    env.step(action)
+    action[:] = 0.9
+    assert env.step(action)[4]["drive_demand"].tolist() == [0.1, 0.2, 0.3]
+
+
+def test_all_ids_are_covered():
+    assert set(ROBOTS) == set(cablebot_gym.ENV_IDS)
