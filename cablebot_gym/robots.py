@@ -34,6 +34,9 @@ class Motors:
     free_speed: PerMotor
     """ω_n, free running speed [rad/s], one value or one per motor; > 0. Tables in rpm: multiply by :data:`RPM`."""
 
+    def __post_init__(self) -> None:
+        _freeze_fields(self)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Transmission:
@@ -52,6 +55,9 @@ class Transmission:
     """J′ of the motor behind its spring [kg·m²], one value or one per motor; > 0. None where rigid."""
     motor_damping: PerMotor = 0.0
     """c′, viscous, at the motor behind its spring [N·m·s/rad], one value or one per motor; ≥ 0. 0 where rigid."""
+
+    def __post_init__(self) -> None:
+        _freeze_fields(self)
 
 
 class RobotArrays(Protocol):
@@ -291,6 +297,12 @@ class Robot:
             return cls(**values)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"this is no robot: {error}; see Robot.to_dict() for the form") from error
+
+
+def _freeze_fields(data: Motors | Transmission) -> None:
+    """Lists and arrays will do, and a robot stays hashable."""
+    for field in dataclasses.fields(data):
+        object.__setattr__(data, field.name, _as_tuples(getattr(data, field.name)))
 
 
 def _as_tuples(value: Any) -> Any:

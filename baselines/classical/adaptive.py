@@ -13,6 +13,7 @@ from baselines.classical.feedback_linearization import FeedbackLinearization
 from baselines.classical.flexible import composite_tuned
 from baselines.classical.law import Array, ClassicalLaw, first_steps
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, RIGID_ENV_IDS
+from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import STANDARD_GRAVITY, Robot
@@ -96,7 +97,7 @@ class Adaptive(ClassicalLaw):
         weight = part["reference_acceleration"][..., :3].copy()
         if not robot.planar:
             weight[..., 2] -= robot.gravity
-        pulley = textbook.pulley_speed(robot, pose, velocity)
+        pulley = self.pulley_speed(pose, velocity)
         torques, nothing = np.zeros_like(pulley), np.zeros_like(part["time_left"])
         if robot.flexible:
             torques = robot.stiffness * np.maximum(part["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
@@ -129,8 +130,9 @@ class Adaptive(ClassicalLaw):
             first, last = (np.clip(before.torques, *textbook.torque_limits(robot, m.pulley)) for m in (before, now))
         mean = (first + last - robot.damping * (before.pulley + now.pulley)) / 2
         pulled = h * mean - robot.pulley_inertia * (now.pulley - before.pulley)
-        structure = textbook.jacobian(robot, (before.pose + now.pose) / 2)[..., :3]
-        force = -(np.swapaxes(structure, -1, -2) @ (pulled / robot.pulley_radius)[..., None])[..., 0]
+        cables = cable_vectors(robot.base, robot.platform, (before.pose + now.pose) / 2)
+        along = pulled / robot.pulley_radius / np.linalg.norm(cables, axis=-1)
+        force = -np.sum(along[..., None] * cables, axis=-2)
         change = (now.velocity - before.velocity)[..., :3]
         if not robot.planar:
             change[..., 2] -= robot.gravity * h[..., 0]

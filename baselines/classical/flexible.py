@@ -151,7 +151,7 @@ class MotorPD(FlexibleLaw):
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
         spring, spring_rate, spring_second = self._spring_rates(mass, motion)
         angle = textbook.pulley_angle(robot, pose) + spring / robot.stiffness
-        speed = textbook.pulley_speed(robot, pose, velocity) + spring_rate / robot.stiffness
+        speed = self.pulley_speed(pose, velocity) + spring_rate / robot.stiffness
         winding = textbook.pulley_acceleration(robot, pose, velocity, acceleration) + spring_second / robot.stiffness
         feed_forward = spring + robot.motor_inertia * winding + robot.motor_damping * speed
         correction = self._stiffness * (angle - part["motor_angle"]) + self._damping * (speed - part["motor_speed"])
@@ -185,7 +185,7 @@ class FourthOrder(FlexibleLaw):
         robot, pose, velocity = self.robot, part["pose"], part["velocity"]
         still, slope = np.zeros_like(pose), self.torque_slope(mass, pose)
         spring = robot.stiffness * (part["motor_angle"] - textbook.pulley_angle(robot, pose))
-        spring_rate = robot.stiffness * (part["motor_speed"] - textbook.pulley_speed(robot, pose, velocity))
+        spring_rate = robot.stiffness * (part["motor_speed"] - self.pulley_speed(pose, velocity))
         acceleration = _solved(slope, spring - self._spring(mass, pose, velocity, still))
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=still, snap=still)
         jerk = _solved(slope, spring_rate - self._spring_rates(mass, motion)[1])

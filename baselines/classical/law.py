@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics
 from cablebot_gym.robots import Robot
@@ -94,11 +93,19 @@ class ClassicalLaw:
         return self.robot.pulley_inertia
 
     def torque_slope(self, mass: Array, pose: Array) -> Array:
-        """∂(r T + J β̈)/∂Ẍ = −r S⁻ᵀ D − (J/r) S with as many cables as coordinates, (..., n, n)."""
-        robot = self.robot
-        structure, matrix = textbook.jacobian(robot, pose), textbook.mass_matrix(robot, mass, pose)
-        platform = robot.pulley_radius[:, None] * np.linalg.solve(np.swapaxes(structure, -1, -2), matrix)
-        return -platform - (self.turning_inertia / robot.pulley_radius)[:, None] * structure
+        """∂(r T + J β̈)/∂Ẍ = −r S⁻ᵀ D − (J/r) S with as many cables as coordinates, (..., n, n).
+
+        Column by column: both are affine in Ẍ, so that a unit of acceleration tells the column exactly.
+        """
+        n, still = self.robot.coordinates, np.zeros_like(pose)
+        units = np.concatenate([np.zeros((1, n)), np.eye(n)]).reshape(n + 1, *(1,) * (pose.ndim - 1), n)
+        needed = self._inverse_dynamics(mass, pose, still, units)
+        torques = self.robot.pulley_radius * needed.tensions + self.turning_inertia * needed.windings
+        return np.moveaxis(torques[1:] - torques[0], 0, -1)
+
+    def pulley_speed(self, pose: Array, velocity: Array) -> Array:
+        """β̇ [rad/s], (..., m)."""
+        return self._inverse_dynamics(np.asarray(self.robot.mass), pose, velocity, np.zeros_like(pose)).speeds
 
 
 def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
