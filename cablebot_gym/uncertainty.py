@@ -45,7 +45,7 @@ class Spread:
     std: float | None = None
     """Standard deviation of the normal distribution before it is cut off; > 0. None if uniform."""
     relative: bool = True
-    """Whether the deviation is a share of the nominal value."""
+    """Whether the deviation is a share of the nominal value: of nothing, as the planar robot's damping, nothing."""
     each: bool = True
     """One draw for each motor, axis or coordinate; False: the same deviation for all of them."""
 
@@ -154,6 +154,12 @@ class ExternalWrench:
             raise ValueError(f"factor must be (low, high) with low ≤ high, not {self.factor!r}")
         object.__setattr__(self, "factor", tuple(ends.tolist()))
 
+    @property
+    def random(self) -> bool:
+        """Whether two draws can differ."""
+        spread = any(np.any(np.asarray(std) > 0) for std in (self.force_std, self.moment_std))
+        return spread or self.factor[0] < self.factor[1]
+
     def statistics(self, robot: Robot) -> tuple[Array, Array]:
         """Mean and standard deviation of the components (force, then moment if spatial), each (2,) or (6,).
 
@@ -256,7 +262,9 @@ class Uncertainty:
     @property
     def random(self) -> bool:
         """Whether two episodes can differ."""
-        return bool(self.parameters) or self.wrench is not None or self.sensors is not None
+        spread = any(spread.low < spread.high for spread in self.parameters.values())
+        noisy = self.sensors is not None and any(getattr(self.sensors, item.name) > 0 for item in fields(SensorNoise))
+        return spread or noisy or (self.wrench is not None and self.wrench.random)
 
     def check(self, robot: Robot) -> None:
         """Refuses what is impossible for a robot.

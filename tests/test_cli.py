@@ -694,7 +694,7 @@ BAD = [
     (("dlcc", SPATIAL, "--policy", "fl", "--draws", "4"), "4 draws would all be the same: give an uncertainty"),
     (("dlcc", SPATIAL, "--policy", "fl", "--probability", "1"), "probability must lie between 0 and 1"),
     (("dlcc", SPATIAL, "--policy", "fl", "--probability", "95"), "probability must lie between 0 and 1"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--confidence", "0"), "confidence must lie between 0 and 1"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--confidence", "0"), "confidence must lie between 0.5 and 1"),
     (("compare", SPATIAL, "--policies", "fl,lqr"), "unknown policy 'lqr'; choose one of "),
     (("compare", SPATIAL, "--policies", "fl, fl"), "policies need one name each, all different, not fl, fl"),
     (("compare", SPATIAL, "--policies", " , "), "nothing to compare: name at least one policy"),

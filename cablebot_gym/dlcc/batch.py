@@ -21,9 +21,9 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.task import Limits, Task, as_plain
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 
-BATCH = 4096
-"""Episodes that are rolled out together, or the draws of one payload if these are more. Memory stays bounded, and a
-batch of heavy payloads ends as soon as all of them have failed."""
+BATCH = 1024
+"""Episodes that are rolled out together, or the draws of one payload if these are more. So many stay within a core's
+caches, and a batch of heavy payloads ends as soon as all of them have failed."""
 
 DEFAULT_DRAWS = 256
 """Episodes at each payload, where the uncertainty is random."""
@@ -185,6 +185,12 @@ class Batch:
             **{name: as_plain(value) for name, value in self.keywords.items() if name not in told_elsewhere},
             "uncertainty": as_plain(settings.uncertainty[0]),
         }
+
+    @property
+    def truth(self) -> dict[str, Array]:
+        """True parameters of the present episodes by name, each (N, …)."""
+        truth: dict[str, Array] = self.env.unwrapped.truth  # type: ignore[attr-defined]
+        return truth
 
     def steps(self, payloads: int) -> int:
         """Control steps of :meth:`run` for a number of payloads, for a progress bar."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cablebot_gym.dlcc.batch import Batch, Progress, uncertainty_name, versions
+from cablebot_gym.dlcc.batch import Batch, Progress, Trial, uncertainty_name, versions
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
 from cablebot_gym.task import Limits, Task, find_limits
@@ -224,7 +224,7 @@ def compare_policies(
             watch, steps = _Watch(batch.draws, batch.task.robot.cables), batch.task.steps
             done = _Steps(progress, place * steps, len(labels) * steps)
             trial = batch.run([payload], observe=watch, progress=done, whole=True)[0]
-            measured.append(watch.measured(label, np.array([verdict.carried for verdict in trial.verdicts])))
+            measured.append(watch.measured(label, trial))
             task, description = batch.task, batch.description()
     return Comparison(
         env_id=env_id,
@@ -280,20 +280,21 @@ class _Watch:
             np.maximum(total, seen, out=total, where=lasting)
         np.minimum(self._tension, info["tensions"].min(axis=1), out=self._tension, where=lasting)
 
-    def measured(self, policy: str, carried: NDArray[np.bool_]) -> Measured:
-        """Everything seen, once the episodes are over."""
+    def measured(self, policy: str, trial: Trial) -> Measured:
+        """Everything seen, once the episodes are over; what was seen at their start stands in the verdicts."""
+        verdicts = trial.verdicts
         error, rotation = np.array(self._error), np.array(self._rotation)
         return Measured(
             policy=policy,
             mean_error=np.nanmean(error, axis=0),
             rms_error=np.sqrt(np.nanmean(error**2, axis=0)),
-            max_error=self._peak,
-            max_rotation=self._rotation_peak,
+            max_error=np.maximum(self._peak, [verdict.position_peak for verdict in verdicts]),
+            max_rotation=np.maximum(self._rotation_peak, [verdict.rotation_peak for verdict in verdicts]),
             rms_torque=np.sqrt(self._squares / self._lasted / self._cables),
             peak_torque=self._torque,
             torque_margin=1 - self._demand,
             least_tension=self._tension,
-            carried=carried,
+            carried=np.array([verdict.carried for verdict in verdicts]),
             ended=self._ended,
             error=error,
             rotation=rotation,

@@ -65,6 +65,8 @@ def draw_comparison(comparison: Comparison) -> Figure:
     told = "told" if comparison.payload_known else "not told"
     head = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}; {draws}"
     band = ["mean over draws, band from the 5th to the 95th percentile"] if comparison.draws > 1 else []
+    if band and any(one.ended.any() for one in comparison.measured):
+        band[0] += "; draws that ended early are left out from then on"
     entitle(figure, head, *band)
     return figure
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 from cablebot_gym.dlcc.batch import Batch, Progress, Trial, uncertainty_name, versions
 from cablebot_gym.dlcc.monitor import Limit
+from cablebot_gym.dlcc.probability import Needed
 from cablebot_gym.dlcc.result import DLCCResult, History
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
@@ -74,9 +74,9 @@ def evaluate_dlcc(
         ValueError: if an argument is not valid, or ``paper`` is asked of a policy that does not declare ``unclipped``.
         cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
     """
-    for name_, share in (("probability", probability), ("confidence", confidence)):
-        if not 0 < share < 1:
-            raise ValueError(f"{name_} must lie between 0 and 1, not {share}")
+    for name_, share, least in (("probability", probability, 0.0), ("confidence", confidence, 0.5)):
+        if not least < share < 1:
+            raise ValueError(f"{name_} must lie between {least:g} and 1, not {share}")
     if resolution is not None and not 0 < resolution < math.inf:
         raise ValueError(f"resolution must be greater than 0 kg, not {resolution}")
     limits = find_limits(limits)
@@ -134,27 +134,6 @@ def evaluate_dlcc(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Needed:
-    """How many draws have to carry a payload."""
-
-    share: int
-    """For the payload itself: the share of the draws."""
-    assured: int | None
-    """For the lower bound (Clopper and Pearson, one-sided); None if there are too few draws for any."""
-
-    @classmethod
-    def of(cls, draws: int, probability: float, confidence: float) -> Needed:
-        """Numbers out of ``draws``; of one draw, one."""
-        if draws == 1:
-            return cls(share=1, assured=None)
-        carried = np.arange(1, draws + 1)
-        bound = beta.ppf(1 - confidence, carried, draws - carried + 1)
-        enough = carried[bound >= probability]
-        share = max(1, math.ceil(draws * probability - 1e-9))
-        return cls(share=share, assured=int(enough[0]) if enough.size else None)
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Found:
     best: Trial | None
     assured: Trial | None
@@ -190,6 +169,8 @@ class _Search:
         first = self._tried[0.0] if below is None else below
 
         def watch(info: dict[str, Any], pose: Array, lasting: NDArray[np.bool_]) -> None:
+            if history.stall_torque is None:
+                history.stall_torque = self._batch.truth["motor_strength"][shown]
             if lasting[shown]:
                 history.append(info, pose, shown)
 

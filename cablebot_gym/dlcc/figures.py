@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cablebot_gym.dlcc.probability import lower_bound
 from cablebot_gym.dlcc.result import DLCCResult
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 
 if TYPE_CHECKING:
@@ -95,8 +95,38 @@ def draw_result(result: DLCCResult) -> Figure:
     return figure
 
 
+def draw_success(result: DLCCResult) -> Figure:
+    """Share of the draws that carry each payload tried, with its lower bound, the payload found and the assured one.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+        ValueError: if the result is of one draw.
+    """
+    if result.probability is None or result.confidence is None:
+        raise ValueError("one draw is carried or not: evaluate with an uncertainty and several draws")
+    figure = new_figure(_SUCCESS_HEIGHT)
+    axes = figure.subplots()
+    payload, share = np.array(result.success).T
+    bound = lower_bound(np.round(share * result.draws).astype(int), result.draws, result.confidence)
+    axes.plot(payload, share, color=BLUE, linewidth=1.8, marker="o", markersize=3, label="share of draws that carry it")
+    axes.plot(payload, bound, "--", color=BLUE, linewidth=1.2, label=f"lower bound, {result.confidence:.0%} confidence")
+    axes.axhline(result.probability, color="black", linewidth=1.0, label=f"asked for: {result.probability:.0%}")
+    marks = ((result.payload, "payload", "-"), (result.assured_payload, "assured", "--"))
+    for found, name, style in marks:
+        if found is not None:
+            axes.axvline(found, color=VERMILLION, linestyle=style, linewidth=1.2, label=f"{name}: {found:.2f} kg")
+    most = payload[np.flatnonzero(share > 0)[-1]] if share.any() else 0.0
+    axes.set(xlim=(0, min(result.payload_max, 1.25 * most + 0.02 * result.payload_max)), ylim=(0, 1.02))
+    axes.set(xlabel="payload [kg]", ylabel="share of draws")
+    add_legend(figure, axes)
+    _entitle(figure, result, one=False)
+    return figure
+
+
 def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
-    """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``; an interrupt leaves no half-written file.
+    """Writes ``torques-<criterion>.png``, ``path-<criterion>.png`` and, over draws, ``success-<criterion>.png``.
+
+    An interrupt leaves no half-written file.
 
     Args:
         result: what to draw.
@@ -109,6 +139,8 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figures = {"torques": draw_torques(result), "path": draw_path(result)}
+    if result.probability is not None:
+        figures["success"] = draw_success(result)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
@@ -126,16 +158,24 @@ def tightest(result: DLCCResult) -> tuple[int, int]:
 
 def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
     """U⁻ and U⁺ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
-    return textbook.torque_limits(result.task.robot, result.history["motor_speeds"])
+    stall, drop = result.history["stall_torque"], _slope(result) * result.history["motor_speeds"]
+    return -stall - drop, stall - drop
 
 
 def demanded_torque(result: DLCCResult) -> Array:
     """``τ_s a − (τ_s/ω_n) β̇``, what the policy asked for, (steps, m) [N·m]; beyond U± where |a| > 1."""
-    robot, history = result.task.robot, result.history
-    return np.asarray(robot.stall_torque * history["drive_demand"] - robot.speed_slope * history["motor_speeds"])
+    history = result.history
+    return np.asarray(history["stall_torque"] * history["drive_demand"] - _slope(result) * history["motor_speeds"])
 
 
-_PATH_HEIGHT = 4.4
+def _slope(result: DLCCResult) -> Array:
+    """True τ_s/ω_n: a motor's strength leaves its free speed as it is."""
+    robot = result.task.robot
+    slope: Array = robot.speed_slope * (result.history["stall_torque"] / robot.stall_torque)
+    return slope
+
+
+_PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
 
 
 def _torques_height(robot: Robot) -> float:
@@ -158,7 +198,8 @@ def entitle(figure: FigureBase, *lines: str) -> None:
     figure.suptitle(title, fontsize=11, parse_math=False)
 
 
-def _entitle(figure: FigureBase, result: DLCCResult) -> None:
+def _entitle(figure: FigureBase, result: DLCCResult, *, one: bool = True) -> None:
+    """The result in words; ``one``: the figure shows one of the draws."""
     if result.payload is None:
         found = f"not even zero payload is carried (drawn: zero payload): {result.limit}"
     else:
@@ -170,8 +211,11 @@ def _entitle(figure: FigureBase, result: DLCCResult) -> None:
     drawn = []
     if result.probability is not None:
         draws = f"{result.draws} draws of {result.uncertainty or 'the start'}"
-        carried = f"carried in at least {result.probability:.0%} of {draws}, the first that carries it is shown"
-        drawn = [carried if result.payload is not None else f"{draws}, the first is shown"]
+        if result.payload is not None:
+            shown = ", the first that carries it is shown" if one else ""
+            drawn = [f"carried in at least {result.probability:.0%} of {draws}{shown}"]
+        else:
+            drawn = [f"{draws}, the first is shown" if one else draws]
     entitle(figure, head, *drawn, found)
 
 

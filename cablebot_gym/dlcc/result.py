@@ -23,14 +23,20 @@ class History:
 
     def __init__(self) -> None:
         self._rows: list[dict[str, Any]] = []
+        self.stall_torque: Array | None = None
+        """True τ_s of the episode (m,) [N·m]; to be set before :meth:`closed`."""
 
     def append(self, info: dict[str, Any], pose: Array, lane: int) -> None:
         """Adds one step of one environment of a batch: its info, and its row of poses (N, n)."""
         self._rows.append({name: np.array(info[name][lane]) for name in self.NAMES} | {"pose": np.array(pose[lane])})
 
     def closed(self) -> dict[str, Array]:
-        """Everything as arrays by name; ``pose`` and the errors are those at the end of each step."""
-        return {name: np.array([row[name] for row in self._rows]) for name in (*self.NAMES, "pose")}
+        """Everything as arrays by name; ``pose`` and the errors are those at the end of each step.
+
+        ``stall_torque`` (m,) has no axis of time.
+        """
+        arrays = {name: np.array([row[name] for row in self._rows]) for name in (*self.NAMES, "pose")}
+        return arrays | {"stall_torque": np.array(self.stall_torque)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

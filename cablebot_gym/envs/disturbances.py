@@ -29,9 +29,14 @@ class Disturbances:
         """Present noise on the measured part of the observation, (N, components), or (N, 0) before any is noisy."""
         self._delay = np.zeros(count, np.int64)
         self._pending = np.zeros((count, 0, robot.cables))
+        self.quiet = True
+        """Whether no lane has ever had a disturbance: then none of the methods below needs to be called."""
 
     def begin(self, lanes: Lanes, uncertainty: Uncertainty, holding: Array) -> None:
         """Starts episodes in ``lanes``; ``holding`` (len(lanes), m) are the commands until the first one arrives."""
+        self.quiet &= uncertainty.wrench is None and uncertainty.sensors is None and uncertainty.delay == 0
+        if self.quiet:
+            return
         self._begin_wrench(lanes, uncertainty)
         self._begin_noise(lanes, uncertainty)
         delay = uncertainty.delay

@@ -88,7 +88,7 @@ def outcome(
     some cable has been slack [s]. ``noise`` (N, measured components), or (N, 0) for none, is added to the measured part
     of the observation; everything else is judged on the true state.
     """
-    m, n = stall.shape[0], workspace.shape[1]
+    m, n = stall.shape[1], workspace.shape[1]
     pose, velocity, peak_position, peak_rotation, first_cable, cable_rows = (
         rows[0],
         rows[1],
@@ -165,7 +165,7 @@ def outcome(
             row[first + m] = _finite(r[torque_row * lanes + at_cable])
             row[first + 2 * m] = _finite(r[speed_row * lanes + at_cable])
             row[first + 3 * m] = demand
-            row[first + 4 * m] = stall[i] * (1.0 - abs(demand))
+            row[first + 4 * m] = stall[lane, i] * (1.0 - abs(demand))
             row[first + 5 * m] = slack
             slack_cables += slack
             excess += max(0.0, abs(demand) - 1.0)

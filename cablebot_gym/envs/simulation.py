@@ -62,7 +62,7 @@ class Simulation:
         space = self.layout.space()
         self._bounds = np.array([space.low, space.high])
         self._workspace = np.array(robot.pose_bounds)
-        self._stall = np.array(robot.stall_torque)
+        self._stall = np.tile(robot.stall_torque, (count, 1))
         self._lane_settings = np.zeros((count, outcome.LANE_SETTINGS))
         self._slack_for = np.zeros(count)
         self._everyone = np.arange(count)
@@ -201,6 +201,7 @@ class Simulation:
     def _start(self, start: _Start) -> None:
         """Puts the true robots where their episodes begin."""
         lanes, robot = start.lanes, start.robot
+        self._stall[lanes] = robot.stall_torque
         self._lane_settings[lanes, outcome.PAYLOAD] = start.payload
         self._remember(lanes, robot, start.payload)
         self._plant.set_parameters(lanes, start.parameters)
@@ -223,14 +224,17 @@ class Simulation:
     def step(self, action: Array) -> None:
         """One control period under drive commands (N, m), which have to be finite."""
         plant, tables, settings = self._plant, self._tables, self.settings
-        plant.set_demand(self._disturbances.late(action))
-        self._disturbances.push(plant)
+        if not self._disturbances.quiet:
+            action = self._disturbances.late(action)
+            self._disturbances.push(plant)
+        plant.set_demand(action)
         plant.advance(tables.physics, tables.physics_ends, substeps=settings.substeps, step=settings.physics_step)
         self._observe(self._everyone, fresh=False)
 
     def _observe(self, lanes: NDArray[np.int64], *, fresh: bool) -> None:
         plant, tables, settings = self._plant, self._tables, self.settings
-        self._disturbances.measure(lanes, plant.step_index[lanes])
+        if not self._disturbances.quiet:
+            self._disturbances.measure(lanes, plant.step_index[lanes])
         outcome.outcome(
             fresh,
             settings.robot.flexible,

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from cablebot_gym.dlcc import evaluate_dlcc
 from cablebot_gym.robots import PLANAR
@@ -222,6 +223,33 @@ def test_title_over_draws_does_not_claim_what_no_draw_carried(results, tmp_path)
     assert "carried in at least" not in failed
     assert "60 draws of table6, the first is shown" in failed
     assert "draws" not in figures.draw_path(results["planar"]).get_suptitle()
+
+
+def test_success_over_draws_is_not_drawn_at_other_payloads_or_shares(results, tmp_path):
+    drawn = evaluate_dlcc("fl", "CableBot-Spatial-v0", uncertainty="table6", draws=60, probability=0.3, **SMALL)
+    figure = figures.draw_success(drawn)
+    (axes,) = figure.axes
+    named = {line.get_label(): line for line in axes.get_lines()}
+    np.testing.assert_array_equal(named["share of draws that carry it"].get_xydata(), drawn.success)
+    bound = named["lower bound, 95% confidence"]
+    carried = round(60 * drawn.success[0][1])
+    lowest = binomtest(carried, 60, alternative="greater").proportion_ci(0.95, method="exact").low
+    assert bound.get_ydata()[0] == pytest.approx(lowest)
+    assert named["asked for: 30%"].get_ydata()[0] == 0.3
+    assert named[f"payload: {drawn.payload:.2f} kg"].get_xdata()[0] == drawn.payload
+    assert "is shown" not in figure.get_suptitle()
+    assert [path.name for path in figures.save_figures(drawn, tmp_path)][-1] == "success-task.png"
+    with pytest.raises(ValueError, match="several draws"):
+        figures.draw_success(results["spatial"])
+
+
+def test_limits_of_a_stronger_motor_are_not_drawn_as_the_nominal_ones():
+    strong = {"parameters": {"motor_strength": {"low": 0.5, "high": 0.5}}}
+    result = evaluate_dlcc("fl", "CableBot-Planar-v0", criterion="task", uncertainty=strong, **SMALL)
+    lower, upper = figures.torque_limits(result)
+    np.testing.assert_allclose((upper - lower) / 2, 1.5 * PLANAR.stall_torque[0])
+    within = np.abs(result.history["drive_demand"]) <= 1
+    np.testing.assert_allclose(figures.demanded_torque(result)[within], result.history["torques"][within], atol=1e-12)
 
 
 def test_label_of_a_bound_is_not_crossed_by_the_curve(results):

@@ -16,7 +16,8 @@ from baselines.classical import FeedbackLinearization
 from cablebot_gym.dlcc import DLCCMonitor, Limit, PolicyError, Verdict, evaluate_dlcc
 from cablebot_gym.dlcc import batch as batch_module
 from cablebot_gym.dlcc.batch import DEFAULT_DRAWS, Trial
-from cablebot_gym.dlcc.evaluator import DRAWN_RESOLUTION, SCAN_POINTS, Needed
+from cablebot_gym.dlcc.evaluator import DRAWN_RESOLUTION, SCAN_POINTS
+from cablebot_gym.dlcc.probability import Needed
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.uncertainty import find_uncertainty
@@ -144,7 +145,8 @@ def test_share_of_the_draws_is_not_rounded_down_nor_off_by_rounding():
 
 
 def test_spread_without_width_is_not_another_robot_than_the_nominal_one():
-    none = {"parameters": {"platform_mass": {"low": 0.0, "high": 0.0}}}
+    # Noise makes the draws differ, and nobody who pulls blindly looks at it.
+    none = {"parameters": {"platform_mass": {"low": 0.0, "high": 0.0}}, "sensors": {"position": 1e-4}}
     drawn, nominal = pulled(none, draws=3, resolution=1e-3), pulled(None, resolution=1e-3)
     assert drawn.payload == nominal.payload
     assert drawn.limit == nominal.limit
@@ -423,8 +425,8 @@ def test_assured_payload_is_not_above_the_payload_nor_another_order_statistic(se
         ({"probability": 0.0}, "probability must lie between 0 and 1, not 0"),
         ({"probability": 1.0}, "probability must lie between 0 and 1, not 1"),
         ({"probability": math.nan}, "probability must lie between 0 and 1, not nan"),
-        ({"confidence": 0}, "confidence must lie between 0 and 1, not 0"),
-        ({"confidence": 1.5}, "confidence must lie between 0 and 1, not 1.5"),
+        ({"confidence": 0}, "confidence must lie between 0.5 and 1, not 0"),
+        ({"confidence": 1.5}, "confidence must lie between 0.5 and 1, not 1.5"),
         ({"uncertainty": ["table6"] * SCAN_POINTS}, "uncertainty is one for all episodes here"),
         ({"uncertainty": "table7"}, "unknown uncertainty 'table7'; choose one of none, table6"),
         ({"uncertainty": 0.1}, "0.1 is no uncertainty"),
