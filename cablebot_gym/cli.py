@@ -122,6 +122,7 @@ def dlcc(
         usable_folder(out)
         _no_folder(out / "result.json")
     loaded = load_policy(policy, find_robot(env_robot(env_id)))
+    _note_purpose([policy], env_id)
     chosen = list(CRITERIA) if criterion.value == _BOTH else [criterion.value]
     left_out = []
     if criterion.value == _BOTH and not getattr(loaded, "unclipped", False):
@@ -167,7 +168,9 @@ def compare(
     policies: Annotated[str, typer.Option("--policies", help="Names as for --policy, separated by commas.")],
     payload: Annotated[float, typer.Option(help="[kg]")] = 0.0,
     uncertainty: UncertaintyName = None,
-    draws: Draws = None,
+    draws: Annotated[
+        int | None, typer.Option(help="Episodes of each policy: 256 if the uncertainty is random, else 1.")
+    ] = None,
     trajectory: TrajectoryName = None,
     payload_known: Known = True,
     position_bound: PositionBound = 0.01,
@@ -198,6 +201,7 @@ def compare(
         _no_folder(out / "comparison.json")
         _no_folder(out / "comparison.png")
     names, robot = [name.strip() for name in policies.split(",") if name.strip()], find_robot(env_robot(env_id))
+    _note_purpose(names, env_id)
     with _progress() as step:
         comparison = compare_policies(
             [load_policy(name, robot) for name in names],
@@ -307,6 +311,17 @@ def _data(option: str, text: str | None) -> Any:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise ValueError(f"{option} is no valid JSON: {error}") from error
+
+
+def _note_purpose(names: list[str], env_id: str) -> None:
+    """Says so when a policy is made for other environments: it runs all the same, and seldom well."""
+    from cablebot_gym.policies import policy_entries
+
+    entries = policy_entries()
+    for name in names:
+        if name in entries and env_id not in entries[name].env_ids:
+            meant = ", ".join(entries[name].env_ids)
+            _errors.print(f"note: {name} is made for {meant}, not for {env_id}", soft_wrap=True, highlight=False)
 
 
 def _no_folder(path: Path) -> None:

@@ -8,9 +8,10 @@ from rich.console import Console
 from rich.table import Table
 
 from cablebot_gym.dlcc.comparison import CONFIDENCE, REDUCED, Comparison, Estimate
+from cablebot_gym.dlcc.probability import fewest_draws, interval
 from cablebot_gym.dlcc.result import DLCCResult
 
-_PLAIN_WIDTH = 150
+_PLAIN_WIDTH = 170
 """Columns where the output is no terminal."""
 
 
@@ -61,6 +62,7 @@ def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
     if first.probability is not None:
         notes.append(f"carried in at least {first.probability:.0%} of the draws")
         notes += [f"{result.criterion}: {_assured_text(result)}" for result in results]
+        notes += [_replay_text(result) for result in results if result.limit_seed is not None]
     if any(result.limit.kind == "scan_end" for result in results):
         notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
     console.print("; ".join(notes), highlight=False)
@@ -76,7 +78,17 @@ def _failure_text(result: DLCCResult) -> str:
 def _assured_text(result: DLCCResult) -> str:
     if result.assured_payload is not None:
         return f"{result.assured_payload:.2f} kg assured with {result.confidence:.0%} confidence"
-    return f"no payload assured with {result.confidence:.0%} confidence by {result.draws} draws"
+    text = f"no payload assured with {result.confidence:.0%} confidence by {result.draws} draws"
+    assert result.probability is not None
+    assert result.confidence is not None
+    fewest = fewest_draws(result.probability, result.confidence)
+    return f"{text}: it takes {fewest} at least" if result.draws < fewest else text
+
+
+def _replay_text(result: DLCCResult) -> str:
+    payload = (result.payload or 0.0) + result.resolution
+    again = f"cablebot rollout --payload {payload!r} --seed {result.limit_seed}"
+    return f"{result.criterion}: that failure is repeated by {again}"
 
 
 def _number(count: int, thing: str) -> str:
@@ -112,7 +124,8 @@ def print_comparison(comparison: Comparison) -> None:
     table = Table(title=title, title_justify="left")
     table.add_column("policy", overflow="fold")
     columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.planar]
-    for heading in ("carried", *(heading for _, heading, _ in columns)):
+    table.add_column("carried", justify="right", no_wrap=True)
+    for _, heading, _ in columns:
         table.add_column(heading, justify="right")
     for one in comparison.measured:
         cells = []
@@ -120,7 +133,11 @@ def print_comparison(comparison: Comparison) -> None:
             estimate = one.estimate(name)
             width = f" ± {scale * (estimate.high - estimate.mean):.2g}" if comparison.draws > 1 else ""
             cells.append(f"{scale * estimate.mean:.3g}{width}")
-        table.add_row(one.policy, f"{one.carried.mean():.0%}", *cells)
+        carried = f"{one.carried.mean():.0%}"
+        if comparison.draws > 1:
+            low, high = interval(int(one.carried.sum()), comparison.draws, CONFIDENCE)
+            carried += f" [{low:.0%}, {high:.0%}]"
+        table.add_row(one.policy, carried, *cells)
     console = _console()
     console.print(table)
     first = comparison.measured[0].policy
@@ -129,7 +146,9 @@ def print_comparison(comparison: Comparison) -> None:
         console.print(f"{one.policy} against {first}: {', '.join(shares)}", highlight=False)
     notes = [f"± and brackets: {CONFIDENCE:.0%} confidence over draws"] if comparison.draws > 1 else []
     if ended := sum(int(one.ended.sum()) for one in comparison.measured):
-        notes.append(f"{_number(ended, 'episode')} ended early and counted up to the end")
+        notes.append(
+            f"{_number(ended, 'episode')} ended early: counted as lost, at the termination radius, from then on"
+        )
     if notes:
         console.print("; ".join(notes), highlight=False)
 

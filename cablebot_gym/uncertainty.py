@@ -76,8 +76,10 @@ class Spread:
         """Deviations from numbers that are uniform in [0, 1), by the inverse of the distribution."""
         if self.std is None:
             return self.low + (self.high - self.low) * uniform
-        ends = ndtr((np.array([self.low, self.high]) - self.mean) / self.std)
-        drawn = self.mean + self.std * ndtri(ends[0] + (ends[1] - ends[0]) * uniform)
+        ends = (np.array([self.low, self.high]) - self.mean) / self.std
+        side = -1.0 if ends[0] > 0 else 1.0  # the upper tail is drawn as the lower one: digits are lost near 1
+        first, last = ndtr(side * ends)
+        drawn = self.mean + self.std * side * ndtri(first + (last - first) * uniform)
         return np.asarray(np.clip(drawn, self.low, self.high))
 
     def applied(self, nominal: Array, deviation: Array) -> Array:
@@ -234,7 +236,8 @@ class Uncertainty:
     sensors: SensorNoise | None = None
     """On the observation."""
     delay: int = 0
-    """Control steps by which a drive command arrives late. Until the first one arrives the motors hold the start."""
+    """Control steps by which a drive command arrives late. Until the first one arrives the motors hold the start, the
+    true payload included; ``info["drive_demand"]`` is the command that arrives, and the last ones sent never do."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.parameters, Mapping):

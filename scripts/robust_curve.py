@@ -37,7 +37,7 @@ PAIRS = {
 
 
 def curve(env_id: str, payload: float, draws: int) -> list[dict[str, Any]]:
-    """One point for each ε: reductions with their intervals, and the share of draws without a slack cable."""
+    """One point for each ε: reductions with their intervals."""
     plain, make = PAIRS[env_id]
     points = []
     for layer in track(LAYERS, env_id, console=Console(stderr=True), transient=True):
@@ -50,8 +50,7 @@ def curve(env_id: str, payload: float, draws: int) -> list[dict[str, Any]]:
             names=["plain", "robust"],
         )
         reductions = {name: vars(found.reduction(1, name)) for name in ("mean_error", "max_error")}
-        taut = float((found.measured[1].least_tension > 0).mean())
-        points.append({"layer": float(layer), "taut": taut, **reductions})
+        points.append({"layer": float(layer), **reductions})
     return points
 
 
@@ -90,7 +89,7 @@ def main() -> None:
         for point in points:
             mean, most = point["mean_error"], point["max_error"]
             texts = [f"{x['mean']:6.1%} [{x['low']:.1%}, {x['high']:.1%}]" for x in (mean, most)]
-            print(f"  ε = {point['layer']:.2e}: mean {texts[0]}, max {texts[1]}; taut in {point['taut']:.0%} of draws")
+            print(f"  ε = {point['layer']:.2e}: mean {texts[0]}, max {texts[1]}")
     if arguments.out is not None:
         data = {"payload": arguments.payload, "draws": arguments.draws, "curves": curves}
         write_whole(arguments.out / "robust-curve.json", lambda path: _write(path, json.dumps(data, indent=2) + "\n"))

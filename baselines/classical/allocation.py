@@ -20,6 +20,8 @@ first wrong side changes (Murty's rule), which cannot cycle."""
 def attainable(command: Array, slope: Array) -> Array:
     """The commands within ±1 that minimise ‖Ẍ − v‖, v the acceleration that ``command`` would give.
 
+    Metres and radians weigh alike.
+
     Ẍ − v = G⁻¹(a − a*), a strictly convex problem in a box, solved by a primal-dual active set for all lanes at once:
     commands on their bound stay there while the rest would pull them beyond it.
 

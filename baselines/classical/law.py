@@ -122,4 +122,6 @@ def _difference(robot: Robot, other: Robot) -> str | None:
         return f"{other.cables} cables {'in the plane' if other.planar else 'in space'}"
     if not (np.array_equal(other.base, robot.base) and np.array_equal(other.platform, robot.platform)):
         return "other anchors"
+    if robot.flexible and not np.array_equal(other.home, robot.home):
+        return "another home pose, from which its motor angles are measured"
     return None

@@ -68,8 +68,8 @@ class RobustPD:
         Δv = ρ s / max(‖s‖, ε),   ρ = (ζ (‖z̈_d‖ + ‖Ae‖) + φ)/(1 − ζ)
 
     makes V fall outside the boundary layer ‖s‖ < ε if ‖γ⁻¹γ̂ − 1‖ ≤ ζ and ‖γ⁻¹Δα‖ ≤ φ. The paper's γ̄ is taken into φ.
-    Within the layer the term is linear, a stiffer PD; the thinner the layer, the smaller the error, and the sooner
-    sampling makes it chatter. At ε → ∞ the term is gone.
+    As in the paper, norms mix metres and radians. Within the layer the term is linear, a stiffer PD; the thinner the
+    layer, the smaller the error, and the sooner sampling makes it chatter. At ε → ∞ the term is gone.
 
     Raises:
         ValueError: if a parameter is out of its range.

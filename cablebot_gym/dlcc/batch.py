@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.monitor import Judge, Limit, Verdict, find_criterion
 from cablebot_gym.envs import check_robot, env_robot
+from cablebot_gym.envs.single import SEED_MESSAGE
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import as_policy, begin, commands, load_policy, name_of
 from cablebot_gym.robots import find_robot
@@ -59,11 +60,16 @@ class Trial:
     @property
     def limit(self) -> Limit | None:
         """The earliest failure of the commonest kind; None if every draw carried."""
+        return None if self.limit_draw is None else self.verdicts[self.limit_draw].limit
+
+    @property
+    def limit_draw(self) -> int | None:
+        """The draw, from 0, to which :attr:`limit` happened."""
         if not self.failures:
             return None
         commonest = next(iter(self.failures))
-        limits = [verdict.limit for verdict in self.verdicts if verdict.limit is not None]
-        return min((limit for limit in limits if limit.kind == commonest), key=lambda limit: limit.time or 0.0)
+        limits = [(draw, verdict.limit) for draw, verdict in enumerate(self.verdicts) if verdict.limit is not None]
+        return min((limit.time or 0.0, draw) for draw, limit in limits if limit.kind == commonest)[1]
 
 
 def versions() -> dict[str, str]:
@@ -90,6 +96,17 @@ def resolve_draws(draws: int | None, uncertainty: Uncertainty, *, random: bool) 
     if draws > 1 and not random:
         raise ValueError(f"{draws} draws would all be the same: give an uncertainty, such as table6")
     return int(draws)
+
+
+def draw_seeds(seed: int, draws: int) -> list[int]:
+    """Seeds of the draws, which reset an environment. One draw is the environment's own episode of the seed.
+
+    They have 53 bits, so that every reader of JSON gets them whole.
+    """
+    if draws == 1:
+        return [seed]
+    words = np.random.SeedSequence(seed).generate_state(draws, np.uint64)
+    return [int(word) >> 11 for word in words]
 
 
 class Batch:
@@ -132,9 +149,10 @@ class Batch:
         unknown = find_uncertainty(uncertainty, robot)
         random = unknown.random or keywords.get("initial_error_range") is not None
         self.draws = resolve_draws(draws, unknown, random=random)
-        # One draw is the episode that the environment itself would give for the seed.
-        seeds = [int(seed)] if self.draws == 1 else np.random.SeedSequence(seed).generate_state(self.draws, np.uint64)
-        self._seeds = [int(one) for one in seeds]
+        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
+            raise ValueError(SEED_MESSAGE.format(seed))
+        self.seeds = draw_seeds(int(seed), self.draws)
+        """Of the draws: an environment reset with one of them repeats the draw."""
         self._together = min(together, max(1, BATCH // self.draws))
         # A wide tube must not be cut short by the environment's own end of an episode.
         self.keywords = {"termination_radius": max(0.1, 2 * limits.position)} | keywords
@@ -170,7 +188,7 @@ class Batch:
 
     @property
     def _lane_seeds(self) -> Any:  # Gymnasium's signature knows no sequence of seeds
-        return self._seeds * self._together
+        return self.seeds * self._together
 
     def description(self) -> dict[str, Any]:
         """What the episodes were made with, as plain data; the draws' seed apart."""
@@ -230,7 +248,7 @@ class Batch:
         batch = np.repeat(np.append(payloads, fill), self.draws)
         task, plain = self.task, self.env.unwrapped
         observation, info = self.env.reset(seed=self._lane_seeds, options={"payload": batch})
-        judge = Judge(self.criterion, self.limits, task.robot.stall_torque, len(batch))
+        judge = Judge(self.criterion, self.limits, task.robot.cables, len(batch))
         judge.begin(info)
         if hasattr(self.policy, "begin"):  # so many tasks take their time to make
             begin(self.policy, self.name, plain.tasks)  # type: ignore[attr-defined]

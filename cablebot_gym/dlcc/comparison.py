@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,7 +45,11 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measured:
-    """What one policy did; arrays have one entry for each draw. An episode that ended early counts up to its end."""
+    """What one policy did; arrays have one entry for each draw.
+
+    An episode that ended early is lost from then on: its position error is taken to stay at what it was, or at the
+    termination radius if that is larger. Its other quantities count up to its end.
+    """
 
     policy: str
     """Name."""
@@ -105,6 +110,8 @@ class Comparison:
     """Episodes of each policy."""
     seed: int
     """From which the draws follow."""
+    draw_seeds: tuple[int, ...]
+    """Seed of each draw: ``env.reset(seed=…)``, or ``cablebot rollout --seed``, repeats it."""
     limits: Limits
     """Bounds of the errors."""
     measured: tuple[Measured, ...]
@@ -140,8 +147,9 @@ class Comparison:
             policies.append(
                 {"policy": one.policy, "estimates": estimates, "reductions": reductions, "per_draw": values}
             )
+        head = {"draw_seeds": list(self.draw_seeds)}
         names = ("env_id", "payload", "payload_known", "uncertainty", "draws", "seed", "environment", "versions")
-        head = {name: getattr(self, name) for name in names}
+        head |= {name: getattr(self, name) for name in names}
         return head | {"confidence": CONFIDENCE, "limits": vars(self.limits), "policies": policies}
 
     def to_json(self) -> str:
@@ -149,14 +157,17 @@ class Comparison:
         return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
 
     def __str__(self) -> str:
-        lines = [f"{self.env_id}, {self.payload:g} kg, {self.draws} draws of {self.uncertainty or 'no uncertainty'}"]
+        draws = f"{self.draws} draw{'' if self.draws == 1 else 's'} of {self.uncertainty or 'no uncertainty'}"
+        lines = [f"{self.env_id}, {self.payload:g} kg, {draws}"]
         for place, one in enumerate(self.measured):
             mean, most = one.estimate("mean_error"), one.estimate("max_error")
             text = f"{one.policy}: error {1e3 * mean.mean:.3g} mm mean, {1e3 * most.mean:.3g} mm max"
             if place:
-                shares = [f"{self.reduction(place, name).mean:.0%}" for name in ("mean_error", "max_error")]
-                text += f" ({shares[0]} and {shares[1]} less)"
-            lines.append(f"{text}; carried in {one.carried.mean():.0%}")
+                shares = [self.reduction(place, name).mean for name in ("mean_error", "max_error")]
+                texts = [f"{abs(share):.0%} {'less' if share >= 0 else 'more'}" for share in shares]
+                text += f" ({' and '.join(texts)} than {self.measured[0].policy})"
+            ended = f", ended early in {one.ended.mean():.0%}" if one.ended.any() else ""
+            lines.append(f"{text}; carried in {one.carried.mean():.0%}{ended}")
         return "\n".join(lines)
 
     def plot(self) -> Figure:
@@ -206,6 +217,8 @@ def compare_policies(
         raise ValueError("there is nothing to compare: name at least one policy")
     if len(set(labels)) < len(labels) or len(labels) != len(policies):
         raise ValueError(f"policies need one name each, all different, not {', '.join(labels)}")
+    if not isinstance(payload, Real) or isinstance(payload, bool) or not 0 <= payload < math.inf:
+        raise ValueError(f"payload must be at least 0 kg, one finite number, not {payload!r}")
     bounds, measured = find_limits(limits), []
     for place, (policy, label) in enumerate(zip(policies, labels, strict=True)):
         batch = Batch(
@@ -224,7 +237,8 @@ def compare_policies(
             watch, steps = _Watch(batch.draws, batch.task.robot.cables), batch.task.steps
             done = _Steps(progress, place * steps, len(labels) * steps)
             trial = batch.run([payload], observe=watch, progress=done, whole=True)[0]
-            measured.append(watch.measured(label, trial))
+            lost = batch.keywords["termination_radius"]
+            measured.append(watch.measured(label, trial, steps, lost))
             task, description = batch.task, batch.description()
     return Comparison(
         env_id=env_id,
@@ -233,6 +247,7 @@ def compare_policies(
         uncertainty=uncertainty_name(uncertainty),
         draws=len(measured[0].carried),
         seed=int(seed),
+        draw_seeds=tuple(batch.seeds),
         limits=bounds,
         measured=tuple(measured),
         environment=description,
@@ -261,7 +276,7 @@ class _Watch:
         self._rotation: list[Array] = []
         self._peak, self._rotation_peak, self._squares = np.zeros(draws), np.zeros(draws), np.zeros(draws)
         self._torque, self._demand, self._tension = np.zeros(draws), np.zeros(draws), np.full(draws, np.inf)
-        self._lasted, self._cables = np.zeros(draws), cables
+        self._lasted, self._last, self._cables = np.zeros(draws), np.zeros(draws), cables
         self._ended = np.zeros(draws, np.bool_)
 
     def __call__(self, info: dict[str, Any], pose: Array, lasting: NDArray[np.bool_]) -> None:
@@ -271,6 +286,7 @@ class _Watch:
         torque, demand = np.abs(info["torques"]), np.abs(info["drive_demand"])
         self._squares += np.where(lasting, np.sum(torque**2, axis=1), 0.0)
         self._lasted += lasting
+        self._last[lasting] = info["tracking_error"][lasting]
         for total, seen in (
             (self._peak, info["tracking_error_peak"]),
             (self._rotation_peak, info["rotation_error_peak"]),
@@ -280,15 +296,27 @@ class _Watch:
             np.maximum(total, seen, out=total, where=lasting)
         np.minimum(self._tension, info["tensions"].min(axis=1), out=self._tension, where=lasting)
 
-    def measured(self, policy: str, trial: Trial) -> Measured:
-        """Everything seen, once the episodes are over; what was seen at their start stands in the verdicts."""
+    def measured(self, policy: str, trial: Trial, steps: int, lost: float) -> Measured:
+        """Everything seen, once the episodes are over; what was seen at their start stands in the verdicts.
+
+        Args:
+            policy: its name.
+            trial: its verdicts.
+            steps: control steps of the whole motion.
+            lost: least position error that an episode counts with after an early end [m].
+        """
         verdicts = trial.verdicts
         error, rotation = np.array(self._error), np.array(self._rotation)
+        rest = np.full((steps - len(error), error.shape[1]), np.nan)
+        stays = np.maximum(self._last, lost)
+        whole = np.concatenate([error, rest])
+        whole = np.where(np.isnan(whole), stays, whole)
+        peak = np.maximum(self._peak, [verdict.position_peak for verdict in verdicts])
         return Measured(
             policy=policy,
-            mean_error=np.nanmean(error, axis=0),
-            rms_error=np.sqrt(np.nanmean(error**2, axis=0)),
-            max_error=np.maximum(self._peak, [verdict.position_peak for verdict in verdicts]),
+            mean_error=whole.mean(axis=0),
+            rms_error=np.sqrt((whole**2).mean(axis=0)),
+            max_error=np.where(self._ended, np.maximum(peak, stays), peak),
             max_rotation=np.maximum(self._rotation_peak, [verdict.rotation_peak for verdict in verdicts]),
             rms_torque=np.sqrt(self._squares / self._lasted / self._cables),
             peak_torque=self._torque,

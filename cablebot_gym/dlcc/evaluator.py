@@ -124,6 +124,8 @@ def evaluate_dlcc(
             confidence=confidence if drawn else None,
             assured_payload=found.assured.payload if drawn and found.assured else None,
             failures=found.failures if drawn else {},
+            draw_seeds=tuple(batch.seeds),
+            limit_seed=None if found.limit_draw is None else batch.seeds[found.limit_draw],
             success=found.success if drawn else (),
             seed=int(seed),
             environment=batch.description(),
@@ -138,6 +140,7 @@ class _Found:
     best: Trial | None
     assured: Trial | None
     limit: Limit
+    limit_draw: int | None
     failures: dict[str, int]
     gap: float
     feasible: tuple[tuple[float, float], ...]
@@ -187,6 +190,7 @@ class _Search:
             best=below,
             assured=assured,
             limit=limit,
+            limit_draw=None if above is None else above.limit_draw,
             failures={} if above is None else above.failures,
             gap=0.0 if below is None or above is None else above.payload - below.payload,
             feasible=tuple(feasible),

@@ -96,13 +96,12 @@ class Judge:
         criterion: ``task``: position, rotation, slack and termination; ``paper``: |a| ≤ 1, position, slack and
             termination.
         limits: bounds of the errors.
-        stall_torque: τ_s, shape (m,), to express excess torque in N·m.
+        cables: m.
         count: N.
     """
 
-    def __init__(self, criterion: Criterion, limits: Limits, stall_torque: Array, count: int) -> None:
-        self.criterion, self.limits, self._stall = criterion, limits, stall_torque
-        cables = len(stall_torque)
+    def __init__(self, criterion: Criterion, limits: Limits, cables: int, count: int) -> None:
+        self.criterion, self.limits = criterion, limits
         self.failed = np.zeros(count, np.bool_)
         """Which episodes have broken a limit, (N,)."""
         self._failures: list[Limit | None] = [None] * count
@@ -126,7 +125,7 @@ class Judge:
         if self.criterion == "paper":
             for lane in _lanes(watched & (demand.max(axis=1) > 1 + _ROUNDING)):
                 motor = int(np.argmax(demand[lane]))
-                excess = float((demand[lane, motor] - 1) * self._stall[motor])
+                excess = -float(info["torque_margin"][lane, motor])
                 self._fail(lane, "torque", motor + 1, info["command_time"][lane], excess)
         for lane in _lanes(~self.failed & info["slack"].any(axis=1)):
             self._fail(lane, "slack", int(np.argmax(info["slack"][lane])) + 1, info["time"][lane], None)
@@ -212,7 +211,7 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         observation, info = self.env.reset(seed=seed, options=options)
         task = self.env.get_wrapper_attr("task")
         limits = task.limits if self._limits is None else self._limits
-        self._judge = Judge(self._criterion, limits, task.robot.stall_torque, 1)
+        self._judge = Judge(self._criterion, limits, task.robot.cables, 1)
         self._steps, self._needed = 0, task.steps
         self._judge.begin(_batched(info))
         return observation, info | {"dlcc_carried": False}

@@ -19,6 +19,18 @@ def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
         return np.where(successes > 0, beta.ppf(1 - confidence, successes, draws - successes + 1), 0.0)
 
 
+def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
+    """Two-sided interval of the probability (Clopper and Pearson)."""
+    low = float(lower_bound(successes, draws, (1 + confidence) / 2))
+    high = 1 - float(lower_bound(draws - successes, draws, (1 + confidence) / 2))
+    return low, high
+
+
+def fewest_draws(probability: float, confidence: float) -> int:
+    """How many draws it takes, all carried, for a lower bound of at least ``probability``."""
+    return math.ceil(math.log(1 - confidence) / math.log(probability) - 1e-9)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Needed:
     """How many draws have to carry a payload."""

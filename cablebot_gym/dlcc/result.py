@@ -79,10 +79,15 @@ class DLCCResult:
     confidence: float | None
     """Of ``assured_payload``; None for one draw."""
     assured_payload: float | None
-    """Lower bound: up to here the success probability is at least ``probability`` with this confidence, one-sided, by
-    Clopper and Pearson at each payload [kg]; None if there is none, or too few draws for one."""
+    """Lower bound: at every payload tried up to here the success probability is at least ``probability`` with this
+    confidence, one-sided, by Clopper and Pearson [kg]; exact for the whole interval where no draw carries more than
+    one that it does not. None if there is none, or too few draws for one."""
     failures: dict[str, int]
     """Draws that fail beyond the payload (at zero if that is not carried), by kind; empty for one draw."""
+    draw_seeds: tuple[int, ...]
+    """Seed of each draw: ``env.reset(seed=…)``, or ``cablebot rollout --seed``, repeats it."""
+    limit_seed: int | None
+    """Seed of the draw to which ``limit`` happened, at ``payload + resolution``; None for ``scan_end``."""
     success: tuple[tuple[float, float], ...]
     """(payload [kg], share of draws that carry it) for every payload tried; empty for one draw."""
     seed: int
@@ -107,7 +112,8 @@ class DLCCResult:
         skipped = {"task", "history"}
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in skipped}
         pairs = {name: [list(pair) for pair in getattr(self, name)] for name in ("feasible", "success")}
-        return data | {"limit": asdict(self.limit)} | pairs
+        seeds = {"draw_seeds": list(self.draw_seeds)}
+        return data | {"limit": asdict(self.limit)} | pairs | seeds
 
     def to_json(self) -> str:
         """The result as JSON, indented."""

@@ -23,10 +23,13 @@ LONGEST_PHYSICS_STEP = 1e-3
 """Default bound of the physics step [s]. RK4's error over 0.5 s is below 1e-9 there on the paper's robots; the bound is
 not accuracy but judgement: slack and errors seen every 2 ms flatter a payload by about 0.05 kg."""
 
-FINEST_PHASE = 0.09
-"""Default bound of a flexible robot's highest frequency times the physics step, φ [rad]. RK4 takes φ⁶/72 of a mode's
-energy in a step; the paper's robots, undriven and undamped, then lose less than 1e-6 of the largest kinetic energy in a
-second."""
+MODE_LOSS = {"planar": 1e-6, "spatial": 1e-5}
+"""Default bound of the share of its energy that RK4 takes from a flexible robot's fastest mode in a second. It takes
+φ⁶/72 in a step h, with φ = ω h. A planar robot may swing in that mode alone; a spatial one that nobody drives falls,
+and loses less than 1e-6 of the kinetic energy that it gets. A robot that is held may lose the whole share."""
+
+MOST_SUBSTEPS = 1000
+"""Largest number of physics steps that is chosen without being asked for: beyond it springs are stiff by mistake."""
 
 STABLE_PHASE = 2.6
 """Largest rate of a flexible robot at home times the physics step: RK4 is stable to 2√2 on an undamped oscillation and
@@ -142,8 +145,16 @@ def make_settings(
         longest = LONGEST_PHYSICS_STEP
         if robot.flexible:
             fastest = max(_fastest(robot, one) for one in episode["uncertainty"])
-            longest = min(longest, FINEST_PHASE / highest_frequency(robot), STABLE_PHASE / fastest)
-        substeps = max(1, math.ceil(1 / (frequency * longest) - 1e-9))
+            longest = min(longest, _lossless_step(robot), STABLE_PHASE / fastest)
+        wanted = 1 / (frequency * longest)
+        if wanted > MOST_SUBSTEPS:
+            raise ValueError(
+                f"{robot.name!r} swings or settles at up to {fastest / (2 * math.pi):.3g} Hz, which takes {wanted:.3g} "
+                f"physics steps in a control period: soften its springs, raise its inertias, or give substeps"
+                if robot.flexible
+                else f"control_frequency {frequency:g} Hz takes {wanted:.3g} physics steps in a period: raise it"
+            )
+        substeps = max(1, math.ceil(wanted - 1e-9))
     if not isinstance(substeps, (int, np.integer)) or isinstance(substeps, bool) or substeps < 1:
         raise ValueError(f"substeps must be a whole number of at least 1, not {substeps!r}")
     check_stability(robot, episode["uncertainty"], frequency, int(substeps))
@@ -159,6 +170,13 @@ def make_settings(
         weights=_weights(reward_weights),
         **episode,
     )
+
+
+def _lossless_step(robot: Robot) -> float:
+    """Physics step at which RK4 takes :data:`MODE_LOSS` from the fastest mode [s]."""
+    swing = highest_frequency(robot)
+    phase: float = (72 * MODE_LOSS["planar" if robot.planar else "spatial"] / swing) ** 0.2
+    return phase / swing
 
 
 def _fastest(robot: Robot, uncertainty: Uncertainty) -> float:

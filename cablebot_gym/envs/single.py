@@ -128,7 +128,8 @@ class CableBotEnv(gym.Env[Array, Array]):
     `{"parameters": {"stiffness": {"low": -0.2, "high": 0.2}}, "wrench": {"force_std": 1.0}, "delay": 1}`, or a
     :class:`~cablebot_gym.uncertainty.Uncertainty`. Parameters are drawn around the nominal robot at each reset; an
     external wrench acts on the platform; sensor noise is added to `pose`, `velocity`, `motor_angle`, `motor_speed`;
-    commands arrive `delay` control steps late, and until then the motors hold the start. The observation and the
+    commands arrive `delay` control steps late, until then the motors hold the start, and `info["drive_demand"]` is what
+    arrives. The observation and the
     task keep telling the nominal robot and payload; `info` and `env.unwrapped.truth` tell the true ones.
 
     ## Version history

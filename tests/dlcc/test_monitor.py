@@ -33,7 +33,7 @@ class Scripted(gym.Env):
         self.observation_space = gym.spaces.Box(-1, 1, (1,), dtype=np.float64)
         self.script, self.start = script, start or {}
         self.task = SimpleNamespace(
-            limits=LIMITS, robot=SimpleNamespace(stall_torque=STALL), steps=len(script) if steps is None else steps
+            limits=LIMITS, robot=SimpleNamespace(cables=3), steps=len(script) if steps is None else steps
         )
 
     def reset(self, *, seed=None, options=None):
@@ -59,6 +59,7 @@ def info_of(step, *, payload=1.5, position=0.001, rotation=0.001, demand=(0.1, -
         "tracking_error_peak": position,
         "rotation_error_peak": rotation,
         "drive_demand": np.array(demand),
+        "torque_margin": STALL * (1 - np.abs(demand)),
         "slack": np.array([cable in slack for cable in (1, 2, 3)]),
         "tensions": np.array(tension, float),
         "termination_reason": "",
@@ -239,7 +240,7 @@ def test_peaks_do_not_go_on_after_the_failure():
 
 
 def test_failure_of_one_lane_does_not_end_the_watch_over_another():
-    judge = Judge("task", LIMITS, STALL, 3)
+    judge = Judge("task", LIMITS, 3, 3)
     judge.begin(stacked([info_of(0, payload=p) for p in (1.0, 2.0, 3.0)]))
     none = np.zeros(3, np.bool_)
     judge.observe(stacked([info_of(1), info_of(1, position=0.03), info_of(1)]), none)

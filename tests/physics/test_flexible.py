@@ -584,7 +584,7 @@ def test_the_measured_order_excludes_an_integrator_below_the_fourth(robot):
 
 @each_id
 @pytest.mark.parametrize("vector", [False, True], ids=["single", "vector"])
-@pytest.mark.parametrize("changes", [{"stiffness": 3e4}, {"motor_inertia": 1e-9}], ids=["stiff", "light"])
+@pytest.mark.parametrize("changes", [{"stiffness": 3e4}, {"motor_inertia": 1e-6}], ids=["stiff", "light"])
 def test_a_refusal_excludes_springs_too_stiff_for_the_substeps(env_id, vector, changes):
     """It names the frequency and the number of substeps that will do; that number does, and one less does not."""
     robot = with_transmission(PAPERS[env_id], **changes)
@@ -605,6 +605,13 @@ def test_a_refusal_excludes_springs_too_stiff_for_the_substeps(env_id, vector, c
     with pytest.raises(ValueError, match=f"use at least {needed}"):
         make(robot=robot, substeps=needed - 1)
     make(robot=robot).close()  # the default takes as many as it needs
+
+
+@each_id
+def test_default_excludes_physics_steps_by_the_million(env_id):
+    robot = with_transmission(PAPERS[env_id], motor_inertia=1e-12)
+    with pytest.raises(ValueError, match=r"up to \S+ Hz, which takes \S+ physics steps in a control period"):
+        gym.make(env_id, robot=robot)
 
 
 @the_papers
