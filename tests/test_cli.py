@@ -414,6 +414,17 @@ def test_seed_of_the_draws_is_not_read_and_then_discarded(cablebot):
     assert (one["success"], one["margins"]) != (other["success"], other["margins"])
 
 
+def test_policy_for_other_robots_does_not_run_without_a_word(cablebot):
+    ended = cablebot("dlcc", *QUICK, "--criterion", "task")
+    assert "note" not in ended.err
+    flexible = ("dlcc", "CableBot-FlexSpatial-v0", "--policy", "fl", "--trajectory", HANG, "--criterion", "task")
+    ended = cablebot(*flexible, "--payload-max", "1", "--resolution", "1")
+    assert ended.status == 0
+    assert ended.err.splitlines() == [
+        "note: fl is made for CableBot-Planar-v0, CableBot-Spatial-v0, not for CableBot-FlexSpatial-v0"
+    ]
+
+
 # --- compare ----------------------------------------------------------------------------------------------------------
 
 PAIR = ("compare", SPATIAL, "--trajectory", HANG, "--uncertainty", "table6", "--draws", "3", "--policies")

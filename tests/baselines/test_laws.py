@@ -59,6 +59,11 @@ def test_task_of_another_robot_is_not_begun(entry, env_id):
         (SPATIAL, PLANAR, "3 cables in the plane"),
         (PLANAR, SPATIAL, "6 cables in space"),
         (SPATIAL, SPATIAL.replace(base_anchors=1.01 * SPATIAL.base, name="wide"), "other anchors"),
+        (
+            FLEX_SPATIAL,
+            FLEX_SPATIAL.replace(home_pose=(0, 0, 0.15, 0, 0, 0), name="flex-wide"),
+            "another home pose, from which its motor angles are measured",
+        ),
         (SPATIAL, SPATIAL.replace(platform_anchors=1.01 * SPATIAL.platform, name="wide"), "other anchors"),
     ],
 )

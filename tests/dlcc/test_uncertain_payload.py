@@ -265,6 +265,19 @@ def test_history_does_not_go_on_after_the_draw_has_failed():
     assert np.all(result.history["drive_demand"] != 0), "commands of the policy, not those after the judgement"
 
 
+def test_failure_beyond_the_payload_is_not_lost_for_good():
+    law, motion = FeedbackLinearization(SPATIAL), {"name": "hold-spatial", "duration": 0.5}
+    told = {"trajectory": motion, "uncertainty": "table6", "payload_known": False}
+    result = evaluate_dlcc(law, SPATIAL_ID, draws=20, probability=0.5, payload_max=8.0, **told)
+    assert result.limit_seed in result.draw_seeds
+    assert max(result.draw_seeds) < 2**53, "readers of JSON keep no longer numbers"
+    env = DLCCMonitor(gym.make(SPATIAL_ID, payload=result.payload + result.resolution, **told))
+    observation, _ = env.reset(seed=result.limit_seed)
+    for _ in range(250):
+        observation, *_ = env.step(law.predict(observation)[0])
+    assert env.verdict.limit == result.limit
+
+
 def verdict(kind, time):
     """Of an episode in which something gave way, or nothing for None."""
     limit = None if kind is None else Limit(kind=kind, index=None, time=time, excess=None)

@@ -11,10 +11,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from scipy.linalg import block_diag, eigh
 
 from cablebot_gym import kinematics
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.envs.settings import MODE_LOSS, make_settings
 from cablebot_gym.physics import kernel, mujoco_model, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL, Motors, Robot, Transmission
@@ -225,6 +226,30 @@ def test_a_refusal_excludes_a_transmission_half_given_or_not_physical(rigid, cha
 
 
 # --- equations ----------------------------------------------------------------------------------------------------
+
+
+@the_papers
+def test_energy_excludes_a_fastest_mode_that_the_default_step_damps(robot):
+    """A planar robot that swings in its fastest mode alone, nobody driving it: the worst that RK4 meets there."""
+    robot = free_motors(robot)
+    if not robot.planar:
+        robot = robot.replace(gravity=1e-9)  # else it falls, and that is another motion
+    turning = textbook.jacobian(robot, robot.home) / robot.pulley_radius[:, None]
+    platform = textbook.mass_matrix(robot, robot.mass, robot.home) + turning.T * robot.pulley_inertia @ turning
+    twist = np.concatenate([turning, np.eye(robot.cables)], axis=1)
+    values, modes = eigh(twist.T * robot.stiffness @ twist, block_diag(platform, np.diag(robot.motor_inertia)))
+    assert values[-1] ** 0.5 == pytest.approx(textbook.highest_frequency(robot))
+    pose, angle = np.split(1e-3 / np.abs(modes[:, -1]).max() * modes[:, -1], [robot.coordinates])
+    start = State((robot.home + pose)[None], np.zeros((1, robot.coordinates)), angle[None], np.zeros((1, robot.cables)))
+    plant, kinetic, total = loaded_plant(robot, start), [], []
+    step = make_settings(robot=robot, count=1).physics_step
+    for _ in range(round(1 / step) + 1):
+        moving_energy, stored = energies(robot, state_of(plant), "bilateral")
+        kinetic.append(moving_energy[0])
+        total.append(moving_energy[0] + stored[0])
+        advance(plant, np.zeros((1, robot.cables)), step, 1)
+    drift = np.abs(np.array(total) - total[0]).max()
+    assert drift < MODE_LOSS["planar" if robot.planar else "spatial"] * max(kinetic)
 
 
 @both_cables
