@@ -65,7 +65,7 @@ UncertaintyName = Annotated[
     str | None,
     typer.Option(
         "--uncertainty",
-        help="What the policy does not know: table6, sensors, joined by +, or JSON; see `cablebot list`.",
+        help="What the policy does not know: table6, sensors, joined by +, JSON, or a .json file.",
     ),
 ]
 Draws = Annotated[
@@ -304,7 +304,14 @@ def rollout(
 
 
 def _data(option: str, text: str | None) -> Any:
-    """A name as it is, JSON as what it holds."""
+    """A name as it is, JSON, or a file of it, as what it holds."""
+    if text is not None and text.endswith(".json"):
+        try:
+            text = Path(text).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"{option}: cannot read {text!r} ({error})") from error
+        if not text.lstrip().startswith("{"):
+            raise ValueError(f"{option}: the file has to hold a JSON object, {{…}}")
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:

@@ -37,6 +37,10 @@ class Motors:
     def __post_init__(self) -> None:
         _freeze_fields(self)
 
+    def replace(self, **changes: Any) -> Motors:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Transmission:
@@ -58,6 +62,10 @@ class Transmission:
 
     def __post_init__(self) -> None:
         _freeze_fields(self)
+
+    def replace(self, **changes: Any) -> Transmission:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)
 
 
 class RobotArrays(Protocol):
@@ -171,6 +179,9 @@ class Robot:
     def __post_init__(self) -> None:
         for name in ("base_anchors", "platform_anchors", "inertia", "home_pose", "workspace"):
             object.__setattr__(self, name, _as_tuples(getattr(self, name)))  # lists and arrays will do
+        for name, kind in (("motors", Motors), ("transmission", Transmission)):
+            if not isinstance(getattr(self, name), kind):
+                raise ValueError(f"{name} must be a {kind.__name__}, such as robot.{name}.replace(…)")
         _check_shapes(self)
         _check_values(self)
         _check_home(self)

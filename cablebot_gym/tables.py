@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from rich.console import Console
@@ -10,14 +11,20 @@ from rich.table import Table
 from cablebot_gym.dlcc.comparison import CONFIDENCE, REDUCED, Comparison, Estimate
 from cablebot_gym.dlcc.probability import fewest_draws, interval
 from cablebot_gym.dlcc.result import DLCCResult
+from cablebot_gym.envs import described
 
 _PLAIN_WIDTH = 170
 """Columns where the output is no terminal."""
 
 
+_NARROW = 150
+"""Columns below which a comparison stands on its side, a column for each policy."""
+
+
 def _console() -> Console:
-    # No markup, no emoji: names of policies hold brackets and colons.
-    return Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH, markup=False, emoji=False)
+    """As wide as the terminal, or as ``COLUMNS`` says; no markup, no emoji: names hold brackets and colons."""
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _PLAIN_WIDTH
+    return Console(width=width, markup=False, emoji=False)
 
 
 def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
@@ -28,10 +35,9 @@ def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
     unknown = "" if first.uncertainty is None else f", {first.uncertainty}"
     if first.uncertainty is not None or first.draws > 1:
         unknown += f", {_number(first.draws, 'draw')}"
-    table = Table(
-        title=f"{first.env_id}, {first.policy}, {first.environment['trajectory'].get('name', '')}, {told}{unknown}",
-        title_justify="left",
-    )
+    where = described(first.env_id, first.task.robot.name)
+    motion = first.environment["trajectory"].get("name", "")
+    table = Table(title=f"{where}, {first.policy}, {motion}, {told}{unknown}", title_justify="left")
     for column, justify in (
         ("criterion", "left"),
         ("payload", "right"),
@@ -61,7 +67,7 @@ def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
         notes.append(f"resolution {resolution * 1e3:.2g} g")
     if first.probability is not None:
         notes.append(f"carried in at least {first.probability:.0%} of the draws")
-        notes += [f"{result.criterion}: {_assured_text(result)}" for result in results]
+        notes += [f"{result.criterion}: {_assured_text(result)}" for result in results if result.payload is not None]
         notes += [_replay_text(result) for result in results if result.limit_seed is not None]
     if any(result.limit.kind == "scan_end" for result in results):
         notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
@@ -120,13 +126,10 @@ def print_comparison(comparison: Comparison) -> None:
     """Policies over the same draws."""
     told = "told" if comparison.payload_known else "not told"
     unknown = f"{_number(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
-    title = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}, {unknown}"
-    table = Table(title=title, title_justify="left")
-    table.add_column("policy", overflow="fold")
+    where = described(comparison.env_id, comparison.task.robot.name)
+    title = f"{where}, payload {comparison.payload:g} kg, {told}, {unknown}"
     columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.planar]
-    table.add_column("carried", justify="right", no_wrap=True)
-    for _, heading, _ in columns:
-        table.add_column(heading, justify="right")
+    rows = [["policy", "carried", *(heading for _, heading, _ in columns)]]
     for one in comparison.measured:
         cells = []
         for name, _, scale in columns:
@@ -137,8 +140,16 @@ def print_comparison(comparison: Comparison) -> None:
         if comparison.draws > 1:
             low, high = interval(int(one.carried.sum()), comparison.draws, CONFIDENCE)
             carried += f" [{low:.0%}, {high:.0%}]"
-        table.add_row(one.policy, carried, *cells)
+        rows.append([one.policy, carried, *cells])
     console = _console()
+    if narrow := console.width < _NARROW:
+        rows = [list(row) for row in zip(*rows, strict=True)]
+    table = Table(title=title, title_justify="left")
+    table.add_column(rows[0][0], overflow="fold")
+    for place, heading in enumerate(rows[0][1:]):
+        table.add_column(heading, justify="right", overflow="fold", no_wrap=not narrow and place == 0)
+    for row in rows[1:]:
+        table.add_row(*row)
     console.print(table)
     first = comparison.measured[0].policy
     for place, one in enumerate(comparison.measured[1:], 1):

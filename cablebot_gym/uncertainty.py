@@ -286,7 +286,9 @@ class Uncertainty:
             if name == "payload" and not spread.relative:
                 continue  # any payload may be asked for; what is drawn below zero counts as zero
             if name == "payload":
-                least = 1 + spread.low
+                if spread.low < -1:
+                    raise ValueError(f"payload can lose {-spread.low:.0%} of itself: low has to be at least -1")
+                continue
             if least < 0 or (least == 0 and parameter.positive):
                 bound = "stay above" if parameter.positive else "not fall below"
                 raise ValueError(f"{name} of {robot.name!r} can reach {least:g}; it has to {bound} 0: raise low")

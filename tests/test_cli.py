@@ -874,3 +874,15 @@ def test_recording_below_a_file_is_not_found_out_after_the_work(cablebot, tmp_pa
     line = one_line(cablebot("rollout", PLANAR, "--policy", "fl", "--out", tmp_path / "file" / "run.csv"), 2)
     assert "cannot write to folder" in line
     assert (tmp_path / "file").read_text(encoding="utf-8") == "kept"
+
+
+def test_uncertainty_in_a_file_is_not_taken_for_a_name(cablebot, tmp_path):
+    path = tmp_path / "unknown.json"
+    path.write_text('{"sensors": {"position": 1e-4}}', encoding="utf-8")
+    arguments = ("dlcc", SPATIAL, "--policy", "fl", "--trajectory", HANG, "--payload-max", "1", "--resolution", "1")
+    ended = cablebot(*arguments, "--criterion", "task", "--uncertainty", str(path), "--draws", "2", "--json")
+    assert (ended.status, ended.err) == (0, "")
+    assert loads(ended.out)[0]["environment"]["uncertainty"]["sensors"]["position"] == 1e-4
+    for text, message in (("[1]", "has to hold a JSON object"), (None, "cannot read")):
+        path.unlink() if text is None else path.write_text(text, encoding="utf-8")
+        assert message in one_line(cablebot(*arguments, "--uncertainty", str(path)), 2)

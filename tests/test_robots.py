@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from cablebot_gym.kinematics import structure_jacobian
-from cablebot_gym.robots import PLANAR, ROBOTS, RPM, SPATIAL, Motors, Robot, Transmission, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, ROBOTS, RPM, SPATIAL, Motors, Robot, Transmission, find_robot
 
 NAN, INF = math.nan, math.inf
 
@@ -431,3 +431,11 @@ def test_find_robot_excludes_another_robot_than_the_one_asked_for():
 def test_find_robots_message_excludes_an_unknown_name_without_the_choices(name):
     with pytest.raises(ValueError, match="choose one of planar, spatial, flex-planar, flex-spatial, or pass a Robot"):
         find_robot(name)
+
+
+def test_parts_that_are_no_parts_are_refused_in_words():
+    with pytest.raises(ValueError, match=r"transmission must be a Transmission, such as robot.transmission.replace"):
+        FLEX_SPATIAL.replace(transmission={"stiffness": 30.0})
+    softer = FLEX_SPATIAL.transmission.replace(stiffness=np.full(6, 2.0))
+    assert FLEX_SPATIAL.replace(transmission=softer).stiffness.tolist() == [2.0] * 6
+    hash(FLEX_SPATIAL.replace(transmission=softer, motors=FLEX_SPATIAL.motors.replace(stall_torque=[9.0] * 6)))

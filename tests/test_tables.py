@@ -209,3 +209,14 @@ def test_long_names_are_not_cut_off_nor_read_as_markup(printed):
 def test_name_of_a_policy_is_not_read_as_markup_in_the_table_of_payloads(printed):
     text = printed(print_payloads, [dataclasses.replace(payloads(), policy="a[bold]b")], [])
     assert text.startswith(f"{SPATIAL_ID}, a[bold]b, ")
+
+
+def test_narrow_terminal_does_not_lose_numbers_or_names(printed, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = printed(print_comparison, comparison())
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
+    table = rows(text)
+    assert [row[0] for row in table][:2] == ["carried", "error, mean [mm]"]
+    mean = comparison().measured[0].estimate("mean_error").mean
+    assert table[1][1].startswith(f"{1e3 * mean:.3g} ± ")

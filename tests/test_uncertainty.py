@@ -269,7 +269,7 @@ IMPOSSIBLE_SETS: dict[str, tuple[Any, Any, tuple[str, ...]]] = {
         ("damping", "not fall below 0", "-0.01"),
     ),
     "negative pulley inertia": (PLANAR, {"parameters": {"pulley_inertia": spread(-1.1)}}, ("pulley_inertia",)),
-    "less than no payload": (PLANAR, {"parameters": {"payload": spread(-1.1)}}, ("payload", "not fall below 0")),
+    "less than no payload": (PLANAR, {"parameters": {"payload": spread(-1.1)}}, ("payload", "at least -1")),
     "relative position": (PLANAR, {"parameters": {"base_anchors": spread()}}, ("base_anchors", "relative=False")),
     "moments that no body has": (
         SPATIAL,

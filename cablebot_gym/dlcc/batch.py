@@ -94,7 +94,7 @@ def resolve_draws(draws: int | None, uncertainty: Uncertainty, *, random: bool) 
     if not isinstance(draws, (int, np.integer)) or isinstance(draws, bool) or draws < 1:
         raise ValueError(f"draws must be a whole number of at least 1, not {draws!r}")
     if draws > 1 and not random:
-        raise ValueError(f"{draws} draws would all be the same: give an uncertainty, such as table6")
+        raise ValueError(f"{draws} draws would all be the same: give an uncertainty that is random, such as table6")
     return int(draws)
 
 

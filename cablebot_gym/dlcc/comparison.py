@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cablebot_gym.dlcc.batch import Batch, Progress, Trial, uncertainty_name, versions
+from cablebot_gym.envs import described
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
 from cablebot_gym.task import Limits, Task, find_limits
@@ -158,7 +159,7 @@ class Comparison:
 
     def __str__(self) -> str:
         draws = f"{self.draws} draw{'' if self.draws == 1 else 's'} of {self.uncertainty or 'no uncertainty'}"
-        lines = [f"{self.env_id}, {self.payload:g} kg, {draws}"]
+        lines = [f"{described(self.env_id, self.task.robot.name)}, {self.payload:g} kg, {draws}"]
         for place, one in enumerate(self.measured):
             mean, most = one.estimate("mean_error"), one.estimate("max_error")
             text = f"{one.policy}: error {1e3 * mean.mean:.3g} mm mean, {1e3 * most.mean:.3g} mm max"
@@ -212,6 +213,8 @@ def compare_policies(
         ValueError: if an argument is not valid, or two policies have the same name.
         cablebot_gym.policies.PolicyError: if a policy raises or returns anything but finite drive commands.
     """
+    if isinstance(policies, str):
+        raise ValueError(f"policies are a list, such as [{policies!r}], not one name")
     labels = [name_of(policy) for policy in policies] if names is None else list(names)
     if not labels:
         raise ValueError("there is nothing to compare: name at least one policy")

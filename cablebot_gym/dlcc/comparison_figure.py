@@ -10,6 +10,7 @@ import numpy as np
 
 from cablebot_gym.dlcc.comparison import Comparison
 from cablebot_gym.dlcc.figures import DPI, GREY, add_legend, entitle, new_figure
+from cablebot_gym.envs import described
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
 
@@ -63,7 +64,8 @@ def draw_comparison(comparison: Comparison) -> Figure:
     add_legend(figure, grid[0, 0])
     draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
     told = "told" if comparison.payload_known else "not told"
-    head = f"{comparison.env_id}, payload {comparison.payload:g} kg, {told}; {draws}"
+    where = described(comparison.env_id, comparison.task.robot.name)
+    head = f"{where}, payload {comparison.payload:g} kg, {told}; {draws}"
     band = ["mean over draws, band from the 5th to the 95th percentile"] if comparison.draws > 1 else []
     if band and any(one.ended.any() for one in comparison.measured):
         band[0] += "; draws that ended early are left out from then on"

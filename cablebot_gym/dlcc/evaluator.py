@@ -168,8 +168,8 @@ class _Search:
         feasible = _intervals(grid, np.array([self._tried[payload].carried >= needed.share for payload in grid]))
         if below is not None:
             feasible[0] = (0.0, below.payload)
-        history, shown = History(), 0 if below is None else _first_carried(below)
         first = self._tried[0.0] if below is None else below
+        history, shown = History(), (first.limit_draw or 0) if below is None else _first_carried(first)
 
         def watch(info: dict[str, Any], pose: Array, lasting: NDArray[np.bool_]) -> None:
             if history.stall_torque is None:

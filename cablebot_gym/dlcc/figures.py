@@ -16,6 +16,7 @@ import numpy as np
 
 from cablebot_gym.dlcc.probability import lower_bound
 from cablebot_gym.dlcc.result import DLCCResult
+from cablebot_gym.envs import described
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
@@ -207,7 +208,7 @@ def _entitle(figure: FigureBase, result: DLCCResult, *, one: bool = True) -> Non
             f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg; "
             f"first limit above it: {result.limit}"
         )
-    head = f"{result.env_id}, policy {result.policy}, {result.criterion} criterion"
+    head = f"{described(result.env_id, result.task.robot.name)}, policy {result.policy}, {result.criterion} criterion"
     drawn = []
     if result.probability is not None:
         draws = f"{result.draws} draws of {result.uncertainty or 'the start'}"
@@ -215,7 +216,7 @@ def _entitle(figure: FigureBase, result: DLCCResult, *, one: bool = True) -> Non
             shown = ", the first that carries it is shown" if one else ""
             drawn = [f"carried in at least {result.probability:.0%} of {draws}{shown}"]
         else:
-            drawn = [f"{draws}, the first is shown" if one else draws]
+            drawn = [f"{draws}, the one of this limit is shown" if one else draws]
     entitle(figure, head, *drawn, found)
 
 

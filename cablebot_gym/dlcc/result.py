@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cablebot_gym.dlcc.monitor import Criterion, Limit
+from cablebot_gym.envs import described
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 
@@ -100,7 +101,7 @@ class DLCCResult:
     """The public task, for drawing."""
     history: dict[str, Array] = field(repr=False)
     """The episode at the payload (at zero if none is carried), see :class:`History`; over draws, the first one that
-    carries it."""
+    carries it, or the one of ``limit`` if none is carried."""
 
     @property
     def score(self) -> float:
@@ -120,7 +121,7 @@ class DLCCResult:
         return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
 
     def __str__(self) -> str:
-        head = f"{self.env_id}, {self.policy}, {self.criterion} criterion"
+        head = f"{described(self.env_id, self.task.robot.name)}, {self.policy}, {self.criterion} criterion"
         told = "payload told" if self.payload_known else "payload not told"
         if self.payload is None:
             others = "; it does carry " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)

@@ -51,6 +51,11 @@ def env_robot(env_id: str) -> str:
     return ENV_ROBOTS[env_id]
 
 
+def described(env_id: str, robot_name: str) -> str:
+    """An id for titles, with the robot's name where it is not the id's own."""
+    return env_id if ENV_ROBOTS.get(env_id) == robot_name else f"{env_id} with robot {robot_name!r}"
+
+
 def check_robot(env_id: str, robot: Any) -> None:
     """Refuses an unknown id, and a robot of another kind than the id's.
 

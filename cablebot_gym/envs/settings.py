@@ -200,7 +200,7 @@ def check_stability(
         needed = math.ceil(fastest / (control_frequency * STABLE_PHASE))
         raise ValueError(
             f"substeps={substeps} cannot integrate {robot.name!r}, whose motors swing or settle at "
-            f"{fastest / (2 * math.pi):.3g} Hz: use at least {needed}, or leave it out"
+            f"{fastest / (2 * math.pi):.3g} Hz: use at least {needed}, or leave substeps out where it is made"
         )
 
 

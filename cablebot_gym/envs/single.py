@@ -132,6 +132,29 @@ class CableBotEnv(gym.Env[Array, Array]):
     arrives. The observation and the
     task keep telling the nominal robot and payload; `info` and `env.unwrapped.truth` tell the true ones.
 
+    The fields; what is left out has the default given. In `parameters`, one of these for each name:
+
+    | field | default | meaning |
+    |---|---|---|
+    | `low`, `high` | | bounds of the deviation from nominal, a share of it: −0.1 is −10 % |
+    | `relative` | true | false: the deviation is in the parameter's own unit, as anchors need it |
+    | `distribution` | "uniform" | or "normal", with `mean` 0 and `std`, cut off at the bounds |
+    | `each` | true | a draw for each motor, axis or coordinate; false: one for all of them |
+
+    The names are `platform_mass`, `payload`, `platform_inertia`, `pulley_inertia`, `damping`, `stiffness`,
+    `motor_inertia`, `motor_damping`, `motor_strength` (τ_s; the free speed stays), `base_anchors` and
+    `platform_anchors`. In `wrench`:
+
+    | field | default | meaning |
+    |---|---|---|
+    | `force_mean`, `force_std` | 0 | normal force along the base frame's axes, one number or one for each [N] |
+    | `moment_mean`, `moment_std` | 0 | moment about these axes through the centre of mass, spatial [N·m] |
+    | `correlation_time` | 0.01 | how long a draw is held [s] |
+    | `factor` | (1, 1) | (low, high) of a factor for each component, drawn once an episode |
+
+    In `sensors`, standard deviations of white noise, 0 by default: `position` [m], `rotation` [rad], `velocity` [m/s],
+    `rotation_rate` [rad/s], `motor_angle` [rad], `motor_speed` [rad/s].
+
     ## Version history
 
     * v0: first release.

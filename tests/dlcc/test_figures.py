@@ -221,7 +221,7 @@ def test_title_over_draws_does_not_claim_what_no_draw_carried(results, tmp_path)
     assert "carried in at least 90% of 60 draws of table6" in figures.draw_path(carried).get_suptitle()
     failed = figures.draw_torques(dataclasses.replace(results["violent"], **drawn)).get_suptitle()
     assert "carried in at least" not in failed
-    assert "60 draws of table6, the first is shown" in failed
+    assert "60 draws of table6, the one of this limit is shown" in failed
     assert "draws" not in figures.draw_path(results["planar"]).get_suptitle()
 
 

@@ -29,6 +29,7 @@ from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.trajectories import Reference, find_trajectory
+from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Spread
 
 ROBOTS = {
     "CableBot-Planar-v0": PLANAR,
@@ -369,10 +370,18 @@ def test_docstring_names_every_info_key_argument_and_termination(env_id):
     assert undocumented == ["termination_reason"]  # stands under Termination
     assert "termination_reason" in text
     assert sorted(quoted - set(info)) == ["command_time"] * ("command_time" not in info)
-    rows = re.findall(r"^ *\| `(\w+)`\*? \|", text.split("## Arguments")[1], flags=re.MULTILINE)
+    rows = re.findall(
+        r"^ *\| `(\w+)`\*? \|", text.split("## Arguments")[1].split("## Uncertainty")[0], flags=re.MULTILINE
+    )
     assert set(rows) == set(inspect.signature(make_settings).parameters) - {"count"}
     reasons = re.findall(r"^ *\d\. `(\w+)`:", text.split("## Termination")[1].split("## Truncation")[0], re.MULTILINE)
     assert set(reasons) == set(TERMINATION_REASONS) - {""}
+
+
+def test_docstring_names_every_field_of_an_uncertainty():
+    section = CableBotEnv.__doc__.split("## Uncertainty")[1].split("## Version history")[0]
+    fields = {field.name for kind in (Spread, ExternalWrench, SensorNoise) for field in dataclasses.fields(kind)}
+    assert fields | set(PARAMETERS) <= set(re.findall(r"`(\w+)`", section))
 
 
 @each_id

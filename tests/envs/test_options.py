@@ -789,7 +789,7 @@ def test_springs_too_stiff_for_the_substeps_are_refused_with_frequency_and_subst
         with pytest.raises(ValueError, match="motors swing or settle at") as caught:
             call()
         message = str(caught.value)
-        check_message(caught.value, (f"substeps={env.settings.substeps} ", "Hz", "leave it out"))
+        check_message(caught.value, (f"substeps={env.settings.substeps} ", "Hz", "leave substeps out where it is made"))
         assert float(message.split(" at ")[1].split(" Hz")[0]) == pytest.approx(rate(hard) / (2 * np.pi), rel=0.01)
         needed = int(message.split("use at least ")[1].split(",")[0])
         gym.make(env_id, uncertainty=stiff, substeps=needed)
