@@ -167,7 +167,7 @@ class Batch:
         )
         try:
             self.env.reset(seed=self._lane_seeds)
-            self.task: Task = self.env.unwrapped.tasks[0]  # type: ignore[attr-defined]
+            self.task: Task = self._plain.tasks[0]
             self.task.check_steps()
             self.policy = load_policy(policy, self.task.robot) if isinstance(policy, str) else as_policy(policy)
             self.name = name or name_of(policy)
@@ -190,10 +190,15 @@ class Batch:
     def _lane_seeds(self) -> Any:  # Gymnasium's signature knows no sequence of seeds
         return self.seeds * self._together
 
+    @property
+    def _plain(self) -> Any:
+        """The environment itself: tasks, pose, settings and truth are beyond Gymnasium's class."""
+        return self.env.unwrapped
+
     def description(self) -> dict[str, Any]:
         """What the episodes were made with, as plain data; the draws' seed apart."""
         told_elsewhere = ("robot", "trajectory", "payload_known")
-        settings = self.env.unwrapped.settings  # type: ignore[attr-defined]
+        settings = self._plain.settings
         return {
             "robot": self.task.robot.to_dict(),
             "trajectory": as_plain(self.task.trajectory),
@@ -207,7 +212,7 @@ class Batch:
     @property
     def truth(self) -> dict[str, Array]:
         """True parameters of the present episodes by name, each (N, …)."""
-        truth: dict[str, Array] = self.env.unwrapped.truth  # type: ignore[attr-defined]
+        truth: dict[str, Array] = self._plain.truth
         return truth
 
     def steps(self, payloads: int) -> int:
@@ -246,12 +251,12 @@ class Batch:
     ) -> Judge:
         fill = np.full(self._together - len(payloads), payloads[-1])
         batch = np.repeat(np.append(payloads, fill), self.draws)
-        task, plain = self.task, self.env.unwrapped
+        task = self.task
         observation, info = self.env.reset(seed=self._lane_seeds, options={"payload": batch})
         judge = Judge(self.criterion, self.limits, task.robot.cables, len(batch))
         judge.begin(info)
         if hasattr(self.policy, "begin"):  # so many tasks take their time to make
-            begin(self.policy, self.name, plain.tasks)  # type: ignore[attr-defined]
+            begin(self.policy, self.name, self._plain.tasks)
         state, start = None, np.ones(len(batch), np.bool_)
         ended = np.zeros(len(batch), np.bool_)
         for step in range(task.steps):
@@ -270,7 +275,7 @@ class Batch:
             observation, _, terminated, _, info = self.env.step(action)
             judge.observe(info, terminated)
             if observe is not None:
-                observe(info, plain.pose, ~over)  # type: ignore[attr-defined]
+                observe(info, self._plain.pose, ~over)
             ended |= terminated
             start = terminated  # the environment starts these anew, though nobody judges them any more
             if progress is not None:

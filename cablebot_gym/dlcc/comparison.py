@@ -148,9 +148,8 @@ class Comparison:
             policies.append(
                 {"policy": one.policy, "estimates": estimates, "reductions": reductions, "per_draw": values}
             )
-        head = {"draw_seeds": list(self.draw_seeds)}
         names = ("env_id", "payload", "payload_known", "uncertainty", "draws", "seed", "environment", "versions")
-        head |= {name: getattr(self, name) for name in names}
+        head = {name: getattr(self, name) for name in names} | {"draw_seeds": list(self.draw_seeds)}
         return head | {"confidence": CONFIDENCE, "limits": vars(self.limits), "policies": policies}
 
     def to_json(self) -> str:

@@ -353,14 +353,14 @@ def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, na
     axes.plot(end_of_step, 1e3 * error, color=BLUE, linewidth=1.8, marker=_marker(result))
     top = 1e3 * float(error.max())
     if bound is not None:
-        mark_bound(axes, bound, unit)
+        _mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
     else:
         axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
     axes.set(xlim=_span(result), ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
 
 
-def mark_bound(axes: Axes, bound: float, unit: str) -> None:
+def _mark_bound(axes: Axes, bound: float, unit: str) -> None:
     """A line at an error's bound, in thousandths of the SI unit."""
     axes.axhline(1e3 * bound, color="black", linewidth=1.0)
     axes.annotate(

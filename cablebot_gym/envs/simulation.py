@@ -38,6 +38,8 @@ class _Start:
     """The kernel's, (k, rows)."""
     pose: Array
     velocity: Array
+    angle: Array
+    """Of the motors behind springs, (k, m); zeros if rigid."""
     torque: Array
     """That holds the robot at rest, (k, m); zeros if nobody asks."""
     speed: Array
@@ -179,12 +181,16 @@ class Simulation:
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(lanes), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
-        torque = speed = np.zeros((len(lanes), robot.cables))
+        angle = torque = speed = np.zeros((len(lanes), robot.cables))
+        loaded, minimum = robot.mass + payload, textbook.MINIMUM_TENSION
+        try:
+            if robot.flexible:
+                angle = textbook.static_motor_angle(robot, loaded, pose, minimum=minimum)
+            if uncertainty.delay:
+                torque = textbook.static_torque(robot, loaded, pose, minimum=minimum)
+        except np.linalg.LinAlgError as error:
+            raise ValueError("no tensions hold the robot at its start pose: choose another start") from error
         if robot.flexible or uncertainty.delay:
-            try:
-                torque = textbook.static_torque(robot, robot.mass + payload, pose, minimum=textbook.MINIMUM_TENSION)
-            except np.linalg.LinAlgError as error:
-                raise ValueError("no tensions hold the robot at its start pose: choose another start") from error
             speed = textbook.pulley_speed(robot, pose, velocity)
         return _Start(
             lanes=lanes,
@@ -194,6 +200,7 @@ class Simulation:
             parameters=rows,
             pose=pose,
             velocity=velocity,
+            angle=angle,
             torque=torque,
             speed=speed,
         )
@@ -207,8 +214,7 @@ class Simulation:
         self._plant.set_parameters(lanes, start.parameters)
         self._plant.set_state(lanes, start.pose, start.velocity)
         if robot.flexible:
-            angle = textbook.pulley_angle(robot, start.pose) + start.torque / robot.stiffness
-            self._plant.set_motors(lanes, angle, start.speed)
+            self._plant.set_motors(lanes, start.angle, start.speed)
         holding = (start.torque + robot.speed_slope * start.speed) / robot.stall_torque
         self._disturbances.begin(lanes, start.uncertainty, holding)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,6 +11,9 @@ from cablebot_gym.physics import kernel
 from cablebot_gym.physics.plant import pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
+
+_packed = lru_cache(maxsize=64)(pack_parameters)
+"""A law asks for the same robot at every control step. The kernel only reads these."""
 
 
 def inverse_dynamics(
@@ -45,7 +50,7 @@ def inverse_dynamics(
     compute = kernel.required_planar if robot.planar else kernel.required_spatial
     compute(
         (0,) * robot.cables,  # as the plant tells the kernel the number of cables
-        pack_parameters(robot),
+        _packed(robot),
         float(minimum),
         np.empty(kernel.parameter_rows(robot.cables) * kernel.LANES),
         np.empty(kernel.scratch_rows(robot.cables) * kernel.LANES),
