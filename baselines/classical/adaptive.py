@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import STANDARD_GRAVITY, Robot
+from cablebot_gym.task import Task
 
 ADAPTIVE_GAINS = {"planar": (2000.0, 90.0), "spatial": (400.0, 40.0)}
 """(K_P, K_D) of ``adaptive`` [1/s², 1/s], critically damped; stiffer ones carry no more and pass on more noise."""
@@ -73,6 +75,10 @@ class Adaptive(ClassicalLaw):
         self.law, self._told_weight = law, prior * STANDARD_GRAVITY**2
         self._allocates = allocation and law.robot.cables == law.robot.coordinates
         self.unclipped = law.unclipped and not self._allocates
+
+    def begin(self, tasks: Sequence[Task]) -> None:
+        """Tells the law within of the episodes; it refuses those of another robot."""
+        self.law.begin(tasks)
 
     def mass(self, memory: Memory, told: Array) -> Array:
         """m̂, platform and payload [kg], (...), for a told mass (...)."""

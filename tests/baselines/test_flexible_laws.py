@@ -7,12 +7,15 @@ import dataclasses
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from baselines.classical import COMPOSITE_TUNED, Composite, FourthOrder, MotorPD
+from baselines.classical import ADAPTIVE_COMPOSITE, COMPOSITE, COMPOSITE_TUNED, Composite, FourthOrder, MotorPD
 from baselines.classical.flexible import Motion
 from cablebot_gym.dlcc import evaluate_dlcc
 from cablebot_gym.physics import textbook
+from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.rollout import record_rollout
 
 LAWS = {"composite": Composite, "motor-pd": MotorPD, "fl4": FourthOrder}
 FLEX_SPATIAL_ID = "CableBot-FlexSpatial-v0"
@@ -117,6 +120,33 @@ def test_rigid_robot_is_not_accepted(law: str, robot: Robot) -> None:
 def test_composite_does_not_take_gains_that_fl_refuses(gains: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match="gains must be two positive numbers"):
         Composite(FLEX_SPATIAL, gains=gains)
+
+
+def test_damping_of_the_papers_springs_is_not_cut_at_500_hz() -> None:
+    for stiffness in (2.0, 3.0):
+        robot = with_stiffness(stiffness, 10.0)
+        np.testing.assert_array_equal(Composite(robot).damping(1 / 500), np.sqrt(robot.stiffness * robot.motor_inertia))
+
+
+@pytest.mark.parametrize("frequency", [100.0, 500.0, 2000.0])
+@pytest.mark.parametrize("stiffness", [1.0, 30.0, 300.0, 800.0, 1000.0, 1500.0, 3000.0, 1e4])
+def test_sampled_spring_does_not_swing_ever_further(stiffness: float, frequency: float) -> None:
+    """A rotor on a spring whose other end hardly moves, its torque held; the outer loop's K_D counts."""
+    robot = with_stiffness(stiffness, 10.0)
+    inertia, rate = robot.motor_inertia[0], textbook.highest_frequency(robot)
+    gain = Composite(robot).damping(1 / frequency)[0] / inertia - 20.0
+    held = expm(np.array([[0.0, 1.0, 0.0], [-(rate**2), 0.0, -gain], [0.0, 0.0, 0.0]]) / frequency)
+    loop = held[:2, :2] + np.outer(held[:2, 2], [0.0, 1.0])
+    assert np.abs(np.linalg.eigvals(loop)).max() < 1 + 1e-9
+
+
+@pytest.mark.parametrize("entry", [COMPOSITE, ADAPTIVE_COMPOSITE], ids=lambda entry: str(entry.name))
+@pytest.mark.parametrize("stiffness", [700.0, 1000.0, 2000.0])
+def test_stiff_springs_are_not_shaken_by_their_damping(entry: PolicyEntry, stiffness: float) -> None:
+    """At 500 Hz the damping that suits soft springs drops the platform from K = 600 on; K → ∞ is the rigid robot."""
+    robot = with_stiffness(stiffness, 10.0)
+    run = record_rollout(entry.factory(robot), FLEX_SPATIAL_ID, payload=4.0, robot=robot)
+    assert run.verdict.carried
 
 
 def test_planar_robot_is_not_accepted_by_the_fourth_order_law() -> None:
