@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,9 @@ app = typer.Typer(
 )
 _errors = Console(stderr=True)
 _BOTH = "both"
+COMMAND_GROUP = "cablebot_gym.commands"
+"""Entry points of further commands: functions with typer's annotations."""
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
@@ -365,6 +369,8 @@ def main() -> None:
     try:
         if len(sys.argv) < 2:
             sys.argv.append("--help")
+        if sys.argv[1] not in _command_names():
+            _add_commands()
         status = app(standalone_mode=False)  # a number where the parser ended the command itself, as Ctrl-C does
         if status == INTERRUPTED:
             raise KeyboardInterrupt
@@ -383,11 +389,20 @@ def main() -> None:
             raise
         message = show()
         if message.startswith("No such command"):
-            message += f" The commands are {', '.join(_command_names())}."
+            added = (point.name for point in entry_points(group=COMMAND_GROUP))
+            message += f" The commands are {', '.join(dict.fromkeys([*_command_names(), *added]))}."
         _fail(message, getattr(error, "exit_code", 2))
 
 
+def _add_commands() -> None:
+    """Commands that installed packages add, such as the baselines' own; not looked for where one of these is typed."""
+    for point in entry_points(group=COMMAND_GROUP):
+        if sys.argv[1] == point.name or sys.argv[1].startswith("-"):
+            app.command(name=point.name)(point.load())
+
+
 def _command_names() -> list[str]:
+    """Of this module, and once they are looked for, of other packages."""
     return [item.name or str(getattr(item.callback, "__name__", "")) for item in app.registered_commands]
 
 

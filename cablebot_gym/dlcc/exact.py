@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
@@ -55,7 +56,12 @@ class ExactPayload:
 
 
 def exact_payload(
-    robot: Robot, trajectory: Trajectory, *, minimum_tension: float = 0.0, frequency: float | None = None
+    robot: Robot,
+    trajectory: Trajectory,
+    *,
+    minimum_tension: float = 0.0,
+    frequency: float | None = None,
+    line_speed: ArrayLike = 1.0,
 ) -> ExactPayload:
     """The largest payload with which ``robot`` follows ``trajectory`` exactly inside its motors' limits.
 
@@ -73,6 +79,8 @@ def exact_payload(
         trajectory: for a robot with as many coordinates.
         minimum_tension: that every cable has to keep [N]; ≥ 0. Planar: the least tensions of all that keep it are used.
         frequency: control instants per second [Hz]; None for all times.
+        line_speed: the speed in the torque-speed lines, as a multiple of β̇, one or one per motor: 0 for limits that do
+            not depend on it.
 
     Raises:
         ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.
@@ -83,7 +91,7 @@ def exact_payload(
         _all_times(robot, trajectory) if frequency is None else control_instants(robot, trajectory, frequency)
     )
     masses = _nodes(robot, reference, minimum_tension)
-    margins = _margins(robot, reference, masses, minimum_tension)
+    margins = _margins(robot, reference, masses, minimum_tension, np.asarray(line_speed, float))
     starts, ends, where = _broken(masses, margins)
 
     gaps = _gaps(starts, ends)
@@ -149,12 +157,12 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
     return np.concatenate([kinks, 2 * kinks[:, -1:] + robot.mass], axis=1)
 
 
-def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float) -> Array:
+def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array) -> Array:
     """How far each limit is from being broken with each mass, shape (K, nodes, m, limits), negative if it is."""
     motion = _repeated(reference, masses.shape[1])
     tensions = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
     torques = textbook.required_torques(robot, tensions, *motion)
-    lower, upper = textbook.torque_limits(robot, textbook.pulley_speed(robot, *motion[:2]))
+    lower, upper = textbook.torque_limits(robot, line_speed * textbook.pulley_speed(robot, *motion[:2]))
     # The least tensions of a planar robot keep the minimum by construction; rounding must not say that they do not.
     surplus = np.zeros_like(tensions) if robot.planar else tensions - minimum
     return np.stack([upper - torques, torques - lower, surplus], axis=-1)

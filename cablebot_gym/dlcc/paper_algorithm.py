@@ -77,6 +77,7 @@ def iterate_load(
     tolerance: float = 1e-6,
     max_iterations: int = 100,
     frequency: float = 500.0,
+    line_speed: ArrayLike = 1.0,
 ) -> LoadIteration:
     """The paper's eight steps for exact tracking: ``m_load = C m_e``, then the average of both is the next guess (7a).
 
@@ -93,6 +94,7 @@ def iterate_load(
         tolerance: difference of m_load and m_e at which they are the same (7b) [kg]; > 0.
         max_iterations: guesses at most; ≥ 1.
         frequency: elements of the path per second [Hz], the control instants of :func:`exact_payload`.
+        line_speed: the speed in the torque-speed lines, as for :func:`exact_payload`.
 
     Raises:
         ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.
@@ -103,7 +105,7 @@ def iterate_load(
     if max_iterations < 1:
         raise ValueError(f"max_iterations must be at least 1, not {max_iterations}")
     times, reference = control_instants(robot, trajectory, frequency)
-    speed = textbook.pulley_speed(robot, reference.position, reference.velocity)
+    speed = np.asarray(line_speed, float) * textbook.pulley_speed(robot, reference.position, reference.velocity)
     empty = _torques(robot, 0.0, reference, minimum_tension)
     loads: list[float] = []
     while True:

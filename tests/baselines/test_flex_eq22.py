@@ -9,50 +9,20 @@ import numpy as np
 import pytest
 
 from baselines.classical import Composite, PaperFlexible
-from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.physics import kernel, textbook
-from cablebot_gym.physics.plant import Plant
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, Motors
+from baselines.reproduction import linearised
+from baselines.reproduction.linearised import growth_rate
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
 ID = "CableBot-FlexSpatial-v0"
-PERIOD, SUBSTEPS = 1 / 500, 20
+PERIOD = 1 / 500
 
 
 def robot(stiffness, *, friction=0.0, unclipped=False):
     """The paper's robot at 11 kg; unclipped motors have a stall torque beyond reach on a line of the same slope."""
-    motors = FLEX_SPATIAL.motors
-    if unclipped:
-        motors = Motors(stall_torque=1e6 * motors.stall_torque, free_speed=1e6 * motors.free_speed)
     springs = dataclasses.replace(FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction)
-    return FLEX_SPATIAL.replace(mass=11.0, motors=motors, transmission=springs)
-
-
-def growth_rate(law, plant_robot):
-    """max Re(log z / h) of the loop sampled with a zero-order hold, linearised at rest at home [1/s].
-
-    Its state is (X, Ẋ, β′, β̇′) and the motor speeds one sample ago, which a law may remember.
-    """
-    n, m = 6, plant_robot.cables
-    angle = textbook.static_motor_angle(plant_robot, plant_robot.mass, plant_robot.home)
-    rest, step = np.concatenate([plant_robot.home, np.zeros(n), angle, np.zeros(2 * m)]), 1e-6
-    states = np.concatenate([rest + step * np.eye(len(rest)), rest - step * np.eye(len(rest))])
-    everyone = np.arange(len(states))
-    plant = Plant(plant_robot, len(states), cable="bilateral")
-    pose, velocity, motor_angle, motor_speed, past = np.split(states, [n, 2 * n, 2 * n + m, 2 * n + 2 * m], axis=1)
-    plant.set_state(everyone, pose, velocity)
-    plant.set_motors(everyone, motor_angle, motor_speed)
-    layout = observation_layout(plant_robot)
-    observation = np.zeros((len(states), layout.size))
-    part = layout.split(observation)
-    part["pose"][:], part["velocity"][:], part["reference_pose"][:] = pose, velocity, plant_robot.home
-    part["motor_angle"][:], part["motor_speed"][:] = motor_angle, motor_speed
-    memory = np.column_stack([past, np.full(len(states), PERIOD)])  # the clock now stands at 0
-    plant.set_demand(law.predict(observation, state=memory)[0])
-    plant.advance(np.zeros((1, 1, n)), np.zeros(1, np.int64), substeps=SUBSTEPS, step=PERIOD / SUBSTEPS)
-    motors = [plant.per_cable(kernel.MOTOR_ANGLE), plant.per_cable(kernel.MOTOR_SPEED)]
-    after = np.concatenate([plant.pose, plant.velocity, *motors, motor_speed], axis=1)
-    loop = (after[: len(rest)] - after[len(rest) :]).T / (2 * step)
-    return float(np.log(np.abs(np.linalg.eigvals(loop)).max()) / PERIOD)
+    made = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
+    return linearised.unclipped(made) if unclipped else made
 
 
 def peaks(law, plant_robot, **keywords):

@@ -1,0 +1,96 @@
+"""``cablebot reproduce``."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from baselines.reproduction.readings import Readings, choices_of
+
+_CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
+
+
+def reproduce(
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="A part, such as fig10, readings or map-stiffness; repeatable.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for results.json, the page and the figures.")] = Path(
+        "reproduction"
+    ),
+    workers: Annotated[int | None, typer.Option(help="Processes; one per core if not given.")] = None,
+    payload: Annotated[str, typer.Option(help=f"What a load counts: {_CHOICES['payload']}.")] = Readings.payload,
+    line: Annotated[str, typer.Option(help=f"q̇ of Eq. 37: {_CHOICES['line']}.")] = Readings.line,
+    platform_mass: Annotated[
+        str, typer.Option(help=f"Spatial platform [kg]: {_CHOICES['platform_mass']}.")
+    ] = Readings.platform_mass,
+    triangles: Annotated[
+        str, typer.Option(help=f"Platform's triangle against the base's: {_CHOICES['triangles']}.")
+    ] = Readings.triangles,
+    sides: Annotated[str, typer.Option(help=f"What a and b are: {_CHOICES['sides']}.")] = Readings.sides,
+    planar_apex: Annotated[
+        str, typer.Option(help=f"Third motor of the planar robot: {_CHOICES['planar_apex']}.")
+    ] = Readings.planar_apex,
+    stiffness: Annotated[str, typer.Option(help=f"K [N·m/rad]: {_CHOICES['stiffness']}.")] = Readings.stiffness,
+    minimum_tension: Annotated[float, typer.Option(help="T_min of the planar cables [N].")] = Readings.minimum_tension,
+    alpha: Annotated[str, typer.Option(help=f"α of Eq. 11: {_CHOICES['alpha']}.")] = Readings.alpha,
+    eq24: Annotated[str, typer.Option(help=f"Divisor of Eqs. 24 and 25: {_CHOICES['eq24']}.")] = Readings.eq24,
+    eq37: Annotated[str, typer.Option(help=f"Form of Eqs. 37–39: {_CHOICES['eq37']}.")] = Readings.eq37,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
+) -> None:
+    """The paper's tables, figures and claims, made again: what agrees, what does not, and why.
+
+    Writes one PNG and SVG per figure, results.json and the page (Markdown and HTML). What the paper leaves open is an
+    option.
+
+    Examples:
+
+    cablebot reproduce --out reproduction
+
+    cablebot reproduce --only fig10 --only fig11 --payload total --line flat
+    """
+    from baselines.reproduction.engine import HTML, MARKDOWN, RESULTS
+    from baselines.reproduction.engine import reproduce as run
+
+    readings = Readings(
+        payload=payload,  # type: ignore[arg-type]
+        line=line,  # type: ignore[arg-type]
+        platform_mass=platform_mass,  # type: ignore[arg-type]
+        triangles=triangles,  # type: ignore[arg-type]
+        sides=sides,  # type: ignore[arg-type]
+        planar_apex=planar_apex,  # type: ignore[arg-type]
+        stiffness=stiffness,  # type: ignore[arg-type]
+        minimum_tension=minimum_tension,
+        alpha=alpha,  # type: ignore[arg-type]
+        eq24=eq24,  # type: ignore[arg-type]
+        eq37=eq37,  # type: ignore[arg-type]
+    )
+    names = [name.strip() for text in only or [] for name in text.split(",") if name.strip()]
+    errors = Console(stderr=True, highlight=False, markup=False)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:.0f} computations"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
+        task = bar.add_task("starting", total=1)
+
+        def step(last: str, done: int, expected: int) -> None:
+            bar.update(task, description=last, completed=done, total=expected)
+
+        results = run(readings, out, only=names, workers=workers, progress=step, say=errors.print)
+    if as_json:
+        print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
+        return
+    counts = Counter(row["verdict"] for row in results["rows"] if row["kind"] != "input" and row["verdict"])
+    print("results and claims of the paper: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
+    print(f"readings: {readings.words()}")
+    if results["missing"]:
+        print(f"not made: {', '.join(results['missing'])}")
+    print("wrote " + ", ".join(str(out / name) for name in (HTML, MARKDOWN, RESULTS)) + " and the figures")

@@ -1,0 +1,314 @@
+"""Runs the parts of the reproduction, and writes what they found: figures, one results.json, one page."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import logging.handlers
+import math
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import baselines
+import cablebot_gym
+from baselines.reproduction.findings import rows
+from baselines.reproduction.page import html, markdown
+from baselines.reproduction.part import Cell, Found, Number, Part, cell_key
+from baselines.reproduction.contents import PARTS
+from baselines.reproduction.readings import Readings
+from cablebot_gym.dlcc.batch import versions
+from cablebot_gym.dlcc.figures import DPI, import_matplotlib
+from cablebot_gym.files import usable_folder, write_whole
+
+RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
+"""Names of the files beside the figures."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with what was done last, how many computations are done, and how many there are."""
+
+_DIGITS = 10
+"""Significant ones in results.json: what is left is rounding, which differs from machine to machine."""
+
+
+def find_parts(names: Sequence[str]) -> tuple[Part, ...]:
+    """The parts of these names in the page's order; all for none.
+
+    Raises:
+        ValueError: naming the known ones, if one is not known.
+    """
+    known = [part.name for part in PARTS]
+    for name in names:
+        if name not in known:
+            raise ValueError(f"there is no part {name!r}; the parts are {', '.join(known)}")
+    return tuple(part for part in PARTS if not names or part.name in names)
+
+
+def reproduce(
+    readings: Readings,
+    out: Path,
+    *,
+    only: Sequence[str] = (),
+    workers: int | None = None,
+    progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Runs parts and writes their figures, ``results.json`` and the page into a folder.
+
+    With ``only`` some parts, those that the folder holds from before are kept, if they were made by the same code and
+    under the same readings. After an interrupt what is done is written, and ``only`` the rest can follow.
+
+    Args:
+        readings: how to read the paper.
+        out: where to; made if it does not exist.
+        only: names of parts; all for none.
+        workers: processes; None for one per core.
+        progress: called after every computation.
+        say: gets what a user should know meanwhile, such as that a first compilation takes its time.
+
+    Returns:
+        What results.json holds.
+
+    Raises:
+        ValueError: if a part is not known, the folder cannot be written to, or ``workers`` is not positive.
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    parts = find_parts(only)
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be at least 1, not {workers}")
+    import_matplotlib()
+    usable_folder(out)
+    results = _Results(readings, out, keep=bool(only))
+    try:
+        for part, found in _computed(parts, readings, workers or _cores(), progress, say or (lambda _: None)):
+            results.add(part, found)
+    finally:
+        written = results.write()
+    return written
+
+
+class _Results:
+    """What is known so far, and its files."""
+
+    def __init__(self, readings: Readings, out: Path, *, keep: bool) -> None:
+        self._readings, self._out = readings, out
+        self._head = {"readings": asdict(readings), "versions": versions(), "source": source_hash()}
+        self._numbers: dict[str, Number] = {}
+        self._parts: dict[str, dict[str, Any]] = {}
+        if keep:
+            self._keep()
+
+    def _keep(self) -> None:
+        """Takes over what an earlier run of the same code and readings left in the folder."""
+        try:
+            before = json.loads((self._out / RESULTS).read_text(encoding="utf-8"))
+            same = all(before[name] == value for name, value in self._head.items())
+            if same:
+                self._numbers = dict(before["numbers"])
+                self._parts = {part["name"]: part for part in before["parts"]}
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # nothing there, or nothing that this command wrote
+
+    def add(self, part: Part, found: Found | str) -> None:
+        """A part's outcome and figure; a string says why the readings do not allow it."""
+        entry: dict[str, Any] = {"name": part.name, "title": part.title, "text": part.text}
+        self._numbers = {key: value for key, value in self._numbers.items() if not key.startswith(f"{part.name}.")}
+        if isinstance(found, str):
+            entry |= {"figure": None, "tables": [], "impossible": found}
+        else:
+            outcome = part.outcome(self._readings, found)
+            self._numbers |= {f"{part.name}.{key}": plain(value) for key, value in outcome.numbers.items()}
+            entry |= {
+                "figure": None if part.draw is None else part.name,
+                "tables": [
+                    {
+                        "title": table.title,
+                        "header": list(table.header),
+                        "rows": [[plain(value) for value in row] for row in table.rows],
+                    }
+                    for table in outcome.tables
+                ],
+            }
+            if part.draw is not None:
+                save_figure(part.draw(self._readings, found), self._out / part.name)
+        self._parts[part.name] = entry
+
+    def write(self) -> dict[str, Any]:
+        """results.json and the page, of the parts there are."""
+        order = [part.name for part in PARTS]
+        results: dict[str, Any] = self._head | {
+            "command": command(self._readings),
+            "numbers": {
+                key: self._numbers[key] for name in order for key in self._numbers if key.startswith(f"{name}.")
+            },
+            "parts": [self._parts[name] for name in order if name in self._parts],
+            "missing": [name for name in order if name not in self._parts],
+        }
+        results["rows"] = rows(self._readings, results["numbers"])
+        write_text(self._out / RESULTS, json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        write_text(self._out / MARKDOWN, markdown(results))
+        write_text(self._out / HTML, html(results))
+        return results
+
+
+def command(readings: Readings, *only: str) -> str:
+    """What to type for these readings and parts."""
+    options = [f"--only {name}" for name in only]
+    default = asdict(Readings())
+    options += [
+        f"--{name.replace('_', '-')} {value}" for name, value in asdict(readings).items() if value != default[name]
+    ]
+    return " ".join(["cablebot reproduce", *options])
+
+
+def save_figure(figure: Any, stem: Path) -> None:
+    """Writes a figure as ``.png`` and ``.svg``, the same bytes each time."""
+    from matplotlib import rc_context
+
+    for suffix, keywords in ((".png", {"dpi": DPI}), (".svg", {"metadata": {"Date": None}})):
+        with rc_context({"svg.hashsalt": stem.name}):
+            write_whole(stem.with_suffix(suffix), partial(figure.savefig, format=suffix[1:], **keywords))
+
+
+def plain(value: Any) -> Number:
+    """A number as JSON has it: Python's own, infinities and NaN as None, rounded to what machines agree on."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    raise TypeError(f"results hold numbers, words and yes or no, not {value!r}")
+
+
+def source_hash() -> str:
+    """Of the code that makes the numbers."""
+    digest = hashlib.sha256()
+    for package in (cablebot_gym, baselines):
+        root = Path(package.__path__[0])
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file whole or not at all."""
+    write_whole(path, lambda temporary: _write(temporary, text))
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _computed(
+    parts: Sequence[Part],
+    readings: Readings,
+    workers: int,
+    progress: Progress | None,
+    say: Callable[[str], None],
+) -> Iterator[tuple[Part, Found | str]]:
+    """Each part as soon as its cells are done; a string in their place says why the readings do not allow it."""
+    waiting: dict[str, dict[str, str]] = {}
+    cells: dict[str, Cell] = {}
+    for part in parts:
+        try:
+            mine = part.cells(readings)
+        except ValueError as error:
+            yield part, str(error)
+            continue
+        keys = {name: cell_key(cell) for name, cell in mine.items()}
+        waiting[part.name] = keys
+        cells |= {keys[name]: cell for name, cell in mine.items()}
+    by_name = {part.name: part for part in parts}
+    done: dict[str, Any] = {}
+    for key, value in _run(cells, workers, say):
+        done[key] = value
+        ready = [name for name, keys in waiting.items() if all(other in done for other in keys.values())]
+        if progress is not None:
+            progress(", ".join(ready) or "computing", len(done), len(cells))
+        for name in ready:
+            yield by_name[name], _gathered(waiting.pop(name), done)
+    for name in list(waiting):  # parts that need no computation
+        yield by_name[name], _gathered(waiting.pop(name), done)
+
+
+def _gathered(keys: Mapping[str, str], done: Mapping[str, Any]) -> Found | str:
+    failed = [done[key] for key in keys.values() if isinstance(done[key], ValueError)]
+    return str(failed[0]) if failed else {name: done[key] for name, key in keys.items()}
+
+
+def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) -> Iterator[tuple[str, Any]]:
+    """Results by key as they come; a ValueError in place of a result says that the readings do not allow it."""
+    if not cells:
+        return
+    if workers == 1:
+        for key, cell in cells.items():
+            yield key, _attempt(cell)
+        return
+    context = multiprocessing.get_context("spawn")  # threads of BLAS do not survive a fork
+    messages = context.Queue()
+    with _listening(messages, say):
+        pool = ProcessPoolExecutor(
+            min(workers, len(cells)), mp_context=context, initializer=_start_worker, initargs=(messages,)
+        )
+        try:
+            futures = {pool.submit(_attempt, cell): key for key, cell in cells.items()}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+            pool.shutdown()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+
+
+def _attempt(cell: Cell) -> Any:
+    try:
+        return cell()
+    except ValueError as error:
+        return error
+
+
+def _start_worker(messages: Any) -> None:
+    """Leaves interrupts to the parent, and tells it what there is to tell."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logger = logging.getLogger("cablebot_gym")
+    logger.addHandler(logging.handlers.QueueHandler(messages))
+    logger.propagate = False
+
+
+@contextmanager
+def _listening(messages: Any, say: Callable[[str], None]) -> Iterator[None]:
+    """Passes on what workers say, once each."""
+    said: set[str] = set()
+
+    class Handler(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            text = record.getMessage()
+            if text not in said:
+                said.add(text)
+                say(text)
+
+    listener = logging.handlers.QueueListener(messages, Handler())
+    listener.start()
+    try:
+        yield
+    finally:
+        listener.stop()
+        messages.close()

@@ -1,0 +1,156 @@
+"""Whether the published payloads tell the geometry: how many geometries give them."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from baselines.reproduction.exact import exact_limit, paper_circle
+from baselines.reproduction.part import Cell, Found, Outcome, Part
+from baselines.reproduction.published import LOADS
+from baselines.reproduction.readings import Readings
+from cablebot_gym.dlcc import exact_payload
+from cablebot_gym.dlcc.figures import BLUE, GREY, VERMILLION, add_legend, entitle, new_figure
+from cablebot_gym.kinematics import Array
+from cablebot_gym.robots import SPATIAL
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROUNDING = 0.06
+"""How far from the published load a geometry still counts as giving it [kg]."""
+
+SIZES = {"half side": 1.0, "circumradius": np.sqrt(3) / 2, "inradius": np.sqrt(3), "half altitude": 2 / np.sqrt(3)}
+"""What "half of the triangle" can measure, and the triangle's size then, in multiples of the first."""
+
+BASE_TURNS = np.radians(np.arange(0, 120, 5))
+"""Turns of the base triangle about z [rad]; further on, the same shapes come again with other numbers."""
+
+PLATFORM_TURNS = np.radians(np.arange(-60, 60, 5))
+"""Turns of the platform's triangle against the base's inverse [rad]."""
+
+PLANAR_TURNS = np.radians(np.arange(0, 121, 2))
+"""Turns of the planar robot's triangle [rad]; further on, the same again with other motors."""
+
+_FREQUENCY = 100.0
+"""Instants of the path that are looked at [Hz], the one of the jump among them: enough to 0.01 kg."""
+
+
+class Geometry(NamedTuple):
+    """One geometry, its largest payload of exact tracking and the motor that limits it."""
+
+    payload: float
+    """Added to 10 kg [kg]; -inf where the platform alone does not keep all cables taut."""
+    motor: int
+
+
+def geometries(*, readings: Readings, base_size: str) -> list[Geometry]:
+    """All geometries with one size of the base; those that cannot even hang at home are left out."""
+    found = []
+    trajectory = paper_circle(SPATIAL)
+    for platform_size, base_turn, platform_turn in product(SIZES, BASE_TURNS, PLATFORM_TURNS):
+        try:
+            robot = SPATIAL.replace(
+                base_anchors=SIZES[base_size] * _turned(SPATIAL.base, base_turn),
+                platform_anchors=SIZES[platform_size] * _turned(SPATIAL.platform, base_turn + platform_turn),
+            )
+        except ValueError:
+            continue
+        limit = exact_payload(robot, trajectory, frequency=_FREQUENCY, line_speed=readings.line_speed(robot))
+        found.append(Geometry(limit.payload if limit.lowest <= 0 else -np.inf, limit.motor or 0))
+    return found
+
+
+def planar_turns(*, readings: Readings) -> list[float]:
+    """Largest payload of exact tracking for each turn of the planar triangle [kg]."""
+    robot, found = readings.planar, []
+    for turn in PLANAR_TURNS:
+        found.append(exact_limit(readings, robot.replace(base_anchors=_turned(robot.base, turn))).payload)
+    return found
+
+
+def _turned(points: Array, angle: float) -> Array:
+    """Points turned about z."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = points.copy()
+    turned[:, :2] = points[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
+    return turned
+
+
+def _cells(readings: Readings) -> dict[str, Cell]:
+    line = Readings(line=readings.line)  # all else is scanned, or has no part in it
+    cells: dict[str, Cell] = {f"base {size}": partial(geometries, readings=line, base_size=size) for size in SIZES}
+    return cells | {"planar": partial(planar_turns, readings=readings.replace(alpha="least"))}
+
+
+def _payloads(found: Found) -> Array:
+    return np.array([item.payload for size in SIZES for item in found[f"base {size}"]])
+
+
+def _outcome(readings: Readings, found: Found) -> Outcome:
+    everything = [item for size in SIZES for item in found[f"base {size}"]]
+    payload, target = _payloads(found), LOADS["spatial"]
+    carries = payload > 0
+    hit = np.abs(payload - target) <= ROUNDING
+    second = np.array([item.motor == 2 for item in everything])
+    planar = np.array(found["planar"])
+    return Outcome(
+        numbers={
+            "geometries": len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS),
+            "hang": len(everything),
+            "carry": int(carries.sum()),
+            "hits": int(hit.sum()),
+            "hits_second_motor": int((hit & second).sum()),
+            "least_kg": float(payload[carries].min()) if carries.any() else None,
+            "largest_kg": float(payload.max()) if carries.any() else None,
+            "planar_best_added_kg": float(planar.max()),
+            "planar_best_turn_deg": float(np.degrees(PLANAR_TURNS[planar.argmax()])),
+        }
+    )
+
+
+def _draw(readings: Readings, found: Found) -> Figure:
+    figure = new_figure(4.4)
+    left, right = figure.subplots(1, 2)
+    payload = _payloads(found)
+    carried = payload[payload > 0]
+    left.hist(carried, bins=np.arange(0, carried.max() + 0.25, 0.25), color=BLUE, label="geometries that carry a load")
+    target = LOADS["spatial"]
+    left.axvspan(target - ROUNDING, target + ROUNDING, color=VERMILLION, alpha=0.6, linewidth=0, label="as published")
+    left.set(
+        xlabel="payload of exact tracking [kg]", ylabel="geometries", title="spatial: size and turn of both triangles"
+    )
+    degrees, planar = np.degrees(PLANAR_TURNS), np.array(found["planar"])
+    mass = readings.planar.mass
+    right.plot(degrees, planar, color=BLUE, label="added to the platform")
+    right.plot(degrees, planar + mass, "--", color=GREY, label="platform and load")
+    low, high = 0.95 * LOADS["planar"], 1.05 * LOADS["planar"]
+    right.axhspan(low, high, color=VERMILLION, alpha=0.3, linewidth=0, label="as published, ± 5 %")
+    right.set(
+        xlabel="turn of the planar triangle [°]", ylabel="mass [kg]", title="planar", xlim=(0, 120), ylim=(0, None)
+    )
+    add_legend(figure, left)
+    right.legend(loc="lower right", fontsize=9)
+    entitle(figure, f"Geometries that give the published payloads, torque-speed line: {readings.line}")
+    return figure
+
+
+PARTS: tuple[Part, ...] = (
+    Part(
+        name="scan",
+        title="Does a payload of 2.56 kg tell the geometry?",
+        text=(
+            "The paper gives a and b, but neither which length of a triangle they are nor how the triangles stand. "
+            f"All {len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS)} combinations of four meanings for each, of "
+            f"{len(BASE_TURNS)} turns of the base and {len(PLATFORM_TURNS)} of the platform are tried for exact "
+            "tracking. Many different robots carry what the paper publishes; a geometry chosen because it does would "
+            "prove nothing. For the planar robot the triangle is turned about its centre."
+        ),
+        cells=_cells,
+        outcome=_outcome,
+        draw=_draw,
+    ),
+)
