@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from cablebot_gym.dlcc.result import DLCCResult
 from cablebot_gym.envs import described
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
-from cablebot_gym.robots import Robot
+from cablebot_gym.trajectories import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,13 +59,72 @@ def import_matplotlib() -> ModuleType:
     return figure
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueProfile:
+    """Torques over time and their limits: what :func:`torque_panels` shows."""
+
+    times: Array
+    """(K,) [s]."""
+    torques: Array
+    """(K, m) [N·m]."""
+    lower: Array
+    """U⁻, (K, m) [N·m]."""
+    upper: Array
+    """U⁺, (K, m) [N·m]."""
+    demanded: Array | None = None
+    """What was asked for before it was clipped, (K, m) [N·m]; None where nothing clips."""
+    end: float
+    """Of the time axis [s]."""
+    name: str = "applied torque"
+    """In the legend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """An instant to mark in a :class:`TorqueProfile`."""
+
+    step: int
+    """Its place in ``times``."""
+    motor: int
+    """Counted from 0."""
+    name: str
+    """In the legend."""
+    note: str
+    """Behind the time."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Travelled:
+    """A motion and its errors: what :func:`path_panels` shows."""
+
+    times: Array
+    """(K,) [s]."""
+    pose: Array
+    """(K, n)."""
+    position_error: Array
+    """(K,) [m]."""
+    rotation_error: Array | None
+    """(K,) [rad]; None in the plane."""
+    name: str = "travelled"
+    """In the legend."""
+    color: str = BLUE
+    """Of its curves."""
+    style: str = "-"
+    """Of its curves."""
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """How matplotlib draws its curves."""
+        return {"color": self.color, "linestyle": self.style, "linewidth": 1.8, "marker": _marker(self.times)}
+
+
 def draw_torques(result: DLCCResult) -> Figure:
     """Each motor's torque against its limits U±, and the tightest instant of the episode.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure = new_figure(_torques_height(result.task.robot))
+    figure = new_figure(torques_height(result.task.robot.cables))
     _torques(figure, result)
     _entitle(figure, result)
     return figure
@@ -87,7 +148,7 @@ def draw_result(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    heights = [_torques_height(result.task.robot), _PATH_HEIGHT]
+    heights = [torques_height(result.task.robot.cables), _PATH_HEIGHT]
     figure = new_figure(sum(heights))
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     _torques(above, result)
@@ -179,8 +240,9 @@ def _slope(result: DLCCResult) -> Array:
 _PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
 
 
-def _torques_height(robot: Robot) -> float:
-    return 1.4 + 2.0 * math.ceil(robot.cables / 3)
+def torques_height(cables: int) -> float:
+    """What :func:`torque_panels` needs with a title and a legend [inch]."""
+    return 1.4 + 2.0 * math.ceil(cables / 3)
 
 
 def new_figure(height: float) -> Figure:
@@ -221,74 +283,92 @@ def _entitle(figure: FigureBase, result: DLCCResult, *, one: bool = True) -> Non
 
 
 def _torques(figure: FigureBase, result: DLCCResult) -> None:
-    time, robot = result.history["command_time"], result.task.robot
-    (lower, upper), demand = torque_limits(result), demanded_torque(result)
-    columns = min(3, robot.cables)
-    rows = math.ceil(robot.cables / columns)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes in grid.flat[robot.cables :]:
+    history, (lower, upper), (step, motor) = result.history, torque_limits(result), tightest(result)
+    demand = abs(history["drive_demand"][step, motor])
+    profile = TorqueProfile(
+        times=history["command_time"],
+        torques=history["torques"],
+        lower=lower,
+        upper=upper,
+        demanded=demanded_torque(result),
+        end=_end(result),
+    )
+    left = f"{demand - 1:.1%} beyond" if demand > 1 else f"{1 - demand:.1%} left"
+    torque_panels(figure, profile, Mark(step=step, motor=motor, name="tightest instant", note=left))
+
+
+def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None = None) -> None:
+    """A panel for each motor, its torque against its limits, and a legend; in one of them, an instant marked."""
+    time, cables = profile.times, profile.torques.shape[1]
+    columns = min(3, cables)
+    grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)
+    for axes in grid.flat[cables:]:
         axes.remove()
-    (low, high), marker = _torque_range(result), _marker(result)
-    for motor, axes in enumerate(grid.flat[: robot.cables]):
+    (low, high), marker = _torque_range(profile), _marker(time)
+    for motor, axes in enumerate(grid.flat[:cables]):
         axes.set_title(f"motor {motor + 1}", fontsize=11)
-        shade = {"color": SHADE, "linewidth": 0}
-        axes.fill_between(time, upper[:, motor], high, label="infeasible", **shade)
-        axes.fill_between(time, low, lower[:, motor], **shade)
-        axes.plot(time, upper[:, motor], color="black", linewidth=1.0, marker=marker, label="limits U±")
-        axes.plot(time, lower[:, motor], color="black", linewidth=1.0, marker=marker)
-        # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
-        axes.plot(time, demand[:, motor], "--", color=VERMILLION, linewidth=1.4, label="demanded, where beyond")
-        axes.plot(
-            time, result.history["torques"][:, motor], color=BLUE, linewidth=1.8, marker=marker, label="applied torque"
-        )
-        axes.set(xlim=_span(result), ylim=(low, high))
-        below = motor + columns >= robot.cables
+        shade: dict[str, Any] = {"color": SHADE, "linewidth": 0}
+        upper, lower, ends = profile.upper[:, motor], profile.lower[:, motor], time[[0, *range(len(time)), -1]]
+        axes.fill(ends, np.concatenate([[high], upper, [high]]), label="infeasible", **shade)
+        axes.fill(ends, np.concatenate([[low], lower, [low]]), **shade)
+        axes.plot(time, upper, color="black", linewidth=1.0, marker=marker, label="limits U±")
+        axes.plot(time, lower, color="black", linewidth=1.0, marker=marker)
+        if profile.demanded is not None:
+            # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
+            demanded = profile.demanded[:, motor]
+            axes.plot(time, demanded, "--", color=VERMILLION, linewidth=1.4, label="demanded, where beyond")
+        axes.plot(time, profile.torques[:, motor], color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
+        axes.set(xlim=_span(time, profile.end), ylim=(low, high))
+        below = motor + columns >= cables
         axes.tick_params(labelbottom=below)
         axes.locator_params(axis="x", nbins=5, prune="upper")  # the last label would touch the next panel's first
         if below:
             axes.set_xlabel("time [s]")
         if motor % columns == 0:
             axes.set_ylabel("torque [N·m]")
-    step, motor = tightest(result)
-    _mark_tightest(grid.flat[motor], result, step, motor)
-    add_legend(figure, grid.flat[motor])
+    if mark is not None:
+        _mark(grid.flat[mark.motor], profile, mark)
+    add_legend(figure, grid.flat[0 if mark is None else mark.motor])
 
 
-def _span(result: DLCCResult) -> tuple[float, float]:
+def _end(result: DLCCResult) -> float:
+    """When the last step of the episode ends [s]."""
+    return float(result.history["command_time"][-1] + 1 / result.task.control_frequency)
+
+
+def _span(times: Array, end: float) -> tuple[float, float]:
     """What to show of the time [s]: the episode, which a failure at zero payload cuts short."""
-    end = float(result.history["command_time"][-1] + 1 / result.task.control_frequency)
-    return (-0.1 * end, 1.1 * end) if _is_short(result) else (0.0, end)
+    return (-0.1 * end, 1.1 * end) if _is_short(times) else (0.0, end)
 
 
-def _marker(result: DLCCResult) -> str:
-    return "." if _is_short(result) else ""
+def _marker(times: Array) -> str:
+    return "." if _is_short(times) else ""
 
 
-def _is_short(result: DLCCResult) -> bool:
-    return len(result.history["command_time"]) <= _FEW
+def _is_short(times: Array) -> bool:
+    return len(times) <= _FEW
 
 
-def _torque_range(result: DLCCResult) -> tuple[float, float]:
+def _torque_range(profile: TorqueProfile) -> tuple[float, float]:
     """What to show of the torques: the limits, and demands beyond them up to half as far again."""
-    (lower, upper), demand = torque_limits(result), demanded_torque(result)
-    stall = float(result.task.robot.stall_torque.max())
+    lower, upper = profile.lower, profile.upper
+    demand = profile.torques if profile.demanded is None else profile.demanded
+    stall = float((upper - lower).max()) / 2
     low = max(min(lower.min(), demand.min()), lower.min() - stall / 2)
     high = min(max(upper.max(), demand.max()), upper.max() + stall / 2)
     return float(low - 0.15 * stall), float(high + 0.15 * stall)
 
 
-def _mark_tightest(axes: Axes, result: DLCCResult, step: int, motor: int) -> None:
-    time, torque = result.history["command_time"][step], result.history["torques"][step, motor]
-    demand = abs(result.history["drive_demand"][step, motor])
-    label = f"t = {time:.3f} s: " + (f"{demand - 1:.1%} beyond" if demand > 1 else f"{1 - demand:.1%} left")
-    early = time < sum(_span(result)) / 2
+def _mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
+    time, torques = profile.times[mark.step], profile.torques[:, mark.motor]
+    lower, upper = profile.lower[:, mark.motor], profile.upper[:, mark.motor]
+    torque, early = torques[mark.step], time < sum(_span(profile.times, profile.end)) / 2
     # Between the motor's torque and the limit on the other side.
-    (lower, upper), torques = torque_limits(result), result.history["torques"][:, motor]
-    positive = result.history["drive_demand"][step, motor] > 0
-    free = (lower[:, motor].max(), torques.min()) if positive else (torques.max(), upper[:, motor].min())
-    axes.plot(time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label="tightest instant")
+    positive = 2 * torque > lower[mark.step] + upper[mark.step]
+    free = (lower.max(), torques.min()) if positive else (torques.max(), upper.min())
+    axes.plot(time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label=mark.name)
     axes.annotate(
-        label,
+        f"t = {round(float(time), 7):.3f} s: {mark.note}",  # a half is rounded as in a result's own words
         (time, torque),
         xytext=(0.96 if early else 0.04, sum(free) / 2),
         textcoords=axes.get_yaxis_transform(),
@@ -311,65 +391,102 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
 
 
 def _path(figure: FigureBase, result: DLCCResult) -> None:
-    rotates, history = not result.task.robot.planar, result.history
+    history = result.history
+    travelled = Travelled(
+        times=history["command_time"] + 1 / result.task.control_frequency,
+        pose=history["pose"],
+        position_error=history["tracking_error"],
+        rotation_error=None if result.task.robot.planar else history["rotation_error"],
+    )
+    path_panels(figure, result.task.trajectory, [travelled], **result.limits)
+
+
+def path_panels(
+    figure: FigureBase,
+    trajectory: Trajectory,
+    travelled: Sequence[Travelled],
+    *,
+    position: float | None,
+    rotation: float | None,
+) -> None:
+    """Paths against the tube around their reference, errors against their bounds, and a legend.
+
+    Args:
+        figure: empty.
+        trajectory: the reference.
+        travelled: at least one motion.
+        position: bound [m], the tube's radius; None for none.
+        rotation: bound [rad]; None for none.
+    """
+    rotates = any(one.rotation_error is not None for one in travelled)
     grid = figure.add_gridspec(2 if rotates else 1, 2, width_ratios=[1, 1.25])
     plane, last = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    _plane(plane, result)
-    _error(last, result, history["tracking_error"], result.limits["position"], "position", "mm")
+    draw_plane(plane, trajectory, travelled, position or 0.0)
+    _error(last, travelled, [one.position_error for one in travelled], position, "position", "mm")
     if rotates:
         last.tick_params(labelbottom=False)
         last = figure.add_subplot(grid[1, 1], sharex=last)
-        _error(last, result, history["rotation_error"], result.limits["rotation"], "rotation", "mrad")
+        _error(last, travelled, [one.rotation_error for one in travelled], rotation, "rotation", "mrad")
     last.set_xlabel("time [s]")
     add_legend(figure, plane)
 
 
-def _plane(axes: Axes, result: DLCCResult) -> None:
-    """The path in the x–y plane."""
-    from matplotlib.collections import PolyCollection
+def draw_plane(axes: Axes, trajectory: Trajectory, travelled: Sequence[Travelled], radius: float) -> None:
+    """Paths in the x–y plane, and the tube of that radius [m] around their reference."""
+    from matplotlib.collections import EllipseCollection
 
-    trajectory = result.task.trajectory
-    reference = trajectory(np.linspace(0.0, trajectory.duration, 2001)).position[:, :2]
-    travelled = result.history["pose"][:, :2]
-    radius = result.limits["position"] or 0.0
+    reference = trajectory(np.linspace(0.0, trajectory.duration, 1001)).position[:, :2]
     # Discs rather than offset curves: right for a reference that stays, stops or turns on the spot as well.
-    turn = np.linspace(0, 2 * np.pi, 33)
-    discs = reference[:, None] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    tube = PolyCollection(list(discs), color=SKY, linewidth=0, label=f"tube, R = {radius * 1e3:g} mm", zorder=0)
+    discs: dict[str, Any] = {"units": "xy", "offsets": reference, "offset_transform": axes.transData}
+    tube = EllipseCollection(2 * radius, 2 * radius, 0, color=SKY, linewidth=0, zorder=0, **discs)
     axes.add_collection(tube, autolim=False)
-    axes.plot(*travelled.T, color=BLUE, linewidth=1.8, marker=_marker(result), label="travelled")
+    axes.fill([], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm")  # legends do not know such collections
+    seen = [reference - radius, reference + radius]
+    for one in travelled:
+        seen.append(one.pose[:, :2])
+        axes.plot(*seen[-1].T, label=one.name, **one.line)
     axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
-    seen = np.concatenate([reference - radius, reference + radius, travelled])
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    low, high = np.concatenate(seen).min(axis=0), np.concatenate(seen).max(axis=0)
     pad = 0.06 * (high - low).max()
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _error(axes: Axes, result: DLCCResult, error: Array, bound: float | None, name: str, unit: str) -> None:
-    """An error against its bound; ``unit`` is a thousandth of the SI unit."""
-    end_of_step = result.history["command_time"] + 1 / result.task.control_frequency
+def _error(
+    axes: Axes,
+    travelled: Sequence[Travelled],
+    errors: Sequence[Array | None],
+    bound: float | None,
+    name: str,
+    unit: str,
+) -> None:
+    """Errors against their bound; ``unit`` is a thousandth of the SI unit."""
     axes.locator_params(axis="x", nbins=6)
-    axes.plot(end_of_step, 1e3 * error, color=BLUE, linewidth=1.8, marker=_marker(result))
-    top = 1e3 * float(error.max())
+    longest = max((one.times for one in travelled), key=len)
+    top = 0.0
+    for one, error in zip(travelled, errors, strict=True):
+        if error is not None:
+            axes.plot(one.times, 1e3 * error, **one.line)
+            top = max(top, 1e3 * float(error.max()))
     if bound is not None:
-        _mark_bound(axes, bound, unit)
+        mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
     else:
         axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
-    axes.set(xlim=_span(result), ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
+    span = _span(longest, float(longest[-1]))
+    axes.set(xlim=span, ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
 
 
-def _mark_bound(axes: Axes, bound: float, unit: str) -> None:
-    """A line at an error's bound, in thousandths of the SI unit."""
+def mark_bound(axes: Axes, bound: float, unit: str, *, side: Literal["left", "right"] = "right") -> None:
+    """A line at an error's bound, labelled on one side; ``unit`` is a thousandth of the SI unit."""
     axes.axhline(1e3 * bound, color="black", linewidth=1.0)
     axes.annotate(
         f"bound {1e3 * bound:g} {unit}",
-        (0.99, 1e3 * bound),
+        (0.99 if side == "right" else 0.01, 1e3 * bound),
         xycoords=("axes fraction", "data"),
         xytext=(0, 4),
         textcoords="offset points",
-        horizontalalignment="right",
+        horizontalalignment=side,
         verticalalignment="bottom",
         bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
     )

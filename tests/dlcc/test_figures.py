@@ -131,9 +131,9 @@ def test_path_is_not_shifted_by_a_step_against_its_reference(result):
     np.testing.assert_allclose(millimetres, away, atol=1e-9)
     assert plane.get_aspect() == 1
     (tube,) = plane.collections
-    corners = np.concatenate([path.vertices for path in tube.get_paths()])
-    nearest = np.linalg.norm(corners[::97, None] - reference.get_xydata()[None], axis=-1).min(axis=1)
-    assert np.all(nearest <= result.limits["position"] + 1e-9)
+    np.testing.assert_allclose([tube.get_widths(), tube.get_heights()], 2 * result.limits["position"])
+    assert tube.get_linewidth() == 0  # the edge would add to the radius
+    np.testing.assert_array_equal(tube.get_offsets(), reference.get_xydata())
 
 
 def test_bounds_drawn_are_not_others_than_the_criterions(results):
@@ -257,3 +257,33 @@ def test_label_of_a_bound_is_not_crossed_by_the_curve(results):
         (label,) = axes.texts
         assert label.get_text() == "bound 10 mm"
         assert label.get_bbox_patch().get_facecolor()[:3] == (1, 1, 1)
+
+
+def test_torques_that_nothing_clips_do_not_get_a_demand_or_a_mark():
+    times, torques = np.linspace(0.0, 1.0, 50), np.zeros((50, 3))
+    profile = figures.TorqueProfile(times=times, torques=torques, lower=torques - 5, upper=torques + 5, end=1.0)
+    figure = figures.new_figure(figures.torques_height(3))
+    figures.torque_panels(figure, profile)
+    assert [line.get_label() for line in panels(figure)[0].get_lines() if line.get_label()[0] != "_"] == [
+        "limits U±",
+        "applied torque",
+    ]
+    assert not any(axes.texts for axes in panels(figure))
+
+
+def test_several_motions_do_not_share_a_curve_or_their_shortest_time(results):
+    history, trajectory = results["planar"].history, results["planar"].task.trajectory
+    whole = figures.Travelled(
+        times=history["command_time"],
+        pose=history["pose"],
+        position_error=history["tracking_error"],
+        rotation_error=None,
+    )
+    cut = dataclasses.replace(
+        whole, times=whole.times[:30], pose=whole.pose[:30], position_error=whole.position_error[:30], name="cut"
+    )
+    figure = figures.new_figure(4.0)
+    figures.path_panels(figure, trajectory, [cut, whole], position=0.01, rotation=None)
+    plane, position = figure.axes
+    assert [len(line.get_xdata()) for line in plane.get_lines()][:2] == [30, len(whole.times)]
+    assert position.get_xlim() == (0.0, whole.times[-1])
