@@ -155,8 +155,8 @@ def test_ripple_before_the_jump_is_not_mixed_with_that_after():
     rigid = np.zeros((1001, 6))
     ringing = np.where(times > 0.5, 2.0, 0.5)[:, None] * np.ones(6)
     profiles = [Profile(times=times, torques=torques, lower=rigid, upper=rigid) for torques in (ringing, rigid)]
-    assert tracking.ripple(*profiles, after=False) == pytest.approx(0.5)
-    assert tracking.ripple(*profiles, after=True) == pytest.approx(2.0)
+    assert tracking.ripple(*profiles, tracking.JUMP - tracking.WINDOW) == pytest.approx(0.5)
+    assert tracking.ripple(*profiles, tracking.JUMP) == pytest.approx(2.0)
 
 
 class Recording(RobustPD):
