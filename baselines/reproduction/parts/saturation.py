@@ -182,7 +182,8 @@ _PATHS = """\
 The path at that payload inside the tube of radius R around its reference, and its errors at each instant. The other
 curves are the largest payloads of the same law when torque beyond U± is clipped instead of forbidden, with the payload
 told to the law and not told: there an error or a slack cable gives way, so accuracy needs no attention only while no
-motor saturates and the law knows the payload. That the path stays inside the tube, as published, holds. The bound of rotation is ours; the paper has none.
+motor saturates and the law knows the payload. That the path stays inside the tube, as published, holds. The bound of
+rotation is ours; the paper has none.
 """
 
 
