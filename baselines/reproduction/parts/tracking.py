@@ -33,8 +33,8 @@ WINDOW = 0.2
 COORDINATES = ("x", "y", "z", "ψ", "θ", "φ")
 
 _LINE_STYLES = ("-", "--", "-.")
-_THIN = 5
-"""Of the limits, which are smooth, every so many instants are drawn."""
+_SMOOTH, _RINGING = 0.01, 0.002
+"""Between the instants at which limits are drawn [s], to keep figures small."""
 
 
 def moved(readings: Readings, robot: Robot) -> Robot:
@@ -171,17 +171,30 @@ def motor_panels(figure: Figure | SubFigure, robot: Robot) -> list[Axes]:
 
 
 def limit_panels(
-    panels: list[Axes], times: Array, lower: Array, upper: Array, *, colour: str = "black", label: str = "limits U±"
+    panels: list[Axes],
+    times: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    step: float = _SMOOTH,
+    colour: str = "black",
+    label: str = "limits U±",
 ) -> None:
     """Draws U± and shades what lies beyond."""
     far = 3 * float(np.abs([lower, upper]).max())
-    chosen = np.union1d(np.arange(0, len(times), _THIN), len(times) - 1)
+    chosen = _thinned(times, step)
     times, lower, upper = times[chosen], lower[chosen], upper[chosen]
     for motor, axes in enumerate(panels):
         axes.fill_between(times, upper[:, motor], far, color=SHADE, linewidth=0, label="beyond the motor")
         axes.fill_between(times, -far, lower[:, motor], color=SHADE, linewidth=0)
         axes.plot(times, upper[:, motor], color=colour, linewidth=1.0, label=label)
         axes.plot(times, lower[:, motor], color=colour, linewidth=1.0)
+
+
+def _thinned(times: Array, step: float) -> Array:
+    """Places of some instants, about ``step`` [s] apart, with the first and the last."""
+    stride = max(1, round(step / float(np.median(np.diff(times)))))
+    return np.union1d(np.arange(0, len(times), stride), len(times) - 1)
 
 
 def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
@@ -274,13 +287,13 @@ def _draw_flexible(readings: Readings, found: Found) -> Figure:
     )
     figure = new_figure(5.9)
     panels = motor_panels(figure, robot)
-    # Every fourth instant is still a kilohertz.
     jump = int(np.searchsorted(state_space.times, JUMP))
-    chosen = np.union1d(np.arange(0, len(state_space.times), 4), [jump, jump + 1])
+    chosen = np.union1d(_thinned(state_space.times, 1e-3), [jump, jump + 1])
     names = {
         "state_space": "with springs, by Eqs. 22–25",
         "loop": "Eq. 22 as printed, run on the robot",
         "rigid": "rigid (Table 4)",
+        "limits": "limits U± of the blue motion",
     }
     curves = {
         "state_space": (state_space.times[chosen], state_space.torques[chosen], BLUE, 1.2),
@@ -288,7 +301,7 @@ def _draw_flexible(readings: Readings, found: Found) -> Figure:
         "rigid": (rigid["command_time"], rigid["torques"], "black", 1.4),
     }
     limits = (state_space.lower[chosen], state_space.upper[chosen])
-    limit_panels(panels, state_space.times[chosen], *limits, colour=GREY, label="limits U± of the blue motion")
+    limit_panels(panels, state_space.times[chosen], *limits, step=_RINGING, colour=GREY, label=names["limits"])
     for motor, axes in enumerate(panels):
         for name, (times, torques, colour, width) in curves.items():
             axes.plot(times, torques[:, motor], color=colour, linewidth=width, label=names[name])
