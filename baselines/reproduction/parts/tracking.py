@@ -33,7 +33,7 @@ WINDOW = 0.2
 COORDINATES = ("x", "y", "z", "ψ", "θ", "φ")
 
 _LINE_STYLES = ("-", "--", "-.")
-_SMOOTH, _RINGING = 0.01, 0.002
+_SMOOTH, _RINGING = 0.01, 0.004
 """Between the instants at which limits are drawn [s], to keep figures small."""
 
 
