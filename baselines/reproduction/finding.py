@@ -1,0 +1,197 @@
+"""What a finding is, and what the functions that make one may look at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from baselines.reproduction.part import Number
+from baselines.reproduction.published import Published
+from baselines.reproduction.readings import Readings, Source
+from cablebot_gym.robots import Robot
+
+Verdict = Literal[
+    "taken", "taken, corrected", "not taken", "contradicted", "reproduces", "does not", "cannot be decided"
+]
+"""Of an input: used as printed, used after a correction, replaced by a reading, or printed otherwise elsewhere in the
+paper. Of a result or claim: the last three."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What came of one published number or claim."""
+
+    ours: str
+    """Our value in words."""
+    value: float | None
+    """Our value in the published one's unit; None where it is no number."""
+    reading: str
+    """The readings that it depends on, as they were chosen; empty if none."""
+    verdict: Verdict
+    """See :data:`~baselines.reproduction.findings.RULE`."""
+    evidence: str
+    """What it rests on."""
+    command: str
+    """What gives it."""
+
+
+class Absent(Exception):
+    """A number that the run has not made."""
+
+
+class NoRobot(Exception):
+    """No positive tensions hold the robot as it was read."""
+
+
+def spatial(readings: Readings, source: Source) -> Robot:
+    """The rigid spatial robot.
+
+    Raises:
+        NoRobot: if there is none under these readings.
+    """
+    try:
+        return readings.spatial(source)
+    except ValueError as error:
+        raise NoRobot(str(error)) from error
+
+
+def flexible(readings: Readings, source: Source) -> Robot:
+    """The spatial robot with joint springs.
+
+    Raises:
+        NoRobot: if there is none under these readings.
+    """
+    try:
+        return readings.flexible(source)
+    except ValueError as error:
+        raise NoRobot(str(error)) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What a finding may look at."""
+
+    readings: Readings
+    """How the paper was read."""
+    numbers: Mapping[str, Number]
+    """All numbers of the run, ``part.name``."""
+
+    def optional(self, key: str) -> float | None:
+        """A number that may be None for a good reason: no payload is carried, no motor is at its limit.
+
+        Raises:
+            Absent: if it was not made.
+        """
+        if key not in self.numbers:
+            raise Absent(key)
+        value = self.numbers[key]
+        if isinstance(value, str):
+            raise TypeError(f"{key} should be a number, not {value!r}")
+        return None if value is None or math.isnan(value) else float(value)
+
+    def number(self, key: str) -> float:
+        """A number without which nothing can be said.
+
+        Raises:
+            Absent: if it was not made.
+        """
+        if (value := self.optional(key)) is None:
+            raise Absent(key)
+        return value
+
+    def flag(self, key: str) -> bool:
+        """Whether something holds.
+
+        Raises:
+            Absent: if it was not made.
+        """
+        return bool(self.number(key))
+
+    def text(self, key: str) -> str:
+        """Something in words.
+
+        Raises:
+            Absent: if it was not made.
+        """
+        if (value := self.numbers.get(key)) is None:
+            raise Absent(key)
+        return as_text(value)
+
+    def maybe(self, key: str) -> float | None:
+        """A number that only adds to the evidence."""
+        return self.optional(key) if key in self.numbers else None
+
+    def used(self, *names: str) -> str:
+        """The readings of these names, as they were chosen."""
+        return ", ".join(f"{name.replace('_', ' ')} {getattr(self.readings, name)}" for name in names)
+
+
+Make = Callable[[Published, Run], Finding]
+"""Makes a finding; raises :class:`Absent` if a number that it needs was not made."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finder:
+    """How a finding is made."""
+
+    parts: tuple[str, ...]
+    """The parts whose numbers it needs, or one that runs on the input."""
+    make: Make
+    """Makes it."""
+
+
+def command(readings: Readings, *only: str) -> str:
+    """What runs these parts, or all for none, under some readings."""
+    words = ["cablebot reproduce", *(f"--only {name}" for name in only)]
+    words += [f"--{name.replace('_', '-')} {value}" for name, value in _changed(readings).items()]
+    return " ".join(words)
+
+
+def _changed(readings: Readings) -> dict[str, object]:
+    """The readings that are not the default."""
+    default, given = asdict(Readings()), asdict(readings)
+    return {name: value for name, value in given.items() if value != default[name]}
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def as_text(value: Number) -> str:
+    """A number with four significant digits, yes or no, a dash for None; words as they are."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return f"{value:d}".replace("-", "−")
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
+    digits, _, power = f"{value:.4g}".partition("e")
+    digits = digits.replace("-", "−")
+    return f"{digits} · 10{str(int(power)).translate(_RAISED)}" if power else digits
+
+
+def kilograms(value: float | None) -> str:
+    """A payload; None: not even zero is carried."""
+    if value is None or value == -math.inf:
+        return "nothing"
+    return f"{as_text(value)} kg"
+
+
+def off(ours: float, published: float) -> str:
+    """How far a number of ours is from a published one."""
+    return f"{100 * (ours / published - 1):+.0f} %".replace("-", "−").replace("+0 %", "0 %").replace("−0 %", "0 %")
+
+
+def listed(parts: list[str]) -> str:
+    """Sentences, those that are empty left out."""
+    return " ".join(part for part in parts if part)
+
+
+def sentence(words: str) -> str:
+    """Its first letter large."""
+    return words[:1].upper() + words[1:]
