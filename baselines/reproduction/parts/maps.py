@@ -39,7 +39,7 @@ STIFFNESSES = {
 BOUNDS = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0)
 """R [mm]."""
 
-DURATIONS = (0.7, 0.8, 0.9, 1.0, 1.25, 1.5, 2.0, 3.0)
+DURATIONS = (0.7, 0.8, 0.9, 1.0, 1.5, 2.0, 3.0)
 """Of the circle [s]."""
 
 RADII = (0.05, 0.1, 0.15, 0.2)
@@ -51,10 +51,10 @@ HEIGHTS = (0.08, 0.1, 0.15, 0.2, 0.3)
 PAPER_CIRCLE = (0.1, 0.1)
 """The radius and height of Table 3 [m]."""
 
-FINE_RADII = tuple(np.linspace(0.02, 0.22, 21).round(4).tolist())
+FINE_RADII = tuple(np.linspace(0.02, 0.21, 20).round(4).tolist())
 """Of the circles that are tracked exactly [m]."""
 
-FINE_HEIGHTS = tuple(np.linspace(0.06, 0.33, 19).round(4).tolist())
+FINE_HEIGHTS = tuple(np.linspace(0.06, 0.33, 28).round(4).tolist())
 """The same, z [m]."""
 
 LIGHT_LOAD, HEAVY_LOAD = 10.0, 30.0
@@ -467,7 +467,7 @@ def _draw_duration(readings: Readings, found: Found) -> Figure:
     return figure
 
 
-_CONTOURS = (1, 2, 5, 10, 15, 20)
+_CONTOURS = (2, 5, 10, 15, 20)
 """[kg]"""
 
 
