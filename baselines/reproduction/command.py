@@ -33,6 +33,9 @@ def reproduce(
         str, typer.Option(help=f"Platform's triangle against the base's: {_CHOICES['triangles']}.")
     ] = Readings.triangles,
     sides: Annotated[str, typer.Option(help=f"What a and b are: {_CHOICES['sides']}.")] = Readings.sides,
+    pulleys: Annotated[
+        str, typer.Option(help=f"J and c of the rigid spatial robot: {_CHOICES['pulleys']}.")
+    ] = Readings.pulleys,
     planar_apex: Annotated[
         str, typer.Option(help=f"Third motor of the planar robot: {_CHOICES['planar_apex']}.")
     ] = Readings.planar_apex,
@@ -63,6 +66,7 @@ def reproduce(
         platform_mass=platform_mass,  # type: ignore[arg-type]
         triangles=triangles,  # type: ignore[arg-type]
         sides=sides,  # type: ignore[arg-type]
+        pulleys=pulleys,  # type: ignore[arg-type]
         planar_apex=planar_apex,  # type: ignore[arg-type]
         stiffness=stiffness,  # type: ignore[arg-type]
         minimum_tension=minimum_tension,

@@ -22,10 +22,11 @@ import numpy as np
 
 import baselines
 import cablebot_gym
+from baselines.reproduction.contents import PARTS
+from baselines.reproduction.finding import command
 from baselines.reproduction.findings import rows
 from baselines.reproduction.page import html, markdown
 from baselines.reproduction.part import Cell, Found, Number, Part, cell_key
-from baselines.reproduction.contents import PARTS
 from baselines.reproduction.readings import Readings
 from cablebot_gym.dlcc.batch import versions
 from cablebot_gym.dlcc.figures import DPI, import_matplotlib
@@ -159,16 +160,6 @@ class _Results:
         write_text(self._out / MARKDOWN, markdown(results))
         write_text(self._out / HTML, html(results))
         return results
-
-
-def command(readings: Readings, *only: str) -> str:
-    """What to type for these readings and parts."""
-    options = [f"--only {name}" for name in only]
-    default = asdict(Readings())
-    options += [
-        f"--{name.replace('_', '-')} {value}" for name, value in asdict(readings).items() if value != default[name]
-    ]
-    return " ".join(["cablebot reproduce", *options])
 
 
 def save_figure(figure: Any, stem: Path) -> None:

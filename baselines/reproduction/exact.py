@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.reproduction.readings import Readings
-from cablebot_gym.dlcc import exact_payload
+from cablebot_gym.dlcc.exact import GRID, exact_payload
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 
-_GRID = 2000.0
-"""Instants per second [Hz]: over a hundred in a period of the motors behind the paper's springs."""
+COARSE = 100.0
+"""Instants per second, each with its two sides, that tell an exact payload to 0.01 kg [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,13 +77,13 @@ def exact_limit(readings: Readings, robot: Robot) -> Heaviest:
 def state_space_profile(readings: Readings, robot: Robot, payload: float) -> Profile:
     """Torques of Eq. 22 with joint springs, by the paper's own state space.
 
-    The platform is on the reference (Eq. 23); Eq. 24, whose divisor has to be J′ and is printed as 1 + J′,
+    The platform is on the reference (Eq. 23); Eq. 24, printed with the divisor 1 + J′ where its units ask for J′,
 
         β̈′ = (κ + K (β − β′)) / J′,   κ = r T + J β̈,
 
-    from β̈′ = β̇′ = 0 on gives the motors' angles, and τ = κ + J′ β̈′. Nothing damps them: what a jump of κ starts rings
-    on. It is how the paper can have come to its figures, and not the motion of any robot: there, Eq. 22 meets the
-    springs' own equation and β̈′ cancels.
+    from β̈′ = β̇′ = 0 on gives the motors' angles, and Eq. 22 the torques τ = κ + J′ β̈′. Nothing damps them: what a jump
+    of κ starts rings on. It is how the paper can have come to its figures, and the motion of no robot: by Eq. 4, Eq. 24
+    belongs to τ = κ, and with Eq. 22 for τ, β̈′ cancels and no differential equation is left (docs/errata.md).
 
     The oscillator is solved exactly for κ + K β linear in between the instants.
     """
@@ -111,7 +111,7 @@ def state_space_limit(readings: Readings, robot: Robot) -> Heaviest:
 def _times(robot: Robot) -> Array:
     """Instants of the whole motion, both sides of each half of it, where the circle's acceleration jumps."""
     duration = paper_circle(robot).duration
-    count = 2 * round(_GRID * duration / 2)
+    count = 2 * round(GRID * duration / 2)
     grid = np.arange(count) * (duration / count)
     middle = count // 2
     return np.insert(grid, middle + 1, grid[middle] + 1e-9 * duration)

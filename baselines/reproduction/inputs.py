@@ -343,10 +343,12 @@ def _robots() -> Iterator[tuple[str, Finder]]:
             "fig6",
             _of(_spatial, "damping"),
             "Transmission.damping",
+            readings=("pulleys",),
             corrected="its unit is that of a torque per speed; Table 2 has no c, and 0 is taken",
         ),
     )
-    yield "table4.J", _input("fig6", _of(_spatial, "pulley_inertia"), "Transmission.pulley_inertia")
+    inertia = _of(_spatial, "pulley_inertia")
+    yield "table4.J", _input("fig6", inertia, "Transmission.pulley_inertia", readings=("pulleys",))
     yield from _platform("table5", "fig7", _flexible)
     yield "table5.K", _stiffness("fig7", "control")
     yield (

@@ -51,6 +51,9 @@ class Readings:
     both turned by half a turn about z (``turned``); or both point the same way (``aligned``)."""
     sides: Literal["half-side", "circumradius"] = "half-side"
     """What a and b of Table 4, "half of the triangle", measure."""
+    pulleys: Literal["table4", "table5"] = "table4"
+    """J and c of the rigid spatial robot: those of Table 4, or those of the robot with joint springs, whose pulleys
+    alone have half the inertia and no damping (Table 5)."""
     planar_apex: Literal["up", "left", "down", "right"] = "up"
     """Where the third motor of the planar robot stands; the path starts on the right and goes up."""
     stiffness: Literal["as-printed", "2", "3"] = "as-printed"
@@ -60,7 +63,8 @@ class Readings:
     alpha: Literal["least", "constant"] = "least"
     """α of Eq. 11: at each instant the least that keeps T_min, or the least constant that keeps it all the way."""
     eq24: Literal["corrected", "verbatim"] = "corrected"
-    """Divisor of Eqs. 24 and 25, by which §3.3 moves the motors behind their springs: J′, or "1 + J′" as printed."""
+    """Divisor of Eqs. 24 and 25, by which §3.3 moves the motors behind their springs: J′, which the units ask for, or
+    "1 + J′" as printed. Neither goes with Eq. 22 on a robot."""
     eq37: Literal["corrected", "literal"] = "corrected"
     """The load coefficient of Eqs. 37–39."""
 
@@ -96,7 +100,12 @@ class Readings:
         Raises:
             ValueError: if no positive tensions hold it in its home pose.
         """
-        return self._read(SPATIAL, source)
+        robot = self._read(SPATIAL, source)
+        if self.pulleys == "table4":
+            return robot
+        pulleys = FLEX_SPATIAL.transmission
+        changed = robot.transmission.replace(pulley_inertia=pulleys.pulley_inertia, damping=pulleys.damping)
+        return robot.replace(transmission=changed)
 
     def flexible(self, source: Source) -> Robot:
         """The spatial robot with joint springs (Tables 5 and 9).
@@ -132,7 +141,7 @@ class Readings:
 
     @property
     def plays(self) -> bool:
-        """Whether a motor can have this torque-speed line, so that closed loops can be run with it."""
+        """Whether motors can have this torque-speed line, so that closed loops can be run with it."""
         return self.line in ("physical", "flat")
 
     def motors(self, robot: Robot) -> Robot:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def _finder(part: str | tuple[str, ...], say: Say, *readings: str, reading: str 
 
 _PAYLOAD_READINGS = {
     "planar": ("payload", "line", "planar_apex", "minimum_tension"),
-    "spatial": ("payload", "line", "platform_mass", "triangles", "sides"),
+    "spatial": ("payload", "line", "platform_mass", "triangles", "sides", "pulleys"),
     "flexible": ("payload", "line", "platform_mass", "stiffness", "eq24"),
 }
 """What decides each payload."""
@@ -76,7 +76,7 @@ _PAYLOAD_READINGS = {
 
 _COMBINED = {
     "planar": ("planar apex", "alpha", "minimum tension", "line"),
-    "spatial": ("triangles", "sides", "platform mass", "line"),
+    "spatial": ("triangles", "sides", "pulleys", "platform mass", "line"),
     "flexible": ("eq24", "stiffness", "line"),
 }
 """What the part ``readings`` combines, in the order of its numbers' names."""
@@ -85,23 +85,36 @@ _COMBINED = {
 # --- payloads -------------------------------------------------------------------------------------------------------
 
 
+_SECTIONS = {"planar": "5.2.1", "spatial": "5.2.2", "flexible": "5.2.3"}
+"""Where each payload is published."""
+
+
 def _closest(run: Run, kind: str) -> str:
-    """What the combined readings come closest with, in words; empty if they were not combined."""
-    prefix, suffix, target = f"readings.{kind}_", "_kg", LOADS[kind]
-    given = {key: run.maybe(key) for key in run.numbers if key.startswith(prefix) and key.endswith(suffix)}
-    loads = {key: load for key, load in given.items() if load is not None and math.isfinite(load)}
+    """What the combined readings with the published motor come closest with; empty if they were not combined."""
+    prefix, motor = f"readings.{kind}_", published_value(f"{_SECTIONS[kind]}.motor")
+    loads: dict[str, float] = {}
+    for key in run.numbers:
+        if key.startswith(prefix) and key.endswith("_kg") and run.maybe(f"{key[:-3]}_motor") == motor:
+            load = run.maybe(key)
+            if load is not None:
+                loads[key[len(prefix) : -3]] = load
     if not loads:
         return ""
-    key = min(loads, key=lambda name: abs(loads[name] - target))
-    words = _named(kind, key[len(prefix) : -len(suffix)])
+    said = [f"Of the readings combined with motor {as_text(int(motor))} first, the closest: {_nearest(kind, loads)}"]
+    if kind == "planar":
+        mass = run.readings.planar.mass
+        totals = {name: load + mass for name, load in loads.items()}
+        said.append(f"with the platform counted, {_nearest(kind, totals)}")
     total, close = run.maybe(f"readings.{kind}_total"), run.maybe(f"readings.{kind}_within_5pct")
-    as_total = run.maybe(f"readings.{kind}_as_total_within_5pct")
-    many = ""
     if total is not None and close is not None:
-        many = f"; {int(close)} of {int(total)} are within {_percent(ABOUT)}"
-        many += f", {int(as_total)} if the platform is counted" if as_total is not None else ""
-    load = kilograms(loads[key]) + _apart(loads[key], target)
-    return f"Of the readings combined the closest gives {load}: {words}{many}."
+        said.append(f"with any motor, {int(close)} of {int(total)} are within {_percent(ABOUT)}")
+    return "; ".join(said) + "."
+
+
+def _nearest(kind: str, loads: Mapping[str, float]) -> str:
+    """The load nearest to the published one, by how much it is off, and its readings."""
+    name = min(loads, key=lambda name: abs(loads[name] - LOADS[kind]))
+    return f"{kilograms(loads[name])}{_apart(loads[name], LOADS[kind])} with {_named(kind, name)}"
 
 
 def _named(kind: str, words: str) -> str:
@@ -330,8 +343,9 @@ def _placed(kind: str) -> Say:
             None,
             error <= 100 * ABOUT,
             f"Let go beside its reference, the robot is at most {as_text(error)} % of the first error away from what "
-            "the poles say. A command held for h takes K_P h/2 from K_D, so that not every pole can be had: these "
-            f"gains are stable with h below {as_text(1e3 * _slowest_sampling(kind))} ms.",
+            f"the poles say at 20 kHz, and {_percent(run.number(f'claims.sampled_pole_error_{kind}'))} at 500 Hz. A "
+            "command held for h takes K_P h/2 from K_D, so that not every pole can be had: these gains are stable with "
+            f"h below {as_text(1e3 * _slowest_sampling(kind))} ms.",
         )
 
     return say
@@ -471,7 +485,7 @@ def _any_stiffness(run: Run) -> str:
     least, friction = run.maybe("eq22.least_growth_any_K"), run.maybe("eq22.friction_needed")
     return listed(
         [
-            "" if least is None else f"Over K from 1 to 10⁶ N·m/rad never slower than with {as_text(least)} 1/s.",
+            "" if least is None else f"Over K from 1 to 10⁵ N·m/rad never slower than with {as_text(least)} 1/s.",
             "" if friction is None else f"Motor friction of {as_text(friction)} N·m·s/rad would be needed.",
         ]
     )

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 
 Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
 
-_GRID = 2000.0
+GRID = 2000.0
 """Instants per second that stand for all times [Hz]; smooth extrema are met to the square of their distance."""
 
 _LIMITS: tuple[tuple[Kind, Line], ...] = (("torque", "upper"), ("torque", "lower"), ("tension", "lower"))
@@ -62,6 +63,7 @@ def exact_payload(
     minimum_tension: float = 0.0,
     frequency: float | None = None,
     line_speed: ArrayLike = 1.0,
+    grid: float = GRID,
 ) -> ExactPayload:
     """The largest payload with which ``robot`` follows ``trajectory`` exactly inside its motors' limits.
 
@@ -81,6 +83,7 @@ def exact_payload(
         frequency: control instants per second [Hz]; None for all times.
         line_speed: the speed in the torque-speed lines, as a multiple of β̇, one or one per motor: 0 for limits that do
             not depend on it.
+        grid: instants per second that stand for all times, without ``frequency`` [Hz]; 100 is enough for a map.
 
     Raises:
         ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.
@@ -88,7 +91,7 @@ def exact_payload(
     if not 0 <= minimum_tension < np.inf:
         raise ValueError(f"minimum_tension must be finite and at least 0 N, not {minimum_tension}")
     times, reference = (
-        _all_times(robot, trajectory) if frequency is None else control_instants(robot, trajectory, frequency)
+        _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )
     masses = _nodes(robot, reference, minimum_tension)
     margins = _margins(robot, reference, masses, minimum_tension, np.asarray(line_speed, float))
@@ -117,13 +120,15 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
     return times, trajectory(times)
 
 
-def _all_times(robot: Robot, trajectory: Trajectory) -> tuple[Array, Reference]:
+def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
     """A grid that stands for all times, each instant with its two sides; half time, where circles jump, is on it."""
     trajectory = find_trajectory(trajectory, robot.coordinates)
-    count = 2 * max(500, round(_GRID * trajectory.duration / 2))
-    grid = np.arange(count) * (trajectory.duration / count)
+    if not 0 < grid < np.inf:
+        raise ValueError(f"grid must be greater than 0 Hz, not {grid}")
+    count = 2 * max(1, round(grid / 4), round(grid * trajectory.duration / 2))
+    instants = np.arange(count) * (trajectory.duration / count)
     side = 1e-9 * trajectory.duration
-    times = np.stack([grid - side, grid, grid + side], axis=1).ravel()[1:]
+    times = np.stack([instants - side, instants, instants + side], axis=1).ravel()[1:]
     return times, trajectory(times)
 
 
@@ -160,12 +165,16 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
 def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array) -> Array:
     """How far each limit is from being broken with each mass, shape (K, nodes, m, limits), negative if it is."""
     motion = _repeated(reference, masses.shape[1])
-    tensions = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
-    torques = textbook.required_torques(robot, tensions, *motion)
-    lower, upper = textbook.torque_limits(robot, line_speed * textbook.pulley_speed(robot, *motion[:2]))
+    if robot.planar:  # refuses what no tensions can give
+        needed = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
+    else:
+        needed = inverse_dynamics(robot, masses, *motion)
+    if not np.all(np.isfinite(needed.torques)):
+        raise ValueError(f"{robot.name} is singular on the motion: no tensions give its accelerations")
+    lower, upper = textbook.torque_limits(robot, line_speed * needed.speeds)
     # The least tensions of a planar robot keep the minimum by construction; rounding must not say that they do not.
-    surplus = np.zeros_like(tensions) if robot.planar else tensions - minimum
-    return np.stack([upper - torques, torques - lower, surplus], axis=-1)
+    surplus = np.zeros_like(needed.tensions) if robot.planar else needed.tensions - minimum
+    return np.stack([upper - needed.torques, needed.torques - lower, surplus], axis=-1)
 
 
 def _broken(masses: Array, margins: Array) -> tuple[Array, Array, Array]:

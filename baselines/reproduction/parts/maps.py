@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from baselines.reproduction.exact import COARSE
 from baselines.reproduction.part import Cell, Found, Number, Outcome, Part, Table
 from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import largest_payload
@@ -59,9 +60,6 @@ FINE_HEIGHTS = tuple(np.linspace(0.06, 0.33, 28).round(4).tolist())
 
 LIGHT_LOAD, HEAVY_LOAD = 10.0, 30.0
 """Ends of the scans [kg]; the second for circles deep below the anchors. No payload of the paper's robots is cut."""
-
-EXACT_FREQUENCIES = (100.0, 100.0 / (1 + 1e-6))
-"""Instants of a circle that are looked at [Hz]: the jump of the acceleration is seen from before and from after."""
 
 _LINES = {
     "fl": (COLOURS[0], "rigid: fl, the paper's law"),
@@ -126,17 +124,10 @@ def exact_map(*, robot: Robot, line_speed: Array) -> list[list[ExactPayload]]:
         robot: rigid.
         line_speed: see :func:`~cablebot_gym.dlcc.exact_payload`.
     """
-    limits = [
-        [
-            [
-                exact_payload(robot, circle(radius, height), frequency=f, line_speed=line_speed)
-                for f in EXACT_FREQUENCIES
-            ]
-            for radius in FINE_RADII
-        ]
+    return [
+        [exact_payload(robot, circle(radius, height), line_speed=line_speed, grid=COARSE) for radius in FINE_RADII]
         for height in FINE_HEIGHTS
     ]
-    return [[min(both, key=lambda one: one.payload) for both in row] for row in limits]
 
 
 def circle(radius: float, height: float) -> PaperCircle:

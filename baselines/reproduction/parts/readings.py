@@ -34,6 +34,7 @@ def spatial_readings(readings: Readings) -> list[Readings]:
         readings,
         triangles=open_["triangles"],
         sides=open_["sides"],
+        pulleys=open_["pulleys"],
         platform_mass=("10", "11"),
         line=_RIGID_LINES,
     )
@@ -85,6 +86,7 @@ _CLOSED: dict[str, tuple[str, dict[str, Any]]] = {
     "mass_11": ("platform mass 11 kg", {"platform_mass": "11"}),
     "circumradius": ("a and b are circumradii", {"sides": "circumradius"}),
     "turned": ("both triangles turned", {"triangles": "turned"}),
+    "table5": ("pulleys of Table 5", {"pulleys": "table5"}),
     "no_tension": ("T_min = 0", {"minimum_tension": 0.0}),
     "apex_left": ("third motor on the left", {"planar_apex": "left"}),
     "apex_down": ("third motor below", {"planar_apex": "down"}),
@@ -98,7 +100,7 @@ _BRANCHES = {"first": 1.0, "second": 1.0 - 1e-9}
 """Which branch of Table 3 holds at 0.5 s sharp, where a command is given: the first as printed, "t ≤ 0.5", or the
 second, which a motion a nanosecond shorter makes of it. Its duration [s]."""
 
-_PLANAR_ONLY, _SPATIAL_ONLY = {"minimum_tension", "planar_apex"}, {"platform_mass", "sides", "triangles"}
+_PLANAR_ONLY, _SPATIAL_ONLY = {"minimum_tension", "planar_apex"}, {"platform_mass", "pulleys", "sides", "triangles"}
 
 
 def _cells(readings: Readings) -> dict[str, Cell]:
@@ -150,7 +152,7 @@ def _outcome(readings: Readings, found: Found) -> Outcome:
     planar, spatial, flexible = (found[name] for name in ("planar", "spatial", "flexible"))
     numbers: dict[str, Number] = {}
     for kind, limits, fields in (
-        ("spatial", spatial, ("triangles", "sides", "platform_mass", "line")),
+        ("spatial", spatial, ("triangles", "sides", "pulleys", "platform_mass", "line")),
         ("planar", planar, ("planar_apex", "alpha", "minimum_tension", "line")),
         ("flexible", flexible, ("eq24", "stiffness", "line")),
     ):
@@ -170,7 +172,7 @@ def _outcome(readings: Readings, found: Found) -> Outcome:
             _table(
                 "Rigid spatial robot, exact tracking: payload added [kg] and motor at its limit, published: "
                 "2.56 kg, motor 2",
-                ("triangles", "sides", "platform_mass"),
+                ("triangles", "sides", "pulleys", "platform_mass"),
                 spatial,
             ),
             _table(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from baselines.reproduction.exact import exact_limit, paper_circle
+from baselines.reproduction.exact import COARSE, exact_limit, paper_circle
 from baselines.reproduction.part import Cell, Found, Outcome, Part
 from baselines.reproduction.published import LOADS
 from baselines.reproduction.readings import Readings
@@ -35,9 +35,6 @@ PLATFORM_TURNS = np.radians(np.arange(-60, 60, 5))
 PLANAR_TURNS = np.radians(np.arange(0, 121, 2))
 """Turns of the planar robot's triangle [rad]; further on, the same again with other motors."""
 
-_FREQUENCY = 100.0
-"""Instants of the path that are looked at [Hz], the one of the jump among them: enough to 0.01 kg."""
-
 
 class Geometry(NamedTuple):
     """One geometry, its largest payload of exact tracking and the motor that limits it."""
@@ -59,7 +56,7 @@ def geometries(*, readings: Readings, base_size: str) -> list[Geometry]:
             )
         except ValueError:
             continue
-        limit = exact_payload(robot, trajectory, frequency=_FREQUENCY, line_speed=readings.line_speed(robot))
+        limit = exact_payload(robot, trajectory, line_speed=readings.line_speed(robot), grid=COARSE)
         found.append(Geometry(limit.payload if limit.lowest <= 0 else -np.inf, limit.motor or 0))
     return found
 
