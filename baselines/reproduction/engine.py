@@ -258,7 +258,7 @@ def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) ->
             min(workers, len(cells)), mp_context=context, initializer=_start_worker, initargs=(messages,)
         )
         try:
-            futures = {pool.submit(_attempt, cell): key for key, cell in cells.items()}
+            futures = {pool.submit(_attempt, cells[key]): key for key in _leaders_first(cells)}
             for future in as_completed(futures):
                 yield futures[future], future.result()
             pool.shutdown()
@@ -267,6 +267,17 @@ def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) ->
             for process in multiprocessing.active_children():
                 process.terminate()
             raise
+
+
+def _leaders_first(cells: Mapping[str, Cell]) -> list[str]:
+    """The keys, one cell of each kind of computation on each environment first.
+
+    A kernel is compiled once per machine; two workers that need the same one at the same time would both compile it.
+    """
+    leaders: dict[tuple[Any, Any], str] = {}
+    for key, cell in cells.items():
+        leaders.setdefault((cell.func, cell.keywords.get("env_id")), key)
+    return list(dict.fromkeys([*leaders.values(), *cells]))
 
 
 def _attempt(cell: Cell) -> Any:

@@ -94,9 +94,9 @@ def _closest(run: Run, kind: str) -> str:
     prefix, motor = f"readings.{kind}_", published_value(f"{_SECTIONS[kind]}.motor")
     loads: dict[str, float] = {}
     for key in run.numbers:
-        if key.startswith(prefix) and key.endswith("_kg") and run.maybe(f"{key[:-3]}_motor") == motor:
-            load = run.maybe(key)
-            if load is not None:
+        if key.startswith(prefix) and key.endswith("_kg"):
+            load, first = run.maybe(key), run.maybe(f"{key[:-3]}_motor")
+            if load is not None and first == motor:
                 loads[key[len(prefix) : -3]] = load
     if not loads:
         return ""
@@ -343,7 +343,7 @@ def _placed(kind: str) -> Say:
             None,
             error <= 100 * ABOUT,
             f"Let go beside its reference, the robot is at most {as_text(error)} % of the first error away from what "
-            f"the poles say at 20 kHz, and {_percent(run.number(f'claims.sampled_pole_error_{kind}'))} at 500 Hz. A "
+            f"the poles say at 10 kHz, and {_percent(run.number(f'claims.sampled_pole_error_{kind}'))} at 500 Hz. A "
             "command held for h takes K_P h/2 from K_D, so that not every pole can be had: these gains are stable with "
             f"h below {as_text(1e3 * _slowest_sampling(kind))} ms.",
         )

@@ -82,9 +82,9 @@ def test_bounds_are_not_in_millimetres() -> None:
 
 
 def test_circle_is_not_another_than_its_name() -> None:
-    trajectory = CELLS["map-circle"]["adaptive_r0.05_z0.3"].keywords["trajectory"]
+    trajectory = CELLS["map-circle"]["adaptive_r0.05_z0.25"].keywords["trajectory"]
     start = trajectory(0.0).position
-    np.testing.assert_allclose(start, [0.05, 0.0, 0.3, 0.1, 0.1, 0.1])
+    np.testing.assert_allclose(start, [0.05, 0.0, 0.25, 0.1, 0.1, 0.1])
 
 
 def test_exact_map_does_not_miss_the_papers_circle(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -138,6 +138,8 @@ NUMBERS: dict[str, float | int | str | bool | None] = {
     "claims.open_loop_spatial_error_mm": 7.6,
     "claims.pole_error_planar": 0.01,
     "claims.pole_error_spatial": 0.001,
+    "claims.sampled_pole_error_planar": 0.08,
+    "claims.sampled_pole_error_spatial": 0.002,
     "claims.poles_planar": "-5.00 + 44.44i, -5.00 − 44.44i",
     "claims.poles_spatial": "-18.37, -1.63",
     "claims.affine_planar": 0.15,
@@ -146,9 +148,16 @@ NUMBERS: dict[str, float | int | str | bool | None] = {
     "claims.flex_composite_error_table6_mm": 7.3,
     "claims.flex_fl4_error_nominal_mm": 1.5,
     "claims.flex_fl4_error_table6_mm": 4.1,
-    "readings.spatial_inverted_half-side_10_flat_kg": 2.35,
-    "readings.spatial_turned_circumradius_11_cable_kg": 2.63,
-    "readings.spatial_aligned_half-side_10_flat_kg": None,
+    "readings.spatial_inverted_half-side_table4_10_flat_kg": 2.35,
+    "readings.spatial_inverted_half-side_table4_10_flat_motor": 2,
+    "readings.spatial_inverted_half-side_table5_10_reversed_kg": 3.07,
+    "readings.spatial_inverted_half-side_table5_10_reversed_motor": 2,
+    "readings.spatial_turned_circumradius_table4_11_cable_kg": 2.56,
+    "readings.spatial_turned_circumradius_table4_11_cable_motor": 6,
+    "readings.spatial_aligned_half-side_table4_10_flat_kg": None,
+    "readings.spatial_aligned_half-side_table4_10_flat_motor": None,
+    "readings.planar_up_least_0.0_physical_kg": 1.13,
+    "readings.planar_up_least_0.0_physical_motor": 2,
     "readings.spatial_within_5pct": 3,
     "readings.spatial_total": 48,
     "scan.hits": 48,
@@ -291,9 +300,13 @@ def test_parts_that_only_add_to_the_evidence_are_not_needed():
     assert "geometries" not in finding.evidence
 
 
-def test_the_closest_reading_is_named():
+def test_the_closest_reading_with_the_published_motor_is_named():
     evidence = found("5.2.2.payload").evidence
-    assert "2.63 kg (+3 %): triangles turned, sides circumradius, platform mass 11, line cable" in evidence
+    closest = "2.35 kg (−8 %) with triangles inverted, sides half-side, pulleys table4, platform mass 10, line flat"
+    assert f"combined with motor 2 first, the closest: {closest}; with any motor, 3 of 48" in evidence
+    planar = found("5.2.1.payload").evidence
+    assert "the closest: 1.13 kg (−49 %) with planar apex up, alpha least, minimum tension 0.0, line physical" in planar
+    assert "with the platform counted, 2.13 kg (−3 %) with planar apex up" in planar
     assert "closest: total mass, exact tracking (−5 %)" in found("5.2.1.payload").evidence
 
 

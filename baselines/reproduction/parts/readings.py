@@ -96,9 +96,12 @@ _CLOSED: dict[str, tuple[str, dict[str, Any]]] = {
 
 _FLEXIBLE_LAWS: dict[str, Law] = {"fl4": FourthOrder, "motor-pd": MotorPD, "composite": Composite}
 
-_BRANCHES = {"first": 1.0, "second": 1.0 - 1e-9}
+_BRANCHES: dict[str, dict[str, Any]] = {
+    "first": {},
+    "second": {"trajectory": {"name": "paper-spatial", "duration": 1.0 - 1e-9}},
+}
 """Which branch of Table 3 holds at 0.5 s sharp, where a command is given: the first as printed, "t ≤ 0.5", or the
-second, which a motion a nanosecond shorter makes of it. Its duration [s]."""
+second, which a motion a nanosecond shorter makes of it."""
 
 _PLANAR_ONLY, _SPATIAL_ONLY = {"minimum_tension", "planar_apex"}, {"platform_mass", "pulleys", "sides", "triangles"}
 
@@ -140,10 +143,10 @@ def _cells(readings: Readings) -> dict[str, Cell]:
                 robot=readings.motors(readings.flexible("payload")),
                 name=name,
                 criterion="paper",
-                trajectory={"name": "paper-spatial", "duration": duration},
+                **changes,
             )
             for name, law in _FLEXIBLE_LAWS.items()
-            for branch, duration in _BRANCHES.items()
+            for branch, changes in _BRANCHES.items()
         }
     return cells
 

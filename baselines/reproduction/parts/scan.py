@@ -26,7 +26,7 @@ ROUNDING = 0.06
 SIZES = {"half side": 1.0, "circumradius": np.sqrt(3) / 2, "inradius": np.sqrt(3), "half altitude": 2 / np.sqrt(3)}
 """What "half of the triangle" can measure, and the triangle's size then, in multiples of the first."""
 
-BASE_TURNS = np.radians(np.arange(0, 120, 5))
+BASE_TURNS = np.radians(np.arange(0, 120, 10))
 """Turns of the base triangle about z [rad]; further on, the same shapes come again with other numbers."""
 
 PLATFORM_TURNS = np.radians(np.arange(-60, 60, 5))
