@@ -397,7 +397,8 @@ def main() -> None:
 def _add_commands() -> None:
     """Commands that installed packages add, such as the baselines' own; not looked for where one of these is typed."""
     for point in entry_points(group=COMMAND_GROUP):
-        if sys.argv[1] == point.name or sys.argv[1].startswith("-"):
+        asked_for = sys.argv[1] == point.name or sys.argv[1].startswith("-")
+        if asked_for and point.name not in _command_names():
             app.command(name=point.name)(point.load())
 
 

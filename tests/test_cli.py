@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ import typer
 import cablebot_gym.dlcc
 import cablebot_gym.dlcc.comparison
 import cablebot_gym.rollout
+from baselines.reproduction.published import PUBLISHED
+from baselines.reproduction.readings import choices_of
 from cablebot_gym import ENV_IDS, cli
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.trajectories import trajectory_names
@@ -886,3 +889,83 @@ def test_uncertainty_in_a_file_is_not_taken_for_a_name(cablebot, tmp_path):
     for text, message in (("[1]", "has to hold a JSON object"), (None, "cannot read")):
         path.unlink() if text is None else path.write_text(text, encoding="utf-8")
         assert message in one_line(cablebot(*arguments, "--uncertainty", str(path)), 2)
+
+
+# --- reproduce --------------------------------------------------------------------------------------------------------
+
+
+def test_command_of_another_package_is_not_missing_from_the_help(cablebot):
+    ended = cablebot("--help")
+    assert ended.out.count("reproduce") == 1
+    assert cablebot("--help").out == ended.out
+    assert "dlcc, compare, list, rollout, reproduce" in cablebot("nosuch").err.replace("\n", " ")
+    assert re.search(r"Examples:\s+cablebot reproduce", cablebot("reproduce", "--help").out)
+
+
+def test_reproduction_does_not_lack_a_file(cablebot, tmp_path):
+    ended = cablebot("reproduce", "--only", "fig1,fig3", "--out", tmp_path / "out", "--workers", "1")
+    assert (ended.status, ended.err) == (0, "")
+    assert "readings: default" in ended.out
+    made = {"results.json", "reproduction.md", "reproduction.html"}
+    assert set(names(tmp_path / "out")) == made | {f"fig{k}.{suffix}" for k in (1, 3) for suffix in ("png", "svg")}
+    assert "not made: fig2" in ended.out
+
+
+def test_reading_is_not_read_and_then_discarded(cablebot, tmp_path):
+    arguments = ("reproduce", "--only", "fig1", "--out", tmp_path, "--workers", "1")
+    assert cablebot(*arguments, "--planar-apex", "left", "--minimum-tension", "2").status == 0
+    readings = loads((tmp_path / "results.json").read_text(encoding="utf-8"))["readings"]
+    assert (readings["planar_apex"], readings["minimum_tension"]) == ("left", 2.0)
+
+
+@pytest.mark.parametrize("name", list(choices_of()))
+def test_no_reading_lacks_its_option(cablebot, tmp_path, name):
+    option = f"--{name.replace('_', '-')}"
+    message = one_line(cablebot("reproduce", option, "sideways", "--out", tmp_path), 2)
+    assert f"{name} must be one of" in message
+    assert names(tmp_path) == []
+
+
+def test_rows_as_json_are_not_mixed_with_anything_else(cablebot, tmp_path):
+    ended = cablebot("reproduce", "--only", "fig1", "--out", tmp_path, "--workers", "1", "--json")
+    assert {row["key"] for row in loads(ended.out)} == set(PUBLISHED)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--only", "fig4"), "there is no part 'fig4'; the parts are fig1, fig2"),
+        (("--workers", "0"), "workers must be at least 1"),
+        (("--minimum-tension", "-1"), "minimum_tension must be at least 0 N"),
+    ],
+)
+def test_bad_input_of_a_reproduction_does_not_leave_a_file(cablebot, tmp_path, arguments, message):
+    assert message in one_line(cablebot("reproduce", *arguments, "--out", tmp_path / "out"), 2)
+    assert names(tmp_path) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_interrupted_reproduction_keeps_what_was_done_and_leaves_no_process(tmp_path):
+    start = f"import signal, cablebot_gym.cli as c; signal.signal({int(signal.SIGINT)}, signal.default_int_handler); "
+    arguments = ("reproduce", "--only", "fig3,scan", "--workers", "2", "--out", str(tmp_path))
+    process = subprocess.Popen(
+        [sys.executable, "-c", start + "c.main()", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "fig3.svg").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    said = "".join(line for line in err.splitlines(keepends=True) if "compiling" not in line and "robot …" not in line)
+    assert "interrupted" in one_line(Ended(process.returncode, out, said), 130)
+    results = loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    assert [part["name"] for part in results["parts"]] == ["fig3"]
+    assert "scan" in results["missing"]
+    with pytest.raises(ProcessLookupError):
+        for _ in range(100):  # the workers may take a moment to end
+            os.killpg(process.pid, 0)
+            time.sleep(0.1)

