@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from baselines.reproduction.part import Number
-from baselines.reproduction.published import Published
+from baselines.reproduction.published import Published, published_value
 from baselines.reproduction.readings import Readings, Source
 from cablebot_gym.robots import Robot
 
@@ -123,9 +123,10 @@ class Run:
         """A number that only adds to the evidence."""
         return self.optional(key) if key in self.numbers else None
 
-    def used(self, *names: str) -> str:
-        """The readings of these names, as they were chosen."""
-        return ", ".join(f"{name.replace('_', ' ')} {getattr(self.readings, name)}" for name in names)
+    def used(self, *names: str, source: Source | None = None) -> str:
+        """The readings of these names, as they were chosen; "as printed" is what ``source`` prints."""
+        words = (reading_words(name, getattr(self.readings, name), source) for name in names)
+        return ", ".join(words)
 
 
 Make = Callable[[Published, Run], Finding]
@@ -155,11 +156,68 @@ def _changed(readings: Readings) -> dict[str, object]:
     return {name: value for name, value in given.items() if value != default[name]}
 
 
+_READINGS: dict[str, dict[str, str]] = {
+    "payload": {"added": "load added to the platform", "total": "load and platform together"},
+    "line": {
+        "physical": "limits by the motor's speed in rad/s",
+        "pulley": "limits by the pulley's speed in rad/s",
+        "flat": "flat limits",
+        "cable": "limits by the cable's rate in m/s",
+        "reversed": "limits by the speed with its sign reversed",
+    },
+    "platform_mass": {
+        "as-printed": "platform mass as printed, {control:g} kg in §4, {payload:g} kg in §5.2",
+        "10": "platform 10 kg",
+        "11": "platform 11 kg",
+    },
+    "triangles": {
+        "inverted": "platform's triangle inverted",
+        "turned": "both triangles turned",
+        "aligned": "triangles aligned",
+    },
+    "sides": {"half-side": "a and b half sides", "circumradius": "a and b circumradii"},
+    "pulleys": {"table4": "pulleys of Table 4", "table5": "pulleys of Table 5"},
+    "planar_apex": {
+        "up": "third planar motor above",
+        "left": "third planar motor on the left",
+        "down": "third planar motor below",
+        "right": "third planar motor on the right",
+    },
+    "stiffness": {
+        "as-printed": "K as printed, {control:g} N·m/rad in §4, {payload:g} N·m/rad in §5.2",
+        "2": "K = 2 N·m/rad",
+        "3": "K = 3 N·m/rad",
+    },
+    "minimum_tension": {},
+    "alpha": {"least": "least α at each instant", "constant": "one constant α"},
+    "eq24": {"corrected": "Eqs. 24 and 25 over J′", "verbatim": "Eqs. 24 and 25 over 1 + J′"},
+    "eq37": {"corrected": "Eqs. 37–39 corrected", "literal": "Eqs. 37–39 as printed"},
+}
+"""What the choices of each reading mean, in a few words."""
+
+
+_PRINTED: dict[str, dict[Source, float]] = {
+    "platform_mass": {"control": published_value("table4.m"), "payload": published_value("table8.m")},
+    "stiffness": {"control": published_value("table5.K"), "payload": published_value("5.2.3.K")},
+}
+"""What "as printed" is where sections differ."""
+
+
+def reading_words(name: str, value: object, source: Source | None = None) -> str:
+    """A reading as it was chosen, in a few words, where need be as ``source`` prints it."""
+    if name == "minimum_tension":
+        return f"T_min = {float(str(value)):g} N"
+    if value == "as-printed" and source is not None:
+        value = f"{_PRINTED[name][source]:g}"
+    words = _READINGS.get(name, {}).get(str(value), f"{name.replace('_', ' ')} = {value}")
+    return words.format(**_PRINTED[name]) if name in _PRINTED else words
+
+
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def as_text(value: Number) -> str:
-    """A number with four significant digits, yes or no, a dash for None; words as they are."""
+def as_text(value: Number, digits: int = 4) -> str:
+    """A number with some significant digits, yes or no, a dash for None; words as they are."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -170,16 +228,22 @@ def as_text(value: Number) -> str:
         return f"{value:d}".replace("-", "−")
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
-    digits, _, power = f"{value:.4g}".partition("e")
-    digits = digits.replace("-", "−")
-    return f"{digits} · 10{str(int(power)).translate(_RAISED)}" if power else digits
+    mantissa, _, power = f"{value:.{digits}g}".partition("e")
+    mantissa = mantissa.replace("-", "−")
+    return f"{mantissa} · 10{str(int(power)).translate(_RAISED)}" if power else mantissa
+
+
+def short(value: Number) -> str:
+    """A number as a sentence needs it: three significant digits, as the paper prints."""
+    return as_text(value, 3)
 
 
 def kilograms(value: float | None) -> str:
     """A payload; None: not even zero is carried."""
     if value is None or value == -math.inf:
         return "nothing"
-    return f"{as_text(value)} kg"
+    words = f"{value:#.3g}".rstrip(".") if 1e-3 <= abs(value) < 1e3 else short(value)
+    return f"{words.replace('-', '−')} kg"
 
 
 def off(ours: float, published: float) -> str:

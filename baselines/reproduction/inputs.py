@@ -37,7 +37,7 @@ def _input(
     Args:
         part: which runs on it.
         read: our value.
-        evidence: where it stands.
+        evidence: where it stands; code if it has no backtick.
         readings: names of those that change it.
         corrected: what had to be put right; empty if nothing.
         expected: the value after that; None: the published one.
@@ -50,7 +50,7 @@ def _input(
         verdict: Verdict = "taken, corrected" if corrected else "taken"
         if len(values) != 1 or not np.isclose(values[0], goal, rtol=1e-9, atol=0):
             verdict = "not taken"
-        words = [f"`{evidence}`"]
+        words = [evidence if "`" in evidence else f"`{evidence}`"]
         if corrected:
             words.append(corrected)
         if contradicted is not None:
@@ -103,7 +103,7 @@ _CABLES, _FREEDOM = "Robot.cables", "Robot.coordinates"
 
 def _counts() -> Iterator[tuple[str, Finder]]:
     rigid = sum(not robot.flexible for robot in ROBOTS.values())
-    yield "abstract.robots", _input("fig1", _constant(rigid), "ROBOTS, those without springs")
+    yield "abstract.robots", _input("fig1", _constant(rigid), "`ROBOTS`, those without springs")
     kinds: tuple[tuple[str, RobotOf, tuple[str, ...], tuple[str, ...]], ...] = (
         (
             "fig1",
@@ -159,13 +159,13 @@ def _counts() -> Iterator[tuple[str, Finder]]:
         _input(
             "fig8",
             _constant(bounds),
-            "RobustPD.zeta, RobustPD.phi",
+            "`RobustPD.zeta`, `RobustPD.phi`",
             corrected="γ̄ is taken into φ, which then bounds an acceleration",
             expected=2.0,
         ),
     )
     yield "3.4.zeta", Finder(parts=("fig8",), make=_zeta)
-    yield "5.1.motors", _input("eq37", _of(_payload, "cables"), "Robot.cables, of the planar robot 3")
+    yield "5.1.motors", _input("eq37", _of(_payload, "cables"), "`Robot.cables`; of the planar robot 3")
 
 
 def _zeta(item: Published, run: Run) -> Finding:
@@ -214,7 +214,7 @@ def _circle(table: str, part: str, robot: RobotOf) -> Iterator[tuple[str, Finder
         "end": (lambda readings: paper_circle(robot(readings)).duration, "duration"),
     }
     for name, (read, evidence) in reads.items():
-        yield f"{table}.{name}", _input(part, read, f"PaperCircle: {evidence}")
+        yield f"{table}.{name}", _input(part, read, f"`PaperCircle`, {evidence}")
 
 
 def _start(place: int) -> Read:
@@ -225,13 +225,13 @@ def _motions() -> Iterator[tuple[str, Finder]]:
     yield from _circle("table1", "fig5", _planar)
     yield from _circle("table3", "fig6", _spatial)
     for place, name in enumerate(("z", "psi", "theta", "phi"), 2):
-        yield f"table3.{name}", _input("fig6", _start(place), f"PaperCircle.center[{place}]")
+        yield f"table3.{name}", _input("fig6", _start(place), f"`PaperCircle.center[{place}]`")
     yield (
         "4.3.middle",
         _input(
             "fig7",
             lambda readings: _jump(_flexible(readings)) / paper_circle(_flexible(readings)).duration,
-            "PaperCircle: where the acceleration jumps",
+            "`PaperCircle`, where the acceleration jumps",
         ),
     )
 
@@ -356,7 +356,7 @@ def _robots() -> Iterator[tuple[str, Finder]]:
         _input(
             "fig7",
             lambda readings: [*_flexible(readings).motor_inertia, *_flexible(readings).pulley_inertia],
-            "Transmission.motor_inertia and pulley_inertia",
+            "`Transmission.motor_inertia` and `.pulley_inertia`",
         ),
     )
 
@@ -382,16 +382,16 @@ def _share(name: str) -> Read:
 
 
 def _uncertainty() -> Iterator[tuple[str, Finder]]:
-    where = 'UNCERTAINTIES["table6"]'
-    yield "table6.m", _input("fig9", _share("platform_mass"), f"{where}: platform_mass, uniform")
-    yield "table6.k", _input("fig9", _share("stiffness"), f"{where}: stiffness, uniform, one draw for all joints")
-    yield "table6.mean", _input("fig9", lambda readings: _wrench(readings).force_mean, f"{where}: wrench.force_mean")
+    where = '`UNCERTAINTIES["table6"]`'
+    yield "table6.m", _input("fig9", _share("platform_mass"), f"{where}: `platform_mass`, uniform")
+    yield "table6.k", _input("fig9", _share("stiffness"), f"{where}: `stiffness`, uniform, one draw for all joints")
+    yield "table6.mean", _input("fig9", lambda readings: _wrench(readings).force_mean, f"{where}: `wrench.force_mean`")
     yield (
         "table6.variance",
         _input(
             "fig9",
             lambda readings: np.square(_wrench(readings).force_std),
-            f"{where}: wrench.force_std²",
+            f"{where}: `wrench.force_std`, squared",
             corrected="a variance of a force is in N²; how long a draw lasts is not printed",
         ),
     )
@@ -400,7 +400,7 @@ def _uncertainty() -> Iterator[tuple[str, Finder]]:
         _input(
             "fig9",
             lambda readings: np.abs(np.subtract(_wrench(readings).factor, 1)),
-            f"{where}: wrench.factor",
+            f"{where}: `wrench.factor`",
         ),
     )
 

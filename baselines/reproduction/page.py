@@ -11,9 +11,10 @@ from typing import Any
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from baselines.reproduction.finding import as_text
+from baselines.reproduction.finding import Run, as_text, reading_words
 from baselines.reproduction.findings import RULE
 from baselines.reproduction.readings import Readings
+from baselines.reproduction.summary import HEADINGS, points
 
 Results = Mapping[str, Any]
 """What results.json holds."""
@@ -29,10 +30,7 @@ SOURCE = (
 )
 
 ERRATA = "docs/errata.md"
-"""Where the page links to for misprints, unless the results have their own ``errata``."""
-
-MAIN = ("5.2.1.payload", "5.2.2.payload", "5.2.3.payload", "3.3.linear", "5.1.answer", "5.1.accuracy", "4.4.sum")
-"""Findings of the summary, by key."""
+"""Where misprints stand in the project; the page links to what results have as ``errata``."""
 
 _GROUPS = (
     ("Robots", ("fig1", "fig2", "fig3")),
@@ -64,11 +62,11 @@ _PLURAL = {"reproduces": "reproduce", "does not": "do not"}
 
 def markdown(results: Results) -> str:
     """The page in Markdown; figures and the other form of the page stand beside it."""
-    parts = [*_head(results), *_summary(results["rows"]), *_judged(results["rows"])]
+    parts = [*_head(results), *_summary(results), *_judged(results["rows"])]
     for heading, members in _grouped(results["parts"]):
         parts.append(f"## {heading}")
         for part in members:
-            parts += _part(part)
+            parts += _part(part, results["numbers"])
     parts += [*_inputs(results["rows"]), *_foot(results)]
     return "\n\n".join(parts) + "\n"
 
@@ -87,48 +85,91 @@ def html(results: Results) -> str:
 
 def _head(results: Results) -> Iterator[str]:
     yield f"# {TITLE}"
-    yield f"{SOURCE}: its tables, figures and claims made again, with what agrees, what does not, and why."
-    yield f"One command made this page, its figures and `results.json`:\n\n```sh\n{results['command']}\n```"
-    changed = _changed(results["readings"])
-    chosen = f"Readings chosen: {changed}." if changed else "What the paper leaves open is read by default."
     yield (
-        f"{chosen} Every reading is an option of that command; all of them stand at the end, what each changes under "
-        f"*Readings*, and the misprints of the equations in [{ERRATA}]({results.get('errata', ERRATA)})."
+        f"{SOURCE}: its tables, figures and claims made again, with what agrees, what does not, and why. One command "
+        "made this page, its figures and `results.json`:"
+    )
+    yield f"```sh\n{results['command']}\n```"
+    changed = _changed(results["readings"])
+    errata = f"[{ERRATA}]({results['errata']})" if "errata" in results else f"`{ERRATA}` of the project"
+    yield (
+        "The paper can be read in more than one way, and each way is an option of that command. What follows holds for "
+        f"{'these readings, in bold where they are not the default' if changed else 'the default readings'}:"
+    )
+    yield "\n".join(_chosen(results["readings"]))
+    yield (
+        "The defaults are what this project holds for right, not what comes closest to a published number; *Readings* "
+        f"shows what the others give. Misprints of the equations are in {errata}."
     )
     if results["missing"]:
         names = ", ".join(results["missing"])
         yield f"Not run yet: {names}. The rows that need them name the command that makes them."
 
 
-def _changed(readings: Mapping[str, Any]) -> str:
+_SUBJECTS = {
+    "Load": ("payload", "platform_mass"),
+    "Torque limits U± of Eq. 37": ("line",),
+    "Spatial robot": ("triangles", "sides", "pulleys"),
+    "Planar robot": ("planar_apex", "minimum_tension", "alpha"),
+    "Joint springs": ("stiffness", "eq24"),
+    "Algorithm": ("eq37",),
+}
+"""The readings in the order of the introduction."""
+
+
+def _chosen(readings: Mapping[str, Any]) -> Iterator[str]:
+    """A list of the readings, those that are not the default in bold."""
+    changed = _changed(readings)
+    named = {name for names in _SUBJECTS.values() for name in names}
+    rest = {"Other": tuple(name for name in readings if name not in named)}
+    for subject, names in (_SUBJECTS | rest).items():
+        words = {name: reading_words(name, readings[name]) for name in names if name in readings}
+        if words:
+            each = "; ".join(f"**{said}**" if name in changed else said for name, said in words.items())
+            yield f"* {subject}: {each}."
+
+
+def _changed(readings: Mapping[str, Any]) -> set[str]:
     default = Readings()
-    changed = {name: value for name, value in readings.items() if value != getattr(default, name, None)}
-    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in changed.items())
+    return {name for name, value in readings.items() if value != getattr(default, name, None)}
 
 
-def _summary(rows: Sequence[Row]) -> Iterator[str]:
+def _summary(results: Results) -> Iterator[str]:
     yield "## Summary"
+    rows = results["rows"]
     lines = []
-    for kind in ("input", "result", "claim"):
+    for kind in ("result", "claim", "input"):
         counts = Counter(_verdict(row) for row in rows if row["kind"] == kind)
         each = "; ".join(
-            f"{counts[verdict]} {_PLURAL.get(verdict, verdict)}" for verdict in _VERDICTS if counts[verdict]
+            f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL.get(verdict, verdict)}"
+            for verdict in _VERDICTS
+            if counts[verdict]
         )
         lines.append(f"* **{sum(counts.values())} {kind}s**: {each or 'none'}.")
     yield "\n".join(lines)
-    found = {row["key"]: row for row in rows}
-    main = [found[key] for key in MAIN if key in found and found[key]["verdict"] is not None]
-    if main:
-        yield "The findings that matter most:"
-        yield "\n".join(f"* {_sentence(row)}" for row in main)
+    run = Run(readings=Readings(**results["readings"]), numbers=results["numbers"])
+    said = list(points(run, rows))
+    for verdict, heading in HEADINGS.items():
+        if mine := [words for found, words in said if found == verdict]:
+            yield f"### {heading}"
+            yield "\n".join(f"* {_escaped(words, bold=True)}" for words in mine)
     yield "### How verdicts are reached"
     yield RULE
+    yield "### Words"
+    yield _WORDS
 
 
-def _sentence(row: Row) -> str:
-    printed = f" ({_escaped(row['printed'])})" if row["printed"] else ""
-    said = f"**{row['place']}, {_escaped(row['says'])}**{printed}: {_escaped(row['ours'])}, *{row['verdict']}*."
-    return f"{said} {_escaped(row['evidence'])}"
+_WORDS = """\
+* **Exact tracking**: the robot is on the reference at each instant; the largest payload then has a closed form.
+  **Closed loop**: a law is simulated with 500 commands a second.
+* **Paper criterion**: no motor is asked for more than U±, |a| ≤ 1, and the error stays within R. **Task criterion**:
+  motors clip at U±; the errors of position and rotation stay within 10 mm and 10 mrad. Under both no cable goes slack.
+* **Laws**: `fl` is the paper's feedback linearization of the rigid robots (Eqs. 10–19), `robust` the same with Δv of
+  Eq. 34, `adaptive` one that estimates the load. With joint springs, `composite`, `robust-composite` and
+  `adaptive-composite` are these with damping of the springs, `fl4` linearises up to the fourth derivative and
+  `motor-pd` controls the motors' angles; `flex-eq22` is the paper's own law. **Open loop** is exact tracking's torque
+  without feedback.
+* **ε** is the boundary layer within which the robust term Δv is continuous."""
 
 
 def _judged(rows: Sequence[Row]) -> Iterator[str]:
@@ -161,23 +202,37 @@ def _grouped(parts: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, list[Map
         yield _REST, rest
 
 
-def _part(part: Mapping[str, Any]) -> Iterator[str]:
+def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[str]:
     yield f"### {part['title']}"
-    yield part["text"]
+    yield part["text"].strip()
     if part.get("impossible"):
         yield f"Not possible under the readings chosen: {_escaped(part['impossible'])}"
     if (name := part["figure"]) is not None:
         alt = re.sub(r"([\[\]\\])", r"\\\1", part["title"])
         yield f"[![{alt}]({name}.png)]({name}.svg)"
+    if named := _named(part, numbers):
+        yield "**Numbers that the text names.**"
+        yield _table(("number", "value"), named)
     for table in part["tables"]:
         yield f"**{_escaped(table['title'])}**"
         yield _table(table["header"], table["rows"])
 
 
+def _named(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """The part's numbers whose names stand in its text, in that order."""
+    names = dict.fromkeys(re.findall(r"`(\w+)`", part["text"]))
+    return [(f"`{name}`", numbers[key]) for name in names if (key := f"{part['name']}.{name}") in numbers]
+
+
 def _foot(results: Results) -> Iterator[str]:
     yield "## Readings and versions"
-    yield _table(("reading", "value"), [(name.replace("_", " "), value) for name, value in results["readings"].items()])
+    options = [(_option(name), value, reading_words(name, value)) for name, value in results["readings"].items()]
+    yield _table(("option", "value", "meaning"), options)
     yield _table(("version of", "is"), list(results["versions"].items()))
+
+
+def _option(name: str) -> str:
+    return f"`--{name.replace('_', '-')}`"
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -192,14 +247,18 @@ def _is_number(value: Any) -> bool:
     return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
-def _escaped(text: str) -> str:
-    """Text for a table or a sentence: what is between backticks stays code, and nothing else is markup."""
+def _escaped(text: str, *, bold: bool = False) -> str:
+    """Text for a table or a sentence: what is between backticks stays code, and nothing else is markup.
+
+    ``bold``: nor is what stands between two asterisks each.
+    """
     pieces = " ".join(str(text).split()).split("`")
     if len(pieces) % 2 == 0:  # a backtick on its own
         pieces = ["\\`".join(pieces)]
     outside = [re.sub(r"([\\*<\[\]]|(?<!\w)_|_(?!\w))", r"\\\1", piece) for piece in pieces[::2]]
     pieces[::2] = [piece.replace("\\\\`", "\\`") for piece in outside]
-    return "`".join(pieces).replace("|", "\\|")
+    whole = "`".join(pieces).replace("|", "\\|")
+    return whole.replace("\\*\\*", "**") if bold else whole
 
 
 # --- HTML -----------------------------------------------------------------------------------------------------------
@@ -210,25 +269,29 @@ def _dressed(tokens: list[Token]) -> tuple[list[Token], list[tuple[str, str]]]:
     dressed: list[Token] = []
     contents: list[tuple[str, str]] = []
     columns: list[str] = []
+    names: list[str] = []
     place = 0
     for token, following in zip(tokens, [*tokens[1:], None], strict=True):
         text = following.content if following is not None and following.type == "inline" else ""
-        if token.type == "heading_open" and token.tag == "h2":
+        if token.type == "heading_open" and token.tag in ("h2", "h3"):
             name = re.sub(r"\W+", "-", text.lower()).strip("-")
-            token.attrSet("id", name)
-            contents.append((name, text))
+            names.append(name)
+            token.attrSet("id", name if names.count(name) == 1 else f"{name}-{names.count(name)}")
+            if token.tag == "h2":
+                contents.append((str(token.attrGet("id")), text))
         elif token.type == "table_open":
-            dressed.append(_raw('<div class="scroll">\n'))
+            dressed.append(_raw('<div class="scroll" role="region" tabindex="0" aria-label="table">\n'))
             columns = []
         elif token.type == "tr_open":
             place = 0
         elif token.type == "th_open":
             columns.append(text)
+            token.attrSet("scope", "col")
         elif token.type == "td_open":
-            names = [columns[place].lower().replace(" ", "-")] if columns[place] in _COLUMNS else []
-            names += [_VERDICTS[text]] if columns[place] == "Verdict" and text in _VERDICTS else []
-            if names:
-                token.attrSet("class", " ".join(names))
+            classes = [columns[place].lower().replace(" ", "-")] if columns[place] in _COLUMNS else []
+            classes += [_VERDICTS[text]] if columns[place] == "Verdict" and text in _VERDICTS else []
+            if classes:
+                token.attrSet("class", " ".join(classes))
             place += 1
         dressed.append(token)
         if token.type == "table_close":
@@ -262,6 +325,7 @@ th { background: var(--soft); }
 td.the-paper { min-width: 14rem; } td.evidence { min-width: 24rem; } td.ours, td.reading { min-width: 9rem; }
 td.command { min-width: 12rem; } td.where, td.published { white-space: nowrap; }
 td.verdict { white-space: nowrap; font-weight: 600; }
+@media (max-width: 40rem) { td.the-paper { min-width: 10rem; } td.evidence { min-width: 16rem; } }
 td.good { color: var(--good); } td.bad { color: var(--bad); } td.mixed { color: var(--mixed); }
 """
 

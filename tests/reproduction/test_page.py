@@ -9,21 +9,28 @@ from html.parser import HTMLParser
 
 import pytest
 
+from baselines.reproduction.finding import Run
 from baselines.reproduction.findings import FINDERS, RULE, rows
-from baselines.reproduction.page import _GROUPS, _VERDICTS, MAIN, html, markdown
+from baselines.reproduction.page import _GROUPS, _SUBJECTS, _VERDICTS, html, markdown
 from baselines.reproduction.published import PUBLISHED
 from baselines.reproduction.readings import Readings
+from baselines.reproduction.summary import HEADINGS, POINTS, points
 
 RESULTS = {
     "readings": asdict(Readings(line="flat")),
     "versions": {"python": "3.12", "numpy": "2.1"},
     "command": "cablebot reproduce --line flat",
-    "numbers": {},
+    "numbers": {
+        "fig10.counted_kg": 2.1,
+        "fig10.payload_kg": 2.1,
+        "fig10.exact_total_mass_kg": 3.12,
+        "fig10.motor": 2,
+    },
     "parts": [
         {
             "name": "fig10",
             "title": "Fig. 10: torques [N·m]",
-            "text": "What **is** shown.",
+            "text": "What **is** shown: `payload_kg`, `rad_s`.\n",
             "figure": "fig10",
             "tables": [
                 {
@@ -43,9 +50,11 @@ RESULTS = {
             "impossible": "no positive tensions hold it",
         },
     ],
-    "rows": rows(Readings(line="flat"), {"fig10.counted_kg": 2.1, "fig10.payload_kg": 2.1, "fig10.motor": 2}),
     "missing": ["fig12", "scan"],
 }
+
+
+RESULTS["rows"] = rows(Readings(line="flat"), RESULTS["numbers"])
 
 
 class Page(HTMLParser):
@@ -119,7 +128,8 @@ def test_no_link_within_the_page_leads_nowhere(page):
     inner = [link[1:] for link in page.links if link.startswith("#")]
     assert inner
     assert set(inner) <= set(page.ids)
-    assert {link for link in page.links if not link.startswith("#")} == {"fig10.svg", "docs/errata.md"}
+    assert {link for link in page.links if not link.startswith("#")} == {"fig10.svg"}
+    assert "`docs/errata.md`" in markdown(RESULTS)
     assert "../errata.md" in Page(html(RESULTS | {"errata": "../errata.md"})).links
 
 
@@ -133,7 +143,7 @@ def test_every_published_number_has_a_row(page):
     assert all(len(row) == 8 for table in judged for row in table)
     results = next(table for table in judged if table[1][0] == "§4.4")
     planar = next(row for row in results if row[1].startswith("load capacity of the planar"))
-    assert planar[2:4] == ["about 2.2 kg", "2.1 kg (−5 %)"]
+    assert planar[2:4] == ["about 2.2 kg", "2.10 kg (−5 %)"]
     assert planar[5] == "reproduces"
     assert planar[7] == "cablebot reproduce --only fig10 --line flat"
 
@@ -158,7 +168,7 @@ def test_text_in_tables_is_not_markup(page):
     assert "–" in cells
     lines = [line for line in markdown(RESULTS).splitlines() if line.startswith("|")]
     tables = "\n".join(lines).replace("\\|", "")
-    assert {line.count("|") for line in tables.splitlines()} == {3, 9}
+    assert {line.count("|") for line in tables.splitlines()} == {3, 4, 9}
 
 
 def test_code_in_evidence_stays_code():
@@ -186,15 +196,51 @@ def test_groups_hold_what_findings_need():
     assert {part for finder in FINDERS.values() for part in finder.parts} <= set(grouped)
 
 
-def test_the_summary_counts_and_names_the_main_findings():
+def test_the_summary_counts_and_says_what_reproduces():
     text = markdown(RESULTS)
-    assert set(MAIN) <= set(PUBLISHED)
     assert "**11 results**: 2 reproduce; 9 not run" in text
-    assert "* **§5.2.1, load capacity of the planar robot** (about 2.2 kg): 2.1 kg (−5 %), *reproduces*." in text
-    assert "load capacity of the spatial robot** (" not in text
-    assert RULE in text
+    summary = text[text.index("## Summary") : text.index("## Results")]
+    point = "* **Load capacity of the planar robot** (§5.2.1). Published: about 2.2 kg. Ours: 2.10 kg (−5 %); "
+    assert point in summary[summary.index("### What reproduces") :]
+    assert "platform and load together, by exact tracking, 3.12 kg (+42 %)." in summary
+    assert "### What does not" not in summary
+    assert "Load capacity of the spatial robot" not in summary
+    assert RULE in summary
+
+
+def test_points_of_the_summary_are_findings():
+    keys = [key for keys, _, _ in POINTS for key in keys]
+    assert len(keys) == len(set(keys))
+    assert set(keys) <= set(PUBLISHED)
+
+
+def test_a_point_whose_findings_differ_reproduces_in_part():
+    def said(**verdicts):
+        judged = [row | {"verdict": verdicts.get(row["key"].replace(".", "_"), "does not")} for row in RESULTS["rows"]]
+        return {title.split("**")[1]: verdict for verdict, title in points(run, judged)}
+
+    run = Run(readings=Readings(), numbers={})
+    found = said()
+    assert set(found) == {title for _, title, _ in POINTS}
+    assert set(found.values()) == {"does not"}
+    assert found | {"More than 60 % less error with the robust term": "in part"} == said(**{"4_4_sum": "reproduces"})
+    assert set(said(**{"4_4_sum": None})) == set(found) - {"More than 60 % less error with the robust term"}
+    assert {*found.values(), "in part"} <= set(HEADINGS)
+
+
+def test_readings_that_are_not_the_default_stand_out():
+    text = markdown(RESULTS)
+    assert "* Torque limits U± of Eq. 37: **flat limits**." in text
+    assert "in bold where they are not the default" in text
     assert "cablebot reproduce --line flat" in text
-    assert "Readings chosen: line flat." in text
+    default = markdown(RESULTS | {"readings": asdict(Readings())})
+    assert "What follows holds for the default readings:" in default
+    assert "* Torque limits U± of Eq. 37: limits by the motor's speed in rad/s." in default
+    assert {name for names in _SUBJECTS.values() for name in names} == set(asdict(Readings()))
+
+
+def test_numbers_that_a_text_names_stand_below_it(page):
+    assert [["number", "value"], ["payload_kg", "2.1"]] in page.tables
 
 
 def test_no_verdict_is_without_mark():
