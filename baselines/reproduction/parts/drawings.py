@@ -124,7 +124,7 @@ def _draw_planar(readings: Readings, found: Found) -> Figure:
     _draw_plane(plane, robot)
     _draw_lengths(lengths, robot)
     mass = f"point mass m = {robot.mass:g} kg, pulleys r = {1e3 * robot.pulley_radius[0]:g} mm (to scale)"
-    entitle(figure, f"Planar robot (Tables 1 and 2): {mass}", *_words(readings))
+    entitle(figure, f"Planar robot (Tables 1 and 2): {mass}; dashed: the path", *_words(readings))
     return figure
 
 
@@ -385,7 +385,7 @@ PARTS: tuple[Part, ...] = (
         text="The planar robot to scale, from the anchors that the plant uses: an equilateral triangle of the side "
         "that Table 2 prints, motors 1 to 3 at its corners, the platform at the start of Table 1's circle. θᵢ "
         "is the angle of cable i as Eq. 2 counts it, from +x towards the platform. The paper does not say how "
-        "the triangle lies; `planar_apex` is that reading. The published figure is known by its caption only, "
+        "the triangle lies; `--planar-apex` is that reading. The published figure is known by its caption only, "
         "so that nothing of it can be compared.",
         cells=_no_cells,
         outcome=_planar_outcome,
@@ -396,8 +396,8 @@ PARTS: tuple[Part, ...] = (
         title="Fig. 2: the spatial robot",
         text="The spatial robot to scale at the start of Table 3's path, its platform turned by the same rotation "
         "matrix as in the plant. The cables make a ring, A1P1, A2P1, A2P3, A3P3, A3P2, A1P2, and motor i winds "
-        'cable i. a and b of Table 4, "half of the triangle", are read as half sides (`sides`), and the '
-        "platform's triangle points away from the base's (`triangles`): pointing the same way, no positive "
+        'cable i. a and b of Table 4, "half of the triangle", are read as half sides (`--sides`), and the '
+        "platform's triangle points away from the base's (`--triangles`): pointing the same way, no positive "
         "tensions hold it at rest in its home pose. The published figure is known by its caption only.",
         cells=_no_cells,
         outcome=_spatial_outcome,
@@ -410,8 +410,9 @@ PARTS: tuple[Part, ...] = (
         "for both, and how far the springs are wound when the robot rests on the path. The springs are soft: "
         "the weight alone winds them by radians, which is why a robot that starts with its motors at the "
         "pulleys' angles would drop. `wind_up_max_rad` is at the start of the path, `wind_up_path_max_rad` the "
-        "most on it; the modes are those of the motors against pulleys and platform about the home pose, cables "
-        "taut.",
+        "most on it; `mode_low_Hz` and "
+        "`mode_high_Hz` are the lowest and highest mode of the motors against pulleys and platform about the home "
+        "pose, cables taut.",
         cells=_no_cells,
         outcome=_joint_outcome,
         draw=_draw_joint,

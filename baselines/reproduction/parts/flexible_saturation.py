@@ -121,7 +121,7 @@ def _draw_path(readings: Readings, found: Found) -> Figure:
     robot = readings.flexible("payload")
     if not readings.plays:
         still = on_reference(paper_circle(robot), name="state space")
-        lines = ("robot with joint springs, no closed loop", "the path is the reference by assumption")
+        lines = ("Robot with joint springs, no closed loop", "the path is the reference by assumption")
         return _drawn(readings, [still], [np.zeros_like(still.pose)], lines)
     carried = Carried.simulated(found["fl4"])
     friction = readings.spatial("payload").damping[0]
@@ -132,8 +132,8 @@ def _draw_path(readings: Readings, found: Found) -> Figure:
     )
     shown = [travelled(run, name=name, color=color) for run, name, color in runs]
     title = (
-        "robot with joint springs in closed loop",
-        "fl4: " + carried.sentence(robot),
+        "Robot with joint springs in closed loop",
+        "blue, fl4: " + carried.sentence(robot),
         *early_end(found["fl4"], found["empty"]),
     )
     return _drawn(readings, shown, [_errors(readings, run) for run, _, _ in runs], title)
@@ -250,13 +250,18 @@ def _draw_torques(readings: Readings, found: Found) -> Figure:
         carried = Carried.simulated(found["fl4"])
         profile = simulated_profile(readings.motors(robot), run_of(found["fl4"], found["empty"]))
         draw_panels(parts[0], profile, first_saturation(profile, carried))
-        how = "fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
+        how = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
         ended = early_end(found["fl4"], found["empty"])
         head(parts[0], readings, how, carried.sentence(robot), *ended, _beside(readings, found))
     carried = Carried.computed(found["state_space"])
     profile = computed_profile(state_space_profile(readings, robot, carried.payload or 0.0))
     draw_panels(parts[-1], profile, first_saturation(profile, carried))
-    head(parts[-1], readings, "state space of Eqs. 23–25, no closed loop", carried.sentence(robot))
+    head(
+        parts[-1],
+        readings,
+        "Robot with joint springs, state space of Eqs. 23–25, no closed loop",
+        carried.sentence(robot),
+    )
     return figure
 
 
@@ -272,10 +277,10 @@ _FIG14 = Part(
     title="Fig. 14: path and other coordinates of the robot with joint springs",
     text="""\
 The paper shows a circle within R and "responses that are stable" with K = 3. The law of its Eq. 22 does not give them:
-as printed, without a payload, it has a pole in the right half plane whatever K is, and the oscillation leaves the tube.
+as printed, it has a pole in the right half plane whatever K is, and even without a payload it leaves the tube (red).
 What it lacks is damping of the motors: with the c of Table 4 put on their side of the springs, which no table says, the
-same law stays inside. Blue is the fourth-order feedback linearization, the law that does what the paper says of its
-own, at its largest payload under the paper's criterion. The bound of z is R; those of the angles are ours.
+same law can stay inside (grey). Blue is the fourth-order feedback linearization, the law that does what the paper says
+of its own, at its largest payload under the paper's criterion. The bound of z is R; those of the angles are ours.
 """,
     cells=_path_cells,
     outcome=_path_outcome,
@@ -291,10 +296,9 @@ the closed loop with the fourth-order feedback linearization, at the largest pay
 instant, 500 Hz. Below, the paper's own way, its state space (Eqs. 23–25): the platform stays on the reference by
 assumption while undamped motors ring behind their springs, which is the motion of no robot. The table has the other
 laws, Eq. 22 as printed among them, and the rigid robot. The drop is one less the ratio of the payloads with springs and
-without, each found in the same way. By the default reading the closed loop comes near the published 1.4 kg, with the
-published motor, from a rigid payload that is smaller than the published one. The state space gives anything from less
-than nothing to more than the rigid robot carries, by the stiffness, the divisor of Eq. 24 and the speed that U± takes.
-The paper's two loads differ by 45 %, and its conclusion says about 30 %.
+without, each found in the same way. Even where a closed loop comes near the published load, it starts from another
+rigid payload than the paper. *Readings* shows how much the state space's payload depends on the stiffness, the divisor
+of Eq. 24 and the speed that U± takes.
 """,
     cells=_torque_cells,
     outcome=_torque_outcome,

@@ -452,7 +452,7 @@ def _draw_duration(readings: Readings, found: Found) -> Figure:
         _draw_line(axes, points, law, below=below)
     axes.set(xlabel="duration of the circle [s]", ylabel="payload [kg]", xlim=(0.6, 1.02 * max(DURATIONS)))
     axes.set_xticks(DURATIONS, [f"{duration:g}" for duration in DURATIONS])
-    _mark(axes, (1.0,), "the paper's")
+    _mark(axes, (1.0,), "the paper's duration")
     _legend(figure, axes, _ALL, list(found.values()), {})
     entitle(figure, "Payload against the duration of the circle", _SETTING)
     return figure
@@ -470,7 +470,7 @@ def _draw_circle(readings: Readings, found: Found) -> Figure:
     most = float(np.nanmax([_top(found), *payload.ravel()]))
     scale, colours = Normalize(0.0, most), colormaps["viridis"]
     laws = _ADAPTIVE if readings.plays else ()
-    figure = new_figure(4.6)
+    figure = new_figure(5.0)
     panels = figure.subplots(1, 1 + len(laws), squeeze=False)[0]
     first, grid = panels[0], (FINE_RADII, FINE_HEIGHTS)
     first.pcolormesh(*grid, weak, cmap=ListedColormap([SHADE, SKY]), shading="nearest", rasterized=True)
@@ -484,7 +484,7 @@ def _draw_circle(readings: Readings, found: Found) -> Figure:
     first.invert_yaxis()
     for axes, law in zip(panels[1:], laws, strict=True):
         _draw_cells(axes, found, law, scale, colours)
-        axes.set(title=_LINES[law][1], xlabel="radius [m]")
+        axes.set(title=_LINES[law][1], xlabel="radius [m]", ylabel="z [m]")
     figure.colorbar(image, ax=panels, label="payload [kg]")
     entitle(
         figure,
@@ -508,7 +508,7 @@ def _draw_cells(axes: Axes, found: Found, law: str, scale: Any, colours: Any) ->
                 (column + 0.5, row + 0.5),
                 horizontalalignment="center",
                 verticalalignment="center",
-                fontsize=7.5,
+                fontsize=8.5,
                 color="black" if bright else "white",
             )
     if PAPER_CIRCLE[0] in RADII and PAPER_CIRCLE[1] in HEIGHTS:
@@ -520,8 +520,8 @@ def _draw_cells(axes: Axes, found: Found, law: str, scale: Any, colours: Any) ->
 
 
 _READ = (
-    "Markers tell what gives way beyond the payload. Motors clip under this criterion: long before an error leaves its "
-    "bound, one of them gives all it can (`cases_with_a_motor_at_its_limit` counts them)."
+    "Task criterion, 500 Hz, payload told. Markers tell what gives way beyond the payload; motors clip long before it "
+    "(`cases_with_a_motor_at_its_limit` of `cases_carried`)."
 )
 
 PARTS: tuple[Part, ...] = (
@@ -534,8 +534,7 @@ PARTS: tuple[Part, ...] = (
             "which the paper's flexible robot does not have. Softer springs carry a little more, for they smooth the "
             "jump of the acceleration; still softer ones follow too late. `adaptive-composite` damps its springs by "
             "0.4 √(K J′), which below K = 2 is less than its outer loop feeds them. Stiff springs end `fl4` and "
-            "`motor-pd` because these are sampled at 500 Hz: at 2 kHz they carry 3.8 kg with 100 and 1000 N·m/rad. "
-            + _READ
+            "`motor-pd`, for which 500 commands a second are then too few. " + _READ
         ),
         cells=_stiffness_cells,
         outcome=_stiffness_outcome,

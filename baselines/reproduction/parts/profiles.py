@@ -221,6 +221,11 @@ def _demand(profile: TorqueProfile) -> Array:
     return share
 
 
+def first_limit(limit: Limit) -> str:
+    """What gives way first, and when, without the last digits of the search for it."""
+    return _gives_way(limit) + ("" if limit.time is None else f" at {limit.time:.3f} s")
+
+
 def _gives_way(limit: Limit) -> str:
     where = {"torque": f"motor {limit.index}", "slack": f"cable {limit.index} slack", "scan_end": "nothing"}
     return where.get(limit.kind, limit.reason or limit.kind)

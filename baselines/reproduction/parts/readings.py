@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import product
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from baselines.classical import Composite, FeedbackLinearization, FourthOrder, MotorPD
 from baselines.reproduction.exact import Heaviest, exact_limit, state_space_limit
 from baselines.reproduction.part import Cell, Found, Number, Outcome, Part, Table
+from baselines.reproduction.parts.profiles import first_limit
 from baselines.reproduction.published import LOADS, within
 from baselines.reproduction.readings import Readings, choices_of
 from baselines.reproduction.runs import Law, largest_payload
@@ -81,7 +83,7 @@ def _possible(readings: Readings) -> Heaviest | None:
 
 
 _CLOSED: dict[str, tuple[str, dict[str, Any]]] = {
-    "chosen": ("as they are chosen", {}),
+    "chosen": ("as chosen", {}),
     "flat": ("flat limits", {"line": "flat"}),
     "mass_11": ("platform mass 11 kg", {"platform_mass": "11"}),
     "circumradius": ("a and b are circumradii", {"sides": "circumradius"}),
@@ -203,7 +205,21 @@ def _table(title: str, fields: tuple[str, ...], limits: Limits) -> Table:
         rows.setdefault(tuple(str(getattr(one, field)) for field in fields), []).append(_words(limit))
     lines = _LINES if len(next(iter(rows.values()))) == len(_LINES) else _RIGID_LINES
     header = (*(field.replace("_", " ") for field in fields), *(f"line {line}" for line in lines))
-    return Table(title=title, header=header, rows=tuple((*key, *cells) for key, cells in rows.items()))
+    return Table(title=title, header=header, rows=tuple(_joined(rows)))
+
+
+def _joined(rows: Mapping[tuple[str, ...], list[str]]) -> Iterator[tuple[str, ...]]:
+    """The rows, one in place of all that begin alike where nothing but the same words is in them."""
+    alike: dict[str, set[str]] = {}
+    for key, cells in rows.items():
+        alike.setdefault(key[0], set()).update(cells)
+    written: set[str] = set()
+    for (first, *others), cells in rows.items():
+        if len(alike[first]) > 1:
+            yield (first, *others, *cells)
+        elif first not in written:
+            written.add(first)
+            yield (first, *("any" for _ in others), *cells)
 
 
 def _words(limit: Heaviest | None) -> str:
@@ -211,7 +227,7 @@ def _words(limit: Heaviest | None) -> str:
         return "no positive tensions"
     if limit.payload == float("-inf"):
         return "no mass"
-    return f"{limit.payload:.2f} (motor {limit.motor})"
+    return f"{limit.payload:.2f} (motor {limit.motor})".replace("-", "−")
 
 
 def _closed(found: Found) -> dict[str, DLCCResult]:
@@ -232,7 +248,7 @@ def _closed_table(found: Found) -> Table:
     for name, result in _closed(found).items():
         kind, which = name.split("_", 1)
         if kind != "flex":
-            rows.append((kind, _CLOSED[which][0], result.payload, result.total_mass, str(result.limit)))
+            rows.append((kind, _CLOSED[which][0], result.payload, result.total_mass, first_limit(result.limit)))
     return Table(
         title="Closed loop: `fl` at 500 Hz under the paper criterion, one reading changed at a time",
         header=("robot", "reading", "payload [kg]", "total mass [kg]", "first limit"),
@@ -246,9 +262,9 @@ def _branch_table(found: Found) -> Table:
         kind, _, rest = name.partition("_")
         if kind == "flex":
             law, branch = rest.rsplit("_", 1)
-            rows.append((law, branch, result.payload, str(result.limit)))
+            rows.append((law, branch, result.payload, first_limit(result.limit)))
     return Table(
-        title="Joint springs, closed loop under the paper criterion: the branch of Table 3 at 0.5 s sharp decides",
+        title="Joint springs, closed loop under the paper criterion: which branch of Table 3 holds at 0.5 s sharp",
         header=("law", "branch at 0.5 s", "payload [kg]", "first limit"),
         rows=tuple(rows),
     )
@@ -259,9 +275,20 @@ PARTS: tuple[Part, ...] = (
         name="readings",
         title="Readings and what they give",
         text=(
-            "Where the paper can be read in several ways, each way is a parameter of `cablebot reproduce`. The tables "
-            "combine them all where a payload has a closed form, and change one at a time where a loop has to be "
-            "simulated. A payload below zero says that the platform alone is too heavy by as much."
+            "Each way to read the paper is an option of `cablebot reproduce`. The tables combine all of them where a "
+            "payload has a closed form, and change one at a time where a loop has to be simulated. A payload below "
+            "zero says that the platform alone is too heavy by as much. The columns are the speed that U± of Eq. 37 "
+            "takes: the motor's in rad/s (physical), the pulley's, none (flat), the cable's in m/s (cable), or the "
+            "motor's with its sign reversed.\n\n"
+            f"Closest to the {LOADS['spatial']:g} kg of §5.2.2 comes the rigid robot with the pulleys of Table 5 (half "
+            "the inertia, no damping) and with q̇ of Eq. 37 taken literally, as the rate of the cable's length in m/s, "
+            "or with flat limits, which is nearly the same: to about one percent, motor 2 first. With that q̇ the "
+            "planar robot comes closest with motor 2 first, too, if its third motor is on the left and T_min is 0. "
+            "This is a hint and no proof: the scan below finds many other geometries that give the number, and a "
+            "torque that depends on metres per second is that of no motor.\n\n"
+            "The last table is for the robot with joint springs. Tables 1 and 3 give two accelerations at 0.5 s, and a "
+            "command falls on that instant. Which of the two a law takes there, for one command, already moves its "
+            "payload under the paper criterion, since it is there that the motors are nearest to their limits."
         ),
         cells=_cells,
         outcome=_outcome,

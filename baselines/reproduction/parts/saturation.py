@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from baselines.classical.feedback_linearization import FeedbackLinearization
 from baselines.reproduction.exact import exact_limit, exact_profile, paper_circle
+from baselines.reproduction.finding import sentence
 from baselines.reproduction.part import Cell, Found, Outcome, Part
 from baselines.reproduction.parts.profiles import (
     Carried,
@@ -113,7 +114,7 @@ class Rigid:
             profile = computed_profile(exact_profile(readings, robot, carried.payload or 0.0))
             how = "exact tracking, no closed loop"
         draw_panels(figure, profile, first_saturation(profile, carried))
-        head(figure, readings, f"{self.kind} robot, {how}", carried.sentence(robot), *ended)
+        head(figure, readings, sentence(f"{self.kind} robot, {how}"), carried.sentence(robot), *ended)
         return figure
 
     def path(self, readings: Readings, found: Found) -> Outcome:
@@ -139,7 +140,7 @@ class Rigid:
         if self.plays(readings):
             shown = Carried.simulated(found["paper"])
             ended = early_end(found["paper"], found["empty"])
-            title = (f"{self.kind} robot in closed loop with fl", shown.sentence(robot), *ended)
+            title = (sentence(f"{self.kind} robot in closed loop with fl"), f"blue: {shown.sentence(robot)}", *ended)
             name = f"{shown.payload or 0.0:.3f} kg, told, paper criterion"
             curves.append(travelled(run_of(found["paper"], found["empty"]), name=name))
             for cell, color, told in (("task", VERMILLION, "told"), ("untold", GREY, "not told")):
@@ -148,7 +149,10 @@ class Rigid:
                     name = f"{other.payload:.3f} kg, {told}, motors clip; limit: {other.gives_way}"
                     curves.append(travelled(found[cell].history, name=name, color=color))
         else:
-            title = (f"{self.kind} robot, exact tracking, no closed loop", "the path is the reference by assumption")
+            title = (
+                sentence(f"{self.kind} robot, exact tracking, no closed loop"),
+                "the path is the reference by assumption",
+            )
             curves.append(on_reference(paper_circle(robot), name="exact tracking"))
         figure = new_figure(_PATH_HEIGHT)
         rotation = bounds.rotation if self.kind == "spatial" else None
@@ -165,25 +169,28 @@ has one motor's torque and its limits U± = ±τ_s − (τ_s/ω_n) β̇ at its o
 motion is simulated in closed loop with the paper's feedback linearization at 500 Hz, under the paper's criterion:
 |a| ≤ 1 at every control instant, which is U⁻ ≤ τ ≤ U⁺, position error ≤ R and no slack cable. The closed form of exact
 tracking needs no simulation and stands beside it in the table. Under the task criterion the motors clip, and the
-errors alone decide. A reading that no control loop can be run with is drawn for exact tracking, and its title says so.
+errors alone decide, here and in Fig. 11. A reading that no control loop can be run with is drawn for exact tracking,
+and its title says so.
 """
 
 _PLANAR_COMPARED = """\
-By the default reading the published 2.2 kg is near what platform and load weigh together, not near the load alone; the
-motor that saturates first is the published one.
+The row of §5.2.1 compares with what is published.
 """
 
-_SPATIAL_COMPARED = """\
-By the default reading the load is well below the published 2.56 kg; the motor that saturates first is the published
-one. Which reading is asked for changes the load more than this difference, so the number cannot tell them apart.
+_SPATIAL = """\
+As Fig. 10, for the spatial robot, whose motors hold its weight as well. The row of §5.2.2 compares with what is
+published, *Readings* shows how far the payload moves with the reading, and the scan how far with the geometry.
 """
 
 _PATHS = """\
-The path at that payload inside the tube of radius R around its reference, and its errors at each instant. The other
-curves are the largest payloads of the same law when torque beyond U± is clipped instead of forbidden, with the payload
-told to the law and not told: there an error or a slack cable gives way, so accuracy needs no attention only while no
-motor saturates and the law knows the payload. That the path stays inside the tube, as published, holds. The bound of
-rotation is ours; the paper has none.
+The path at the payload of Fig. 10 inside the tube of radius R around its reference, and its errors at each instant.
+The other curves are the largest payloads of the same law when torque beyond U± is clipped instead of forbidden, with
+the payload told to the law and not told: there an error or a slack cable gives way, so that accuracy needs no
+attention only while no motor saturates and the law knows the payload.
+"""
+
+_SPATIAL_PATHS = """\
+As Fig. 11, at the payload of Fig. 12. The bound of rotation is ours; the paper has none.
 """
 
 
@@ -205,9 +212,9 @@ PARTS: tuple[Part, ...] = (
     _part(
         "fig12",
         "Fig. 12: torques of the spatial robot at its largest payload",
-        _TORQUES + _SPATIAL_COMPARED,
+        _SPATIAL,
         SPATIAL,
         "torques",
     ),
-    _part("fig13", "Fig. 13: path of the spatial robot at its largest payload", _PATHS, SPATIAL, "path"),
+    _part("fig13", "Fig. 13: path of the spatial robot at its largest payload", _SPATIAL_PATHS, SPATIAL, "path"),
 )

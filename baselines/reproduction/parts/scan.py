@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from baselines.reproduction.exact import COARSE, exact_limit, paper_circle
+from baselines.reproduction.finding import reading_words
 from baselines.reproduction.part import Cell, Found, Outcome, Part
 from baselines.reproduction.published import LOADS
 from baselines.reproduction.readings import Readings
@@ -116,7 +117,14 @@ def _draw(readings: Readings, found: Found) -> Figure:
     carried = payload[payload > 0]
     left.hist(carried, bins=np.arange(0, carried.max() + 0.25, 0.25), color=BLUE, label="geometries that carry a load")
     target = LOADS["spatial"]
-    left.axvspan(target - ROUNDING, target + ROUNDING, color=VERMILLION, alpha=0.6, linewidth=0, label="as published")
+    left.axvspan(
+        target - ROUNDING,
+        target + ROUNDING,
+        color=VERMILLION,
+        alpha=0.6,
+        linewidth=0,
+        label=f"as published, {target:g} ± {ROUNDING:g} kg",
+    )
     left.set(
         xlabel="payload of exact tracking [kg]", ylabel="geometries", title="spatial: size and turn of both triangles"
     )
@@ -125,13 +133,21 @@ def _draw(readings: Readings, found: Found) -> Figure:
     right.plot(degrees, planar, color=BLUE, label="added to the platform")
     right.plot(degrees, planar + mass, "--", color=GREY, label="platform and load")
     low, high = 0.95 * LOADS["planar"], 1.05 * LOADS["planar"]
-    right.axhspan(low, high, color=VERMILLION, alpha=0.3, linewidth=0, label="as published, ± 5 %")
+    right.axhspan(
+        low, high, color=VERMILLION, alpha=0.3, linewidth=0, label=f"as published, {LOADS['planar']:g} kg ± 5 %"
+    )
     right.set(
-        xlabel="turn of the planar triangle [°]", ylabel="mass [kg]", title="planar", xlim=(0, 120), ylim=(0, None)
+        xlabel="turn of the planar triangle [°]",
+        ylabel="mass [kg]",
+        title="planar: turn of the triangle",
+        xlim=(0, 120),
+        ylim=(0, None),
     )
     add_legend(figure, left)
     right.legend(loc="lower right", fontsize=9)
-    entitle(figure, f"Geometries that give the published payloads, torque-speed line: {readings.line}")
+    entitle(
+        figure, f"Geometries that give the published payloads; exact tracking, {reading_words('line', readings.line)}"
+    )
     return figure
 
 
@@ -143,8 +159,10 @@ PARTS: tuple[Part, ...] = (
             "The paper gives a and b, but neither which length of a triangle they are nor how the triangles stand. "
             f"All {len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS)} combinations of four meanings for each, of "
             f"{len(BASE_TURNS)} turns of the base and {len(PLATFORM_TURNS)} of the platform are tried for exact "
-            "tracking. Many different robots carry what the paper publishes; a geometry chosen because it does would "
-            "prove nothing. For the planar robot the triangle is turned about its centre."
+            "tracking, with Table 4's pulleys and 10 kg. Many different robots carry what the paper publishes, so that "
+            "the number alone identifies none; a geometry chosen because it gives the number would prove nothing. "
+            "*Readings* has the few readings of the paper's own words that come close. For the planar robot the "
+            "triangle is turned about its centre, from the reading chosen."
         ),
         cells=_cells,
         outcome=_outcome,

@@ -323,9 +323,9 @@ PARTS: tuple[Part, ...] = (
         title="Fig. 5: closed loop of the planar robot",
         text="Torques, tensions and errors of the planar robot under the paper's feedback linearization (Eqs. 10–13, "
         "the gains of Table 2, 500 commands a second), without payload on Table 1's circle. The limits are "
-        "those of Table 7. Tensions are the least that keep T_min (Eq. 11 with the least α). As the paper says, "
-        "they stay positive. The error is nothing but the sampling and the jump of the reference's acceleration "
-        "at 0.5 s, and a small part of R. The paper's curves are not published, so that no value can be "
+        "those of Table 7. Tensions are the least that keep T_min (Eq. 11 with the least α). The "
+        "error comes from the sampling and from the jump of the reference's acceleration at 0.5 s alone "
+        "(`peak_error_mm`). The paper's curves are not published, so that no value can be "
         "compared.",
         cells=_planar_cells,
         outcome=_loop_outcome,
@@ -353,10 +353,10 @@ PARTS: tuple[Part, ...] = (
         "`ripple_after_Nm` and `ripple_late_Nm`: root mean square of the difference to rigid exact tracking in "
         "the 0.2 s before the jump, after it and at the end; before it, the difference is the pulleys' "
         "friction, which Table 5 leaves out, and the ripple of a start from rest). That state space is no "
-        "robot's motion; the limits, drawn at the speeds of its ringing motors, do not allow it either by "
-        "default (`flexible_margin_Nm` is the least distance to them, negative beyond). Run on the robot, the "
-        "law of Eq. 22 as printed does not stabilise the springs (red): it is lost within the time given, its "
-        "torques clip and cables go slack. The curves of the paper are not published.",
+        "robot's motion; nor need the limits, drawn at the speeds of its ringing motors, allow it "
+        "(`flexible_margin_Nm` is the least distance to them, negative beyond). Run on the robot, the "
+        "law of Eq. 22 as printed does not stabilise the springs (red; `closed_loop_lost_s` is when its error leaves "
+        "R, `closed_loop_peak_error_mm` how large it gets). The curves of the paper are not published.",
         cells=_flexible_cells,
         outcome=_flexible_outcome,
         draw=_draw_flexible,
