@@ -277,7 +277,7 @@ _FIG14 = Part(
     title="Fig. 14: path and other coordinates of the robot with joint springs",
     text="""\
 The paper shows a circle within R and "responses that are stable" with K = 3. The law of its Eq. 22 does not give them:
-as printed, it has a pole in the right half plane whatever K is, and even without a payload it leaves the tube (red).
+as printed, it has a pole in the right half plane whatever K is, and even without a payload it leaves the tube (orange).
 What it lacks is damping of the motors: with the c of Table 4 put on their side of the springs, which no table says, the
 same law can stay inside (grey). Blue is the fourth-order feedback linearization, the law that does what the paper says
 of its own, at its largest payload under the paper's criterion. The bound of z is R; those of the angles are ours.

@@ -355,8 +355,8 @@ PARTS: tuple[Part, ...] = (
         "friction, which Table 5 leaves out, and the ripple of a start from rest). That state space is no "
         "robot's motion; nor need the limits, drawn at the speeds of its ringing motors, allow it "
         "(`flexible_margin_Nm` is the least distance to them, negative beyond). Run on the robot, the "
-        "law of Eq. 22 as printed does not stabilise the springs (red; `closed_loop_lost_s` is when its error leaves "
-        "R, `closed_loop_peak_error_mm` how large it gets). The curves of the paper are not published.",
+        "law of Eq. 22 as printed does not stabilise the springs (orange; `closed_loop_lost_s` is when its error "
+        "leaves R, `closed_loop_peak_error_mm` how large it gets). The curves of the paper are not published.",
         cells=_flexible_cells,
         outcome=_flexible_outcome,
         draw=_draw_flexible,
