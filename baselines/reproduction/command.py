@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -59,6 +58,7 @@ def reproduce(
     """
     from baselines.reproduction.engine import HTML, MARKDOWN, RESULTS
     from baselines.reproduction.engine import reproduce as run
+    from baselines.reproduction.page import tally
 
     readings = Readings(
         payload=payload,  # type: ignore[arg-type]
@@ -92,8 +92,8 @@ def reproduce(
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
         return
-    counts = Counter(row["verdict"] for row in results["rows"] if row["kind"] != "input" and row["verdict"])
-    print("results and claims of the paper: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
+    for kind in ("result", "claim", "input"):
+        print(f"{kind}s of the paper: {tally([row for row in results['rows'] if row['kind'] == kind])}")
     print(f"readings: {readings.words()}")
     if results["missing"]:
         print(f"not made: {', '.join(results['missing'])}")

@@ -38,6 +38,9 @@ RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
 Progress = Callable[[str, int, int], None]
 """Called with what was done last, how many computations are done, and how many there are."""
 
+_ERRATA = "../errata.md"
+"""The page of misprints, seen from the project's own folder of results."""
+
 _DIGITS = 10
 """Significant ones in results.json: what is left is rounding, which differs from machine to machine."""
 
@@ -155,6 +158,8 @@ class _Results:
             "parts": [self._parts[name] for name in order if name in self._parts],
             "missing": [name for name in order if name not in self._parts],
         }
+        if (self._out / _ERRATA).is_file():
+            results["errata"] = _ERRATA
         results["rows"] = rows(self._readings, results["numbers"])
         write_text(self._out / RESULTS, json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
         write_text(self._out / MARKDOWN, markdown(results))

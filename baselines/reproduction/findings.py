@@ -43,7 +43,7 @@ def find(item: Published, readings: Readings, numbers: Mapping[str, Number]) -> 
         if not any(key.startswith(f"{name.partition('.')[0]}.") for key in numbers):
             return None
         why = f"`{name}` has no value"
-        if not readings.plays:
+        if not readings.springs_play:
             why += f": no motor has the torque-speed line {readings.line}, so that no closed loop can be run"
         return _undecided(item, readings, f"{why}.")
 

@@ -425,8 +425,7 @@ def _free_speed(robot: RobotOf) -> Read:
     """Under the reading's torque-speed line, where a motor can have it [rpm]."""
 
     def read(readings: Readings) -> ArrayLike:
-        moved = robot(readings)
-        return np.divide((readings.motors(moved) if readings.plays else moved).motors.free_speed, RPM)
+        return np.divide(readings.moved(robot(readings)).motors.free_speed, RPM)
 
     return read
 

@@ -134,18 +134,23 @@ def _changed(readings: Mapping[str, Any]) -> set[str]:
     return {name for name, value in readings.items() if value != getattr(default, name, None)}
 
 
+def tally(rows: Sequence[dict[str, Any]]) -> str:
+    """How many rows have each verdict, in words."""
+    counts = Counter(_verdict(row) for row in rows)
+    return "; ".join(
+        f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL.get(verdict, verdict)}"
+        for verdict in _VERDICTS
+        if counts[verdict]
+    )
+
+
 def _summary(results: Results) -> Iterator[str]:
     yield "## Summary"
     rows = results["rows"]
     lines = []
     for kind in ("result", "claim", "input"):
-        counts = Counter(_verdict(row) for row in rows if row["kind"] == kind)
-        each = "; ".join(
-            f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL.get(verdict, verdict)}"
-            for verdict in _VERDICTS
-            if counts[verdict]
-        )
-        lines.append(f"* **{sum(counts.values())} {kind}s**: {each or 'none'}.")
+        mine = [row for row in rows if row["kind"] == kind]
+        lines.append(f"* **{len(mine)} {kind}s**: {tally(mine)}.")
     yield "\n".join(lines)
     run = Run(readings=Readings(**results["readings"]), numbers=results["numbers"])
     said = list(points(run, rows))
@@ -209,7 +214,7 @@ def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[str]:
         yield f"Not possible under the readings chosen: {_escaped(part['impossible'])}"
     if (name := part["figure"]) is not None:
         alt = re.sub(r"([\[\]\\])", r"\\\1", part["title"])
-        yield f"[![{alt}]({name}.png)]({name}.svg)"
+        yield f"![{alt}]({name}.svg)"
     if named := _named(part, numbers):
         yield "**Numbers that the text names.**"
         yield _table(("number", "value"), named)

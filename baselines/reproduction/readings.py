@@ -141,7 +141,12 @@ class Readings:
 
     @property
     def plays(self) -> bool:
-        """Whether motors can have this torque-speed line, so that closed loops can be run with it."""
+        """Whether motors of a rigid robot can have this torque-speed line, so that closed loops can be run with it."""
+        return self.springs_play or self.line == "pulley"  # which turns as its motor does
+
+    @property
+    def springs_play(self) -> bool:
+        """The same with joint springs."""
         return self.line in ("physical", "flat")
 
     def motors(self, robot: Robot) -> Robot:
@@ -150,11 +155,15 @@ class Readings:
         Raises:
             ValueError: if no motor has such a line.
         """
-        if not self.plays:
+        if not (self.springs_play if robot.flexible else self.plays):
             raise ValueError(
                 f"no motor has the line {self.line!r}, so that no loop can be run with it: choose flat or physical"
             )
-        return robot if self.line == "physical" else robot.replace(motors=robot.motors.replace(free_speed=_FLAT))
+        return robot.replace(motors=robot.motors.replace(free_speed=_FLAT)) if self.line == "flat" else robot
+
+    def moved(self, robot: Robot) -> Robot:
+        """The robot of a closed loop: with this torque-speed line if motors can have it, else as it is."""
+        return self.motors(robot) if (self.springs_play if robot.flexible else self.plays) else robot
 
     def counted(self, robot: Robot, added: float) -> float:
         """A payload [kg] as this reading counts it."""

@@ -78,7 +78,7 @@ def _payload(robot: Robot, law: Law, name: str, criterion: str = "paper") -> Cel
 
 
 def _path_cells(readings: Readings) -> dict[str, Cell]:
-    if not readings.plays:
+    if not readings.springs_play:
         return {}
     robot = readings.motors(readings.flexible("payload"))
     return {
@@ -91,7 +91,7 @@ def _path_cells(readings: Readings) -> dict[str, Cell]:
 
 def _path_outcome(readings: Readings, found: Found) -> Outcome:
     bounds = Limits()
-    if not readings.plays:
+    if not readings.springs_play:
         return Outcome(numbers={"peak_error_mm": None, "bound_mm": 1e3 * bounds.position, "within": None})
     position, rotation = peaks(found["fl4"], found["empty"])
     run = run_of(found["fl4"], found["empty"])
@@ -119,7 +119,7 @@ def _path_outcome(readings: Readings, found: Found) -> Outcome:
 
 def _draw_path(readings: Readings, found: Found) -> Figure:
     robot = readings.flexible("payload")
-    if not readings.plays:
+    if not readings.springs_play:
         still = on_reference(paper_circle(robot), name="state space")
         lines = ("Robot with joint springs, no closed loop", "the path is the reference by assumption")
         return _drawn(readings, [still], [np.zeros_like(still.pose)], lines)
@@ -183,7 +183,7 @@ def _torque_cells(readings: Readings) -> dict[str, Cell]:
         "rigid_exact": partial(exact_limit, readings=readings, robot=rigid),
         "state_space": partial(state_space_limit, readings=readings, robot=robot),
     }
-    if not readings.plays:
+    if not readings.springs_play:
         return cells
     rigid, robot = readings.motors(rigid), readings.motors(robot)
     return (
@@ -212,7 +212,7 @@ def _torque_outcome(readings: Readings, found: Found) -> Outcome:
     numbers = space.numbers(readings, robot, "state_space_") | exact.numbers(readings, rigid, "rigid_exact_")
     rows = {"rigid, exact tracking": (rigid, exact), "state space of Eqs. 23–25": (robot, space)}
     simulated, stiff = (space, exact)
-    if readings.plays:
+    if readings.springs_play:
         simulated, stiff = Carried.simulated(found["fl4"]), Carried.simulated(found["rigid"])
         others = ("motor_pd", "composite", "task", "eq22", "eq22_friction")
         for name in others:
@@ -228,7 +228,7 @@ def _torque_outcome(readings: Readings, found: Found) -> Outcome:
         }
     numbers |= simulated.numbers(readings, robot) | stiff.numbers(readings, rigid, "rigid_")
     numbers |= {
-        "simulated": readings.plays,
+        "simulated": readings.springs_play,
         "drop_share": _drop(numbers, "counted_kg", "rigid_counted_kg"),
         "state_space_drop_share": _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg"),
     }
@@ -244,9 +244,9 @@ def _drop(numbers: Mapping[str, Number], flexible: str, rigid: str) -> float | N
 def _draw_torques(readings: Readings, found: Found) -> Figure:
     robot = readings.flexible("payload")
     height = torques_height(robot.cables) + 0.3
-    figure = new_figure(2 * height if readings.plays else height)
-    parts = list(figure.subfigures(2, 1, squeeze=False)[:, 0]) if readings.plays else [figure]
-    if readings.plays:
+    figure = new_figure(2 * height if readings.springs_play else height)
+    parts = list(figure.subfigures(2, 1, squeeze=False)[:, 0]) if readings.springs_play else [figure]
+    if readings.springs_play:
         carried = Carried.simulated(found["fl4"])
         profile = simulated_profile(readings.motors(robot), run_of(found["fl4"], found["empty"]))
         draw_panels(parts[0], profile, first_saturation(profile, carried))

@@ -290,8 +290,8 @@ def _claims_cells(readings: Readings) -> dict[str, Cell]:
     cells: dict[str, Cell] = {}
     planar_law = partial(FeedbackLinearization, minimum_tension=readings.minimum_tension)
     made: dict[str, tuple[Robot, Law]] = {
-        "planar": (_moving(readings, readings.planar), planar_law),
-        "spatial": (_moving(readings, readings.spatial("payload")), FeedbackLinearization),
+        "planar": (readings.moved(readings.planar), planar_law),
+        "spatial": (readings.moved(readings.spatial("payload")), FeedbackLinearization),
     }
     for kind, (robot, law) in made.items():
         plan: dict[str, Law] = {"fl": law, "open loop": FeedForward}
@@ -331,7 +331,7 @@ def _claims_cells(readings: Readings) -> dict[str, Cell]:
                 control_frequency=frequency,
             )
         cells[f"{kind} affine"] = partial(affinity, robot=robot, minimum_tension=readings.minimum_tension)
-    flexible = _moving(readings, readings.flexible("payload"))
+    flexible = readings.moved(readings.flexible("payload"))
     for unknown in (None, "table6"):
         cells[f"flexible {unknown}"] = partial(
             compared,
@@ -343,10 +343,6 @@ def _claims_cells(readings: Readings) -> dict[str, Cell]:
             draws=_DRAWS if unknown else None,
         )
     return cells
-
-
-def _moving(readings: Readings, robot: Robot) -> Robot:
-    return readings.motors(robot) if readings.plays else robot
 
 
 def _claims_outcome(readings: Readings, found: Found) -> Outcome:

@@ -159,7 +159,7 @@ def _rigid_limit(robot: Robot) -> Robot:
 
 
 def _stiffness_cells(readings: Readings) -> dict[str, Cell]:
-    if not readings.plays:
+    if not readings.springs_play:
         return {}
     robots = _robots(readings)
     cells: dict[str, Cell] = {}
@@ -173,7 +173,7 @@ def _stiffness_cells(readings: Readings) -> dict[str, Cell]:
 
 
 def _bound_cells(readings: Readings) -> dict[str, Cell]:
-    if not readings.plays:
+    if not readings.springs_play:
         return {}
     cells: dict[str, Cell] = {}
     for law, robot in _robots(readings).items():
@@ -186,7 +186,7 @@ def _bound_cells(readings: Readings) -> dict[str, Cell]:
 
 
 def _duration_cells(readings: Readings) -> dict[str, Cell]:
-    if not readings.plays:
+    if not readings.springs_play:
         return {}
     cells: dict[str, Cell] = {}
     for law, robot in _robots(readings).items():
@@ -199,7 +199,7 @@ def _duration_cells(readings: Readings) -> dict[str, Cell]:
 def _circle_cells(readings: Readings) -> dict[str, Cell]:
     robot = readings.spatial("payload")
     cells: dict[str, Cell] = {"exact": partial(exact_map, robot=robot, line_speed=readings.line_speed(robot))}
-    if not readings.plays:
+    if not readings.springs_play:
         return cells
     robots = _robots(readings)
     for law in _ADAPTIVE:
@@ -316,7 +316,7 @@ def _circle_outcome(readings: Readings, found: Found) -> Outcome:
             "exact_widest_r_m": FINE_RADII[np.flatnonzero(np.isfinite(payload).any(axis=0))[-1]],
         }
     tables = []
-    for law in _ADAPTIVE if readings.plays else ():
+    for law in _ADAPTIVE if readings.springs_play else ():
         rows: dict[Number, dict[str, str]] = {
             height: {f"r = {radius:g} m": _circle_name(law, radius, height) for radius in RADII} for height in HEIGHTS
         }
@@ -469,7 +469,7 @@ def _draw_circle(readings: Readings, found: Found) -> Figure:
     payload, weak = _exact_arrays(found)
     most = float(np.nanmax([_top(found), *payload.ravel()]))
     scale, colours = Normalize(0.0, most), colormaps["viridis"]
-    laws = _ADAPTIVE if readings.plays else ()
+    laws = _ADAPTIVE if readings.springs_play else ()
     figure = new_figure(5.0)
     panels = figure.subplots(1, 1 + len(laws), squeeze=False)[0]
     first, grid = panels[0], (FINE_RADII, FINE_HEIGHTS)

@@ -136,7 +136,7 @@ def _cells(readings: Readings) -> dict[str, Cell]:
                 name="fl",
                 criterion="paper",
             )
-    if readings.plays:
+    if readings.springs_play:
         cells |= {
             f"flex_{name}_{branch}": partial(
                 largest_payload,

@@ -14,7 +14,7 @@ from baselines.classical.outer_loop import PAPER_GAINS
 from baselines.reproduction.exact import paper_circle
 from baselines.reproduction.part import Cell, Found, Number, Outcome, Part, Table
 from baselines.reproduction.parts.drawings import MOTORS
-from baselines.reproduction.parts.tracking import COORDINATES, moved, notes
+from baselines.reproduction.parts.tracking import COORDINATES, notes
 from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import Law, closed_loop
 from cablebot_gym.dlcc import compare_policies
@@ -121,8 +121,8 @@ def added_input(outer: RobustPD, loop: Rollout, robot: Robot) -> Added:
 
 def _robots(readings: Readings) -> dict[str, Robot]:
     return {
-        RIGID: moved(readings, readings.spatial("control")),
-        FLEXIBLE: moved(readings, readings.flexible("control")),
+        RIGID: readings.moved(readings.spatial("control")),
+        FLEXIBLE: readings.moved(readings.flexible("control")),
     }
 
 
@@ -223,7 +223,7 @@ def _tracking_cells(readings: Readings) -> dict[str, Cell]:
         cells[f"{env_id} layers"] = partial(
             reductions, env_id=env_id, plain=plain, robust=robust, robot=robot, layers=LAYERS, draws=DRAWS
         )
-    robot = moved(readings, readings.flexible("control"))
+    robot = readings.moved(readings.flexible("control"))
     cells[f"{_EQ22} plain"] = _one_draw(FLEXIBLE, partial(PaperFlexible, as_printed=True), robot)
     cells[f"{_EQ22} robust"] = _one_draw(FLEXIBLE, robust_eq22, robot)
     return cells

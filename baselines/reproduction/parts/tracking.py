@@ -37,14 +37,9 @@ _SMOOTH, _RINGING = 0.01, 0.004
 """Between the instants at which limits are drawn [s], to keep figures small."""
 
 
-def moved(readings: Readings, robot: Robot) -> Robot:
-    """The robot of a closed loop: with the reading's torque-speed line where a motor can have it, else as printed."""
-    return readings.motors(robot) if readings.plays else robot
-
-
 def rigid_loop(readings: Readings) -> Cell:
     """The spatial robot of Table 4 under feedback linearization."""
-    robot = moved(readings, readings.spatial("control"))
+    robot = readings.moved(readings.spatial("control"))
     return partial(closed_loop, env_id="CableBot-Spatial-v0", law=FeedbackLinearization, robot=robot, payload=0.0)
 
 
@@ -92,7 +87,7 @@ def _loop_outcome(readings: Readings, found: Found) -> Outcome:
 
 def _planar_cells(readings: Readings) -> dict[str, Cell]:
     law = partial(FeedbackLinearization, minimum_tension=readings.minimum_tension)
-    robot = moved(readings, readings.planar)
+    robot = readings.moved(readings.planar)
     return {"loop": partial(closed_loop, env_id="CableBot-Planar-v0", law=law, robot=robot, payload=0.0)}
 
 
@@ -241,7 +236,7 @@ def _flexible_cells(readings: Readings) -> dict[str, Cell]:
         "rigid_exact": partial(exact_profile, readings=readings, robot=rigid, payload=0.0),
         "state_space": partial(state_space_profile, readings=readings, robot=robot, payload=0.0),
         "loop": partial(
-            closed_loop, env_id="CableBot-FlexSpatial-v0", law=law, robot=moved(readings, robot), payload=0.0
+            closed_loop, env_id="CableBot-FlexSpatial-v0", law=law, robot=readings.moved(robot), payload=0.0
         ),
     }
 
@@ -326,7 +321,7 @@ PARTS: tuple[Part, ...] = (
         "those of Table 7. Tensions are the least that keep T_min (Eq. 11 with the least α). The "
         "error comes from the sampling and from the jump of the reference's acceleration at 0.5 s alone "
         "(`peak_error_mm`). The paper's curves are not published, so that no value can be "
-        "compared.",
+        "compared. Fig. 4 is the block diagram of this loop.",
         cells=_planar_cells,
         outcome=_loop_outcome,
         draw=_draw_planar,
