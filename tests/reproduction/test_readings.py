@@ -77,7 +77,15 @@ def test_flat_motors_do_not_weaken_with_speed():
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])
 def test_lines_that_no_motor_has_are_refused_by_motors(line):
     with pytest.raises(ValueError, match="flat or physical"):
-        Readings(line=line).motors(SPATIAL)
+        Readings(line=line).motors(FLEX_SPATIAL)
+    assert Readings(line=line).moved(FLEX_SPATIAL) == FLEX_SPATIAL
+
+
+def test_rigid_motor_turns_with_its_pulley():
+    assert Readings(line="pulley").motors(SPATIAL) == SPATIAL
+    for line in ("cable", "reversed"):
+        with pytest.raises(ValueError, match="flat or physical"):
+            Readings(line=line).motors(SPATIAL)
 
 
 @pytest.mark.parametrize("name", list(choices_of()))
