@@ -935,6 +935,7 @@ def test_rows_as_json_are_not_mixed_with_anything_else(cablebot, tmp_path):
     ("arguments", "message"),
     [
         (("--only", "fig4"), "there is no part 'fig4'; the parts are fig1, fig2"),
+        (("--only", ""), "there is no part ''"),
         (("--workers", "0"), "workers must be at least 1"),
         (("--minimum-tension", "-1"), "minimum_tension must be at least 0 N"),
     ],
@@ -942,6 +943,10 @@ def test_rows_as_json_are_not_mixed_with_anything_else(cablebot, tmp_path):
 def test_bad_input_of_a_reproduction_does_not_leave_a_file(cablebot, tmp_path, arguments, message):
     assert message in one_line(cablebot("reproduce", *arguments, "--out", tmp_path / "out"), 2)
     assert names(tmp_path) == []
+
+
+SAID = re.compile("compiling|robot …|what is done|--only")
+"""What the command says before it ends."""
 
 
 def is_alive(group):
@@ -969,8 +974,9 @@ def test_interrupted_reproduction_keeps_what_was_done_and_leaves_no_process(tmp_
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    said = "".join(line for line in err.splitlines(keepends=True) if "compiling" not in line and "robot …" not in line)
+    said = "".join(line for line in err.splitlines(keepends=True) if not SAID.search(line))
     assert "interrupted" in one_line(Ended(process.returncode, out, said), 130)
+    assert f"--out {tmp_path} --only scan" in err.replace("\n", " ").replace("  ", " ")
     results = loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     assert [part["name"] for part in results["parts"]] == ["fig3"]
     assert "scan" in results["missing"]

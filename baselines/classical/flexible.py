@@ -105,8 +105,8 @@ class Composite(FlexibleLaw):
         K_v = min(spring_damping √(K J′), max(½ √(K J′) cot(ωh/2), J′K_D)),   the cotangent only where ωh < π,
 
     that is, half of what is stable, and where that is too little, as much as leaves the swing alone. On the paper's
-    robot at 500 Hz the first term rules up to K = 82 N·m/rad and the last from 920 on; as K grows the law becomes the
-    rigid one. Before :meth:`begin` has told the control frequency, K_v is the first term.
+    robot at 500 Hz the first term rules up to K = 82 N·m/rad and the last from some 910 on; as K grows the law becomes
+    the rigid one. Before :meth:`begin` has told the control frequency, K_v is the first term.
 
     Args:
         robot: nominal robot.

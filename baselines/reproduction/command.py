@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +18,7 @@ _CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
 
 def reproduce(
     only: Annotated[
-        list[str] | None, typer.Option("--only", help="A part, such as fig10, readings or map-stiffness; repeatable.")
+        list[str] | None, typer.Option("--only", help="Parts, such as fig10,readings,map-stiffness.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results.json, the page and the figures.")] = Path(
         "reproduction"
@@ -54,9 +55,9 @@ def reproduce(
 
     cablebot reproduce --out reproduction
 
-    cablebot reproduce --only fig10 --only fig11 --payload total --line flat
+    cablebot reproduce --only fig10,fig11 --payload total --line flat --out flat
     """
-    from baselines.reproduction.engine import HTML, MARKDOWN, RESULTS
+    from baselines.reproduction.engine import HTML, MARKDOWN, RESULTS, missing
     from baselines.reproduction.engine import reproduce as run
     from baselines.reproduction.page import tally
 
@@ -74,7 +75,7 @@ def reproduce(
         eq24=eq24,  # type: ignore[arg-type]
         eq37=eq37,  # type: ignore[arg-type]
     )
-    names = [name.strip() for text in only or [] for name in text.split(",") if name.strip()]
+    names = [name.strip() for text in only or [] for name in text.split(",")]
     errors = Console(stderr=True, highlight=False, markup=False)
     columns = (
         TextColumn("{task.description}"),
@@ -88,7 +89,13 @@ def reproduce(
         def step(last: str, done: int, expected: int) -> None:
             bar.update(task, description=last, completed=done, total=expected)
 
-        results = run(readings, out, only=names, workers=workers, progress=step, say=errors.print)
+        say = partial(errors.print, soft_wrap=True)
+        try:
+            results = run(readings, out, only=names, workers=workers, progress=step, say=say)
+        except KeyboardInterrupt:
+            rest = ",".join(missing(out, names))
+            say(f"what is done is in {out}; go on with --out {out} --only {rest}")
+            raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
         return

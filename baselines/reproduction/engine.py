@@ -27,7 +27,7 @@ from baselines.reproduction.finding import command
 from baselines.reproduction.findings import rows
 from baselines.reproduction.page import html, markdown
 from baselines.reproduction.part import Cell, Found, Number, Part, cell_key
-from baselines.reproduction.readings import Readings
+from baselines.reproduction.readings import NoRobot, Readings
 from cablebot_gym.dlcc.batch import versions
 from cablebot_gym.dlcc.figures import DPI, import_matplotlib
 from cablebot_gym.files import usable_folder, write_whole
@@ -69,8 +69,9 @@ def reproduce(
 ) -> dict[str, Any]:
     """Runs parts and writes their figures, ``results.json`` and the page into a folder.
 
-    With ``only`` some parts, those that the folder holds from before are kept, if they were made by the same code and
-    under the same readings. After an interrupt what is done is written, and ``only`` the rest can follow.
+    Parts that the folder holds from before are kept until they are made anew, if they were made by the same code and
+    under the same readings; ``only`` some parts are not put beside others. After an interrupt what is done is written,
+    and ``only`` the rest can follow.
 
     Args:
         readings: how to read the paper.
@@ -84,7 +85,8 @@ def reproduce(
         What results.json holds.
 
     Raises:
-        ValueError: if a part is not known, the folder cannot be written to, or ``workers`` is not positive.
+        ValueError: if a part is not known, the folder cannot be written to or holds results of other readings or code
+            beside which ``only`` some parts would stand, or ``workers`` is not positive.
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     parts = find_parts(only)
@@ -92,7 +94,7 @@ def reproduce(
         raise ValueError(f"workers must be at least 1, not {workers}")
     import_matplotlib()
     usable_folder(out)
-    results = _Results(readings, out, keep=bool(only))
+    results = _Results(readings, out, alone=not only)
     try:
         for part, found in _computed(parts, readings, workers or _cores(), progress, say or (lambda _: None)):
             results.add(part, found)
@@ -101,27 +103,37 @@ def reproduce(
     return written
 
 
+def missing(out: Path, names: Sequence[str]) -> list[str]:
+    """Which of these parts, or of all for none, the results in a folder lack."""
+    held = json.loads((out / RESULTS).read_text(encoding="utf-8"))["missing"]
+    return [name for name in held if not names or name in names]
+
+
 class _Results:
     """What is known so far, and its files."""
 
-    def __init__(self, readings: Readings, out: Path, *, keep: bool) -> None:
+    def __init__(self, readings: Readings, out: Path, *, alone: bool) -> None:
         self._readings, self._out = readings, out
         self._head = {"readings": asdict(readings), "versions": versions(), "source": source_hash()}
         self._numbers: dict[str, Number] = {}
         self._parts: dict[str, dict[str, Any]] = {}
-        if keep:
-            self._keep()
+        self._keep(alone)
 
-    def _keep(self) -> None:
+    def _keep(self, alone: bool) -> None:
         """Takes over what an earlier run of the same code and readings left in the folder."""
         try:
             before = json.loads((self._out / RESULTS).read_text(encoding="utf-8"))
             same = all(before[name] == value for name, value in self._head.items())
-            if same:
-                self._numbers = dict(before["numbers"])
-                self._parts = {part["name"]: part for part in before["parts"]}
+            numbers, parts = dict(before["numbers"]), {part["name"]: part for part in before["parts"]}
         except (OSError, ValueError, KeyError, TypeError):
             return  # nothing there, or nothing that this command wrote
+        if same:
+            self._numbers, self._parts = numbers, parts
+        elif not alone:
+            raise ValueError(
+                f"{str(self._out)!r} holds results of other readings or code, which these parts do not go with: choose "
+                "another --out, or make all parts"
+            )
 
     def add(self, part: Part, found: Found | str) -> None:
         """A part's outcome and figure; a string says why the readings do not allow it."""
@@ -150,17 +162,19 @@ class _Results:
     def write(self) -> dict[str, Any]:
         """results.json and the page, of the parts there are."""
         order = [part.name for part in PARTS]
+        made = [name for name in order if name in self._parts]
         results: dict[str, Any] = self._head | {
-            "command": command(self._readings),
+            "command": command(self._readings, *(made if len(made) < len(order) else ())),
             "numbers": {
                 key: self._numbers[key] for name in order for key in self._numbers if key.startswith(f"{name}.")
             },
-            "parts": [self._parts[name] for name in order if name in self._parts],
+            "parts": [self._parts[name] for name in made],
             "missing": [name for name in order if name not in self._parts],
         }
         if (self._out / _ERRATA).is_file():
             results["errata"] = _ERRATA
-        results["rows"] = rows(self._readings, results["numbers"])
+        impossible = {name: part["impossible"] for name, part in self._parts.items() if "impossible" in part}
+        results["rows"] = rows(self._readings, results["numbers"], impossible)
         write_text(self._out / RESULTS, json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
         write_text(self._out / MARKDOWN, markdown(results))
         write_text(self._out / HTML, html(results))
@@ -224,7 +238,7 @@ def _computed(
     for part in parts:
         try:
             mine = part.cells(readings)
-        except ValueError as error:
+        except NoRobot as error:
             yield part, str(error)
             continue
         keys = {name: cell_key(cell) for name, cell in mine.items()}
@@ -248,12 +262,12 @@ def _computed(
 
 
 def _gathered(keys: Mapping[str, str], done: Mapping[str, Any]) -> Found | str:
-    failed = [done[key] for key in keys.values() if isinstance(done[key], ValueError)]
+    failed = [done[key] for key in keys.values() if isinstance(done[key], NoRobot)]
     return str(failed[0]) if failed else {name: done[key] for name, key in keys.items()}
 
 
 def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) -> Iterator[tuple[str, Any]]:
-    """Results by key as they come; a ValueError in place of a result says that the readings do not allow it."""
+    """Results by key as they come; a NoRobot in place of a result says that the readings do not allow it."""
     if not cells:
         return
     if workers == 1:
@@ -261,7 +275,7 @@ def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) ->
             yield key, _attempt(cell)
         return
     context = multiprocessing.get_context("spawn")  # threads of BLAS do not survive a fork
-    messages = context.Queue()
+    messages, others = context.Queue(), set(multiprocessing.active_children())
     with _listening(messages, say):
         pool = ProcessPoolExecutor(
             min(workers, len(cells)), mp_context=context, initializer=_start_worker, initargs=(messages,)
@@ -273,7 +287,7 @@ def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) ->
             pool.shutdown()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
+            for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             raise
 
@@ -292,7 +306,7 @@ def _leaders_first(cells: Mapping[str, Cell]) -> list[str]:
 def _attempt(cell: Cell) -> Any:
     try:
         return cell()
-    except ValueError as error:
+    except NoRobot as error:
         return error
 
 

@@ -10,7 +10,6 @@ from typing import Literal
 from baselines.reproduction.part import Number
 from baselines.reproduction.published import Published, published_value
 from baselines.reproduction.readings import Readings, Source
-from cablebot_gym.robots import Robot
 
 Verdict = Literal[
     "taken", "taken, corrected", "not taken", "contradicted", "reproduces", "does not", "cannot be decided"
@@ -39,34 +38,6 @@ class Finding:
 
 class Absent(Exception):
     """A number that the run has not made."""
-
-
-class NoRobot(Exception):
-    """No positive tensions hold the robot as it was read."""
-
-
-def spatial(readings: Readings, source: Source) -> Robot:
-    """The rigid spatial robot.
-
-    Raises:
-        NoRobot: if there is none under these readings.
-    """
-    try:
-        return readings.spatial(source)
-    except ValueError as error:
-        raise NoRobot(str(error)) from error
-
-
-def flexible(readings: Readings, source: Source) -> Robot:
-    """The spatial robot with joint springs.
-
-    Raises:
-        NoRobot: if there is none under these readings.
-    """
-    try:
-        return readings.flexible(source)
-    except ValueError as error:
-        raise NoRobot(str(error)) from error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 from baselines.reproduction import inputs, verdicts
-from baselines.reproduction.finding import Absent, Finder, Finding, NoRobot, Run, command
+from baselines.reproduction.finding import Absent, Finder, Finding, Run, command
 from baselines.reproduction.part import Number
 from baselines.reproduction.published import ABOUT, PUBLISHED, Published
-from baselines.reproduction.readings import Readings
+from baselines.reproduction.readings import NoRobot, Readings
 
 RULE = f"""\
 * An **input** is *taken* if the reproduction uses it as printed; *taken, corrected* if its unit, name or count had to
@@ -28,12 +29,27 @@ RULE = f"""\
 * What this project has no model for, or a chosen reading leaves no robot for, *cannot be decided*."""
 """How verdicts are reached: a list in Markdown."""
 
+NOTHING: Mapping[str, str] = MappingProxyType({})
+"""No part is impossible."""
+
 FINDERS: dict[str, Finder] = dict([*inputs.finders(), *verdicts.finders()])
 """How each finding is made, by the key of what was published."""
 
 
-def find(item: Published, readings: Readings, numbers: Mapping[str, Number]) -> Finding | None:
-    """The finding on one published number or claim; None if a part that it needs was not run."""
+def find(
+    item: Published, readings: Readings, numbers: Mapping[str, Number], impossible: Mapping[str, str] = NOTHING
+) -> Finding | None:
+    """The finding on one published number or claim; None if a part that it needs was not run.
+
+    Args:
+        item: what is published.
+        readings: how the paper was read.
+        numbers: of the run.
+        impossible: why the readings do not allow a part, by its name.
+    """
+    for part in FINDERS[item.key].parts:
+        if part in impossible and item.kind != "input":
+            return _undecided(item, readings, f"Under these readings: {impossible[part]}.")
     try:
         return FINDERS[item.key].make(item, Run(readings=readings, numbers=numbers))
     except NoRobot as error:
@@ -59,12 +75,14 @@ def _undecided(item: Published, readings: Readings, why: str) -> Finding:
     )
 
 
-def rows(readings: Readings, numbers: Mapping[str, Number]) -> list[dict[str, Any]]:
+def rows(
+    readings: Readings, numbers: Mapping[str, Number], impossible: Mapping[str, str] = NOTHING
+) -> list[dict[str, Any]]:
     """The page's rows: each published number or claim beside its finding, in the paper's order.
 
     Without a finding, ``ours``, ``value`` and ``verdict`` are None, and ``command`` is the one that makes it.
     """
-    return [_row(item, readings, find(item, readings, numbers)) for item in PUBLISHED.values()]
+    return [_row(item, readings, find(item, readings, numbers, impossible)) for item in PUBLISHED.values()]
 
 
 def _row(item: Published, readings: Readings, finding: Finding | None) -> dict[str, Any]:

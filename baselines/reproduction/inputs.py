@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from baselines.classical.outer_loop import PAPER_GAINS, RobustPD
 from baselines.reproduction.exact import paper_circle
-from baselines.reproduction.finding import Finder, Finding, Run, Verdict, as_text, command, flexible, spatial
+from baselines.reproduction.finding import Finder, Finding, Run, Verdict, as_text, command
 from baselines.reproduction.published import PUBLISHED, Published, published_value
 from baselines.reproduction.readings import Readings, Source
 from cablebot_gym.kinematics import Array
@@ -77,15 +77,15 @@ def _planar(readings: Readings) -> Robot:
 
 
 def _spatial(readings: Readings) -> Robot:
-    return spatial(readings, "control")
+    return readings.spatial("control")
 
 
 def _flexible(readings: Readings) -> Robot:
-    return flexible(readings, "control")
+    return readings.flexible("control")
 
 
 def _payload(readings: Readings) -> Robot:
-    return spatial(readings, "payload")
+    return readings.spatial("payload")
 
 
 RobotOf = Callable[[Readings], Robot]
@@ -270,7 +270,7 @@ def _half(item: Published, run: Run) -> Finding:
 def _mass_elsewhere(readings: Readings) -> str:
     return _elsewhere(
         f"{PUBLISHED['table4.m'].printed} kg in Tables 4 and 5, {PUBLISHED['table8.m'].printed} kg in Table 8",
-        lambda source: spatial(readings, source).mass,
+        lambda source: readings.spatial(source).mass,
         "kg",
     )
 
@@ -279,7 +279,7 @@ def _stiffness_elsewhere(readings: Readings) -> str:
     return _elsewhere(
         f"{PUBLISHED['table5.K'].printed} in Table 5, {PUBLISHED['5.2.3.K'].printed} in §5.2.3, "
         "whose unit has to be N·m/rad",
-        lambda source: float(flexible(readings, source).stiffness[0]),
+        lambda source: float(readings.flexible(source).stiffness[0]),
         "N·m/rad",
     )
 
@@ -323,7 +323,7 @@ def _platform(table: str, part: str, robot: RobotOf) -> Iterator[tuple[str, Find
 def _stiffness(part: str, source: Source) -> Finder:
     return _input(
         part,
-        lambda readings: flexible(readings, source).stiffness,
+        lambda readings: readings.flexible(source).stiffness,
         "Transmission.stiffness",
         readings=("stiffness",),
         contradicted=_stiffness_elsewhere,
@@ -409,7 +409,8 @@ def _uncertainty() -> Iterator[tuple[str, Finder]]:
 
 
 def _guess(item: Published, run: Run) -> Finding:
-    value, spread = published_value(item.key), run.maybe("eq37.literal_spread_kg")
+    robot = "planar_" if item.key.startswith("table7") else ""
+    value, spread = published_value(item.key), run.maybe(f"eq37.{robot}literal_spread_kg")
     words = "; other guesses end at the same load" if spread is not None and spread < 1e-3 else ""
     return Finding(
         ours=f"{as_text(value)} {item.unit}",
@@ -434,7 +435,7 @@ def _limits() -> Iterator[tuple[str, Finder]]:
     motors: tuple[tuple[str, str, RobotOf], ...] = (
         ("table7", "fig10", _planar),
         ("table8", "fig12", _payload),
-        ("table9", "fig15", lambda readings: flexible(readings, "payload")),
+        ("table9", "fig15", lambda readings: readings.flexible("payload")),
     )
     bound = "Limits.position"
     for table, part, robot in motors:

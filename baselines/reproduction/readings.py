@@ -30,6 +30,10 @@ _FLAT = 1e9
 """Free speed that makes a torque-speed line flat [rad/s]; it must be finite."""
 
 
+class NoRobot(ValueError):
+    """No positive tensions hold the robot as it was read."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Readings:
     """One way to read the paper.
@@ -98,7 +102,7 @@ class Readings:
         """The rigid spatial robot (Tables 4 and 8).
 
         Raises:
-            ValueError: if no positive tensions hold it in its home pose.
+            NoRobot: if no positive tensions hold it in its home pose.
         """
         robot = self._read(SPATIAL, source)
         if self.pulleys == "table4":
@@ -111,7 +115,7 @@ class Readings:
         """The spatial robot with joint springs (Tables 5 and 9).
 
         Raises:
-            ValueError: if no positive tensions hold it in its home pose.
+            NoRobot: if no positive tensions hold it in its home pose.
         """
         robot = self._read(FLEX_SPATIAL, source)
         stiffness = self._value("stiffness", source)
@@ -122,13 +126,18 @@ class Readings:
         base, platform = robot.base, robot.platform
         if self.triangles == "turned":
             base, platform = -base, -platform
-        if self.triangles == "aligned":  # P1 under A1, …; ring A1P1, A2P1, A2P2, A3P2, A3P3, A1P3
+        if self.triangles == "aligned":  # the same ring of six about corners that lie below those of the base
             platform = -np.roll(platform[::2], 1, axis=0)[list(_ALIGNED_RING)]
-        return robot.replace(
-            mass=self._value("platform_mass", source),
-            base_anchors=scale * base,
-            platform_anchors=scale * platform,
-        )
+        try:
+            return robot.replace(
+                mass=self._value("platform_mass", source),
+                base_anchors=scale * base,
+                platform_anchors=scale * platform,
+            )
+        except ValueError as error:
+            raise NoRobot(
+                f"no positive tensions hold the robot with triangles {self.triangles}: choose inverted or turned"
+            ) from error
 
     def _value(self, name: str, source: Source) -> float:
         choice = getattr(self, name)

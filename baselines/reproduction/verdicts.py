@@ -15,7 +15,6 @@ from baselines.reproduction.finding import (
     Verdict,
     as_text,
     command,
-    flexible,
     kilograms,
     listed,
     off,
@@ -61,11 +60,13 @@ def _finder(part: str | tuple[str, ...], say: Say, *readings: str, reading: str 
 
     def make(item: Published, run: Run) -> Finding:
         ours, value, holds, evidence = say(item, run)
+        alone = "claims" in parts and not run.readings.plays
+        fallback = "motors limited by their own speed, since none have this line" if alone else ""
         verdict: Verdict = "cannot be decided" if holds is None else "reproduces" if holds else "does not"
         return Finding(
             ours=ours,
             value=value,
-            reading=", ".join(words for words in (run.used(*readings, source=source), reading) if words),
+            reading=", ".join(words for words in (run.used(*readings, source=source), reading, fallback) if words),
             verdict=verdict,
             evidence=evidence,
             command=command(run.readings, *parts),
@@ -75,9 +76,9 @@ def _finder(part: str | tuple[str, ...], say: Say, *readings: str, reading: str 
 
 
 _PAYLOAD_READINGS = {
-    "planar": ("payload", "line", "planar_apex", "minimum_tension"),
+    "planar": ("payload", "line", "planar_apex", "minimum_tension", "alpha"),
     "spatial": ("payload", "line", "platform_mass", "triangles", "sides", "pulleys"),
-    "flexible": ("payload", "line", "platform_mass", "stiffness", "eq24"),
+    "flexible": ("payload", "line", "platform_mass", "triangles", "sides", "stiffness", "eq24"),
 }
 """What decides each payload."""
 
@@ -154,6 +155,11 @@ def _named(kind: str, words: str) -> str:
     return ", ".join(other) or "the default readings"
 
 
+def looped(run: Run, part: str) -> bool:
+    """Whether the part's payload is that of a closed loop, and not of exact tracking or of the state space."""
+    return run.numbers.get(f"{part}.simulated") is not False
+
+
 def _ways(run: Run, part: str, target: float) -> str:
     """The payload counted and computed in each way."""
     closed, exact = run.optional(f"{part}.payload_kg"), run.maybe(f"{part}.exact_payload_kg")
@@ -163,7 +169,9 @@ def _ways(run: Run, part: str, target: float) -> str:
     near = total is not None and total < 2 * target
     return listed(
         [
-            f"Added in closed loop {kilograms(closed)}, by exact tracking {kilograms(exact)}.",
+            f"Added in closed loop {kilograms(closed)}, by exact tracking {kilograms(exact)}."
+            if looped(run, part)
+            else f"Added by exact tracking {kilograms(exact)}; no closed loop can be run under this reading.",
             f"With the platform {kilograms(total)}{_apart(total, target)}." if near else "",
         ]
     )
@@ -193,14 +201,18 @@ def _again(say: Say, key: str) -> Say:
 def _geometry(run: Run, kind: str) -> str:
     if kind == "planar":
         best = run.maybe("scan.planar_best_added_kg")
-        return "" if best is None else f"However the triangle is turned, at most {kilograms(best)} can be added."
+        if best is None:
+            return ""
+        return f"With this line and T_min at most {kilograms(best)} can be added however the triangle is turned."
     hits, geometries = run.maybe("scan.hits"), run.maybe("scan.geometries")
     most = run.maybe("scan.largest_kg")
     if hits is None or geometries is None or most is None:
         return ""
+    second = run.maybe("scan.hits_second_motor")
+    too = "" if second is None else f", {int(second)} of them with motor 2 first"
     return (
-        f"But {int(hits)} of {int(geometries)} geometries that can be meant give the number too, and payloads go up to "
-        f"{kilograms(most)}: the number alone identifies nothing."
+        f"But {int(hits)} of {int(geometries)} geometries that were tried give the number too{too}, and payloads go up "
+        f"to {kilograms(most)}: the number alone identifies nothing."
     )
 
 
@@ -212,8 +224,9 @@ def _motor(part: str) -> Say:
     def say(item: Published, run: Run) -> Said:
         motor, exact = run.optional(f"{part}.motor"), run.maybe(f"{part}.exact_motor")
         tracked = "" if exact is None else f"Exact tracking: {_when(exact, run.maybe(f'{part}.exact_time_s'))}."
-        if motor is None:
-            return "no motor", None, False, listed(["Something other than a motor ends the payload.", tracked])
+        if motor is None or run.optional(f"{part}.payload_kg") is None:
+            nothing = "Nothing is carried, or something other than a motor ends the payload."
+            return "no motor", None, False, listed([nothing, tracked])
         words = _when(motor, run.maybe(f"{part}.time_s"))
         return words, motor, motor == published_value(item.key), tracked or "Paper criterion."
 
@@ -232,7 +245,7 @@ def _spring_load(item: Published, run: Run) -> Said:
             "Eqs. 23–25 may be how the paper came to its number, but they are the motion of no robot.",
             f"On the robot Eq. 22 carries {kilograms(own)}." if "fig15.eq22_counted_kg" in run.numbers else "",
             f"`fl4`, a law that works, carries {kilograms(law)}{_apart(law, target)}; see Readings."
-            if "fig15.counted_kg" in run.numbers
+            if "fig15.counted_kg" in run.numbers and looped(run, "fig15")
             else "",
             _closest(run, "flexible"),
         ]
@@ -250,6 +263,13 @@ def _spring_motor(item: Published, run: Run) -> Said:
     motor, time = run.optional("fig15.state_space_motor"), run.maybe("fig15.state_space_time_s")
     if motor is None:
         return "no motor", None, False, "No motor is at its limit."
+    if not looped(run, "fig15"):
+        return (
+            _when(motor, time),
+            motor,
+            motor == published_value(item.key),
+            "No closed loop can be run with this line.",
+        )
     law = run.maybe("fig15.motor")
     evidence = "`fl4`: another limit comes first." if law is None else f"`fl4`: motor {short(int(law))}."
     return _when(motor, time), motor, motor == published_value(item.key), evidence
@@ -257,18 +277,20 @@ def _spring_motor(item: Published, run: Run) -> Said:
 
 def _drops(run: Run) -> tuple[float, str]:
     """Share of the payload that springs take away in the paper's state space, and the payloads in words [%]."""
-    drop, law = 100 * run.number("fig15.state_space_drop_share"), run.maybe("fig15.drop_share")
+    drop, law = 100 * run.number("fig15.state_space_drop_share"), None
     loads = {
         "rigid": run.optional("fig15.rigid_exact_counted_kg"),
         "by Eqs. 23–25": run.optional("fig15.state_space_counted_kg"),
-        "rigid in closed loop": run.maybe("fig15.rigid_counted_kg"),
-        "with `fl4`": run.maybe("fig15.counted_kg"),
     }
+    if looped(run, "fig15"):
+        law = run.maybe("fig15.drop_share")
+        loads["rigid in closed loop"] = run.maybe("fig15.rigid_counted_kg")
+        loads["with `fl4`"] = run.maybe("fig15.counted_kg")
     own = 100 * (1 - LOADS["flexible"] / LOADS["spatial"])
     return drop, listed(
         [
             sentence(", ".join(f"{words} {kilograms(load)}" for words, load in loads.items()))
-            + ("." if law is None else f" ({short(100 * law)} % less)."),
+            + ("." if law is None else f" ({short(100 * abs(law))} % {'less' if law >= 0 else 'more'})."),
             f"The paper's own {LOADS['flexible']:g} kg are {short(own)} % less than its {LOADS['spatial']:g} kg.",
         ]
     )
@@ -338,8 +360,9 @@ def _perfect(item: Published, run: Run) -> Said:
         f"{short(worst)} mm",
         worst,
         worst <= ABOUT * _bound(),
-        f"The mean of the spatial robot under Table 6; R is {short(_bound())} mm. With everything known at most "
-        f"{short(planar)} mm (planar) and {short(spatial)} mm (spatial), from sampling and the jump at half time.",
+        f"Under Table 6 the mean of the spatial robot is {short(unknown)} mm; R is {short(_bound())} mm. With "
+        f"everything known at most {short(planar)} mm (planar) and {short(spatial)} mm (spatial), from sampling and "
+        "the jump at half time.",
     )
 
 
@@ -552,7 +575,7 @@ def _eq22(item: Published, run: Run) -> Said:
 
 def _eq25(item: Published, run: Run) -> Said:
     growth, words = _growth(run)
-    robot = flexible(run.readings, "control")
+    robot = run.readings.flexible("control")
     divisor = robot.motor_inertia + (1.0 if run.readings.eq24 == "verbatim" else 0.0)
     frequency = float(np.sqrt(robot.stiffness / divisor).max()) / (2 * math.pi)
     return (
@@ -597,7 +620,7 @@ def _controllable(item: Published, run: Run) -> Said:
 
 
 def _constraint(item: Published, run: Run) -> Said:
-    robot = flexible(run.readings, "control")
+    robot = run.readings.flexible("control")
     free = robot.coordinates + robot.cables
     return (
         f"{free} free coordinates",
@@ -626,8 +649,8 @@ def _positive_definite(item: Published, run: Run) -> Said:
 
 
 _AFFINE_WORDS = {
-    "spatial": "Torques with one, two and three platform masses lie on a line (not through zero: B of Eq. 41).",
-    "planar": "Torques with one, two and three platform masses, second difference over first. S τ is affine, as Eq. 41 "
+    True: "Torques with one, two and three platform masses lie on a line (not through zero: B of Eq. 41).",
+    False: "Torques with one, two and three platform masses, second difference over first. S τ is affine, as Eq. 41 "
     "says; τ is not, for the least tensions change over from one pair of cables to another.",
 }
 
@@ -636,7 +659,7 @@ def _affine(kind: str) -> Say:
     def say(item: Published, run: Run) -> Said:
         residual = run.number(f"claims.affine_{kind}")
         holds = residual <= AFFINE
-        return "affine" if holds else f"{short(100 * residual)} % off", residual, holds, _AFFINE_WORDS[kind]
+        return "affine" if holds else f"{short(100 * residual)} % off", residual, holds, _AFFINE_WORDS[holds]
 
     return say
 
@@ -706,7 +729,7 @@ def finders() -> Iterator[tuple[str, Finder]]:
     for key, say in robust.items():
         yield key, _finder("fig9", say, reading=f"joint springs, ε = {LAYER}, our ζ and φ")
     yield "5.1.linear-spatial", _finder("claims", _affine("spatial"))
-    yield "5.1.linear-planar", _finder("claims", _affine("planar"), "minimum_tension", "alpha")
+    yield "5.1.linear-planar", _finder("claims", _affine("planar"), "minimum_tension", reading="least α")
     yield "5.1.converges", _finder("eq37", _converges, reading="as printed")
     yield "5.1.answer", _finder("eq37", _answer, reading="as printed")
     yield "5.1.accuracy", _finder("claims", _no_accuracy, reading="load not told")
@@ -715,15 +738,15 @@ def finders() -> Iterator[tuple[str, Finder]]:
         yield load.replace("payload", "motor"), _finder(part, _motor(part), *_PAYLOAD_READINGS[kind][1:])
     again = _again(_load("spatial", "fig12"), "5.2.2.payload")
     yield "5.2.3.rigid", _finder("fig12", again, *_PAYLOAD_READINGS["spatial"])
-    yield "5.2.1.path", _finder("fig11", _inside("fig11"), "planar_apex", "minimum_tension")
-    yield "5.2.2.path", _finder("fig13", _inside("fig13"), "platform_mass", "triangles", "sides")
+    yield "5.2.1.path", _finder("fig11", _inside("fig11"), "line", "planar_apex", "minimum_tension", "alpha")
+    yield "5.2.2.path", _finder("fig13", _inside("fig13"), *_PAYLOAD_READINGS["spatial"][1:])
     yield "5.2.3.stable", _finder("eq22", _stable_springs)
     yield "5.2.3.path", _finder("fig14", _inside_with_springs, "stiffness", "platform_mass", reading="Eq. 22")
     yield "5.2.3.payload", _finder("fig15", _spring_load, *_PAYLOAD_READINGS["flexible"], reading="Eqs. 23–25")
     yield "5.2.3.motor", _finder("fig15", _spring_motor, *_PAYLOAD_READINGS["flexible"][1:], reading="Eqs. 23–25")
-    yield "5.2.3.less", _finder("fig15", _less, *_PAYLOAD_READINGS["flexible"][1:], reading="Eqs. 23–25")
+    yield "5.2.3.less", _finder("fig15", _less, *_PAYLOAD_READINGS["flexible"], "pulleys", reading="Eqs. 23–25")
     yield "6.torque", _finder("fig7", _torque_changes, "stiffness", "eq24")
-    yield "6.drop", _finder("fig15", _drop, *_PAYLOAD_READINGS["flexible"][1:], reading="Eqs. 23–25")
+    yield "6.drop", _finder("fig15", _drop, *_PAYLOAD_READINGS["flexible"], "pulleys", reading="Eqs. 23–25")
     yield "6.uncertainty", _finder("claims", _uncertain)
     yield "6.open-tracking", _finder("claims", _open_tracking)
     yield "6.open-payload", _finder("claims", _open_payload, reading="paper criterion")

@@ -81,15 +81,18 @@ def test_only_keeps_what_the_folder_holds_of_the_same_readings(parts, tmp_path):
     assert ran == [1, 2]
     assert [item["name"] for item in results["parts"]] == ["one", "two", "ten"]
     assert results["missing"] == []
-    other = reproduce(Readings(line="flat"), tmp_path, only=["two"], workers=1)
-    assert other["missing"] == ["one", "ten"]
-    assert not [key for key in other["numbers"] if not key.startswith("two.")]
+    before = (tmp_path / RESULTS).read_bytes()
+    with pytest.raises(ValueError, match="choose another --out"):
+        reproduce(Readings(line="flat"), tmp_path, only=["two"], workers=1)
+    assert (tmp_path / RESULTS).read_bytes() == before
+    assert reproduce(Readings(line="flat"), tmp_path, workers=1)["numbers"]["one.kg"] > 2.3
 
 
 def test_results_of_other_code_are_not_kept(parts, tmp_path, monkeypatch):
     reproduce(Readings(), tmp_path, workers=1)
     monkeypatch.setattr(engine, "source_hash", lambda: "other")
-    assert reproduce(Readings(), tmp_path, only=["two"], workers=1)["missing"] == ["one", "ten"]
+    with pytest.raises(ValueError, match="other readings or code"):
+        reproduce(Readings(), tmp_path, only=["two"], workers=1)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"readings": 1}'])
@@ -112,6 +115,16 @@ def test_interrupt_leaves_what_was_done(parts, tmp_path):
     ran.clear()
     reproduce(Readings(), tmp_path, workers=1, only=results["missing"])
     assert ran == [1, 2, 3]
+
+
+def test_interrupt_of_a_second_run_does_not_lose_the_first(parts, tmp_path):
+    def interrupt(last, done, expected):
+        raise KeyboardInterrupt
+
+    reproduce(Readings(), tmp_path, workers=1)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(Readings(), tmp_path, workers=1, progress=interrupt)
+    assert json.loads((tmp_path / RESULTS).read_text())["missing"] == []
 
 
 def test_readings_that_allow_no_robot_say_so_on_the_page(parts, tmp_path):

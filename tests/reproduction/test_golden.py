@@ -14,6 +14,7 @@ import pytest
 
 from baselines.reproduction.contents import PARTS
 from baselines.reproduction.engine import MARKDOWN, RESULTS, reproduce
+from baselines.reproduction.findings import rows
 from baselines.reproduction.page import markdown
 from baselines.reproduction.published import PUBLISHED
 from baselines.reproduction.readings import Readings
@@ -76,6 +77,19 @@ def test_no_verdict_is_stale(golden, made):
     told = ("key", "place", "says", "printed", "kind", "reading", "verdict", "command")
     for before, now in zip(golden["rows"], made["rows"], strict=True):
         assert {name: before[name] for name in told} == {name: now[name] for name in told}, AGAIN
+
+
+def test_no_evidence_is_stale(golden):
+    assert rows(Readings(), golden["numbers"]) == golden["rows"], AGAIN
+
+
+def test_no_cell_of_a_table_is_stale(golden, made):
+    for before, now in zip(golden["parts"], made["parts"], strict=True):
+        name = "map-_kg" if before["name"].startswith("map-") else "_kg"
+        for old, new in zip(before["tables"], now["tables"], strict=True):
+            for left, right in zip(old["rows"], new["rows"], strict=True):
+                for one, other in zip(left, right, strict=True):
+                    assert isinstance(one, str) or close(name, one, other), (before["name"], old["title"], left, right)
 
 
 def test_no_text_is_stale(golden, made):

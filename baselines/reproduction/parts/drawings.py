@@ -64,6 +64,12 @@ def _no_cells(readings: Readings) -> dict[str, Cell]:
     return {}
 
 
+def _spatial_cells(readings: Readings) -> dict[str, Cell]:
+    """None, but the robot has to be possible."""
+    readings.spatial("control")
+    return {}
+
+
 def _lengths(robot: Robot) -> tuple[Array, Array]:
     times, motion = path(robot)
     return times, cable_lengths(robot.base, robot.platform, motion.position)
@@ -399,7 +405,7 @@ PARTS: tuple[Part, ...] = (
         'cable i. a and b of Table 4, "half of the triangle", are read as half sides (`--sides`), and the '
         "platform's triangle points away from the base's (`--triangles`): pointing the same way, no positive "
         "tensions hold it at rest in its home pose. The published figure is known by its caption only.",
-        cells=_no_cells,
+        cells=_spatial_cells,
         outcome=_spatial_outcome,
         draw=_draw_spatial,
     ),
@@ -413,7 +419,7 @@ PARTS: tuple[Part, ...] = (
         "most on it; `mode_low_Hz` and "
         "`mode_high_Hz` are the lowest and highest mode of the motors against pulleys and platform about the home "
         "pose, cables taut.",
-        cells=_no_cells,
+        cells=_spatial_cells,
         outcome=_joint_outcome,
         draw=_draw_joint,
     ),

@@ -238,7 +238,7 @@ def _torque_outcome(readings: Readings, found: Found) -> Outcome:
 def _drop(numbers: Mapping[str, Number], flexible: str, rigid: str) -> float | None:
     """Share of the rigid robot's payload that the springs cost."""
     less, all_of_it = numbers[flexible], numbers[rigid]
-    return 1 - float(less) / float(all_of_it) if less is not None and all_of_it else None
+    return 1 - float(less or 0.0) / float(all_of_it) if all_of_it else None
 
 
 def _draw_torques(readings: Readings, found: Found) -> Figure:

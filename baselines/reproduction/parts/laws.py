@@ -120,17 +120,22 @@ def _eq37_outcome(readings: Readings, found: Found) -> Outcome:
                     "as printed" if form == "literal" else form,
                     run.loads[0],
                     run.payload,
-                    run.payload / true,
+                    _share(run.payload, true),
                     len(run.loads),
                     run.converged,
                 )
                 for run in runs
             ]
-        numbers[f"{stem}literal_over_true"] = found[f"{kind} literal"][0].payload / true
+        numbers[f"{stem}literal_over_true"] = _share(found[f"{kind} literal"][0].payload, true)
         numbers[f"{stem}chosen_payload_kg"] = numbers[f"{stem}{readings.eq37}_payload_kg"]
     header = ("robot", "Eqs. 37–39", "first guess [kg]", "answer [kg]", "answer / true", "guesses", "converges")
     title = "The algorithm's answers, exact tracking at 500 Hz"
     return Outcome(numbers=numbers, tables=(Table(title=title, header=header, rows=tuple(rows)),))
+
+
+def _share(payload: float, true: float) -> float | None:
+    """Of the true payload; None if the platform alone is too heavy."""
+    return payload / true if 0 < true < np.inf else None
 
 
 def _eq37_draw(readings: Readings, found: Found) -> Figure:
@@ -205,14 +210,15 @@ def _eq22_cells(readings: Readings) -> dict[str, Cell]:
 
 def _eq22_outcome(readings: Readings, found: Found) -> Outcome:
     robot = readings.flexible("control")
-    friction = np.interp(0.0, -np.array(found["friction K3"]), FRICTIONS)
+    rates = np.array(found["friction K3"])
+    friction = float(np.interp(0.0, -rates, FRICTIONS)) if rates.min() <= 0 else None
     rows = zip(STIFFNESSES, found["sampled"], found["continuous"], strict=True)
     return Outcome(
         numbers={
             "max_growth_K2": found["K2"],
             "max_growth_K3": found["K3"],
             "least_growth_any_K": min(found["continuous"]),
-            "friction_needed": float(friction),
+            "friction_needed": friction,
             "friction_rule": PAPER_GAINS["spatial"][1] * float(robot.motor_inertia[0]),
             "lyapunov_printed_definite": found["definite"],
             "controllable_states": found["controllable"],

@@ -71,15 +71,23 @@ def spatial_limits(*, readings: Readings) -> Limits:
 
 def flexible_limits(*, readings: Readings) -> Limits:
     """The state space of Eqs. 23–25."""
-    return {one: state_space_limit(one, one.flexible("payload")) for one in flexible_readings(readings)}
+    hangs = _hangs(readings)
+    return {
+        one: state_space_limit(one, one.flexible("payload")) if hangs else None for one in flexible_readings(readings)
+    }
 
 
 def _possible(readings: Readings) -> Heaviest | None:
+    return exact_limit(readings, readings.spatial("payload")) if _hangs(readings) else None
+
+
+def _hangs(readings: Readings) -> bool:
+    """Whether positive tensions hold the spatial robot."""
     try:
-        robot = readings.spatial("payload")
+        readings.spatial("payload")
     except ValueError:
-        return None
-    return exact_limit(readings, robot)
+        return False
+    return True
 
 
 _CLOSED: dict[str, tuple[str, dict[str, Any]]] = {
@@ -127,7 +135,7 @@ def _cells(readings: Readings) -> dict[str, Cell]:
                 name="fl",
                 criterion="paper",
             )
-        if not _PLANAR_ONLY & set(changes):
+        if not _PLANAR_ONLY & set(changes) and _hangs(one):
             cells[f"spatial_{name}"] = partial(
                 largest_payload,
                 env_id="CableBot-Spatial-v0",
@@ -136,7 +144,7 @@ def _cells(readings: Readings) -> dict[str, Cell]:
                 name="fl",
                 criterion="paper",
             )
-    if readings.springs_play:
+    if readings.springs_play and _hangs(readings):
         cells |= {
             f"flex_{name}_{branch}": partial(
                 largest_payload,

@@ -115,7 +115,12 @@ def _draw(readings: Readings, found: Found) -> Figure:
     left, right = figure.subplots(1, 2)
     payload = _payloads(found)
     carried = payload[payload > 0]
-    left.hist(carried, bins=np.arange(0, carried.max() + 0.25, 0.25), color=BLUE, label="geometries that carry a load")
+    left.hist(
+        carried,
+        bins=np.arange(0, carried.max(initial=0.25) + 0.25, 0.25),
+        color=BLUE,
+        label="geometries that carry a load",
+    )
     target = LOADS["spatial"]
     left.axvspan(
         target - ROUNDING,
