@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -61,20 +61,21 @@ def reproduce(
     from baselines.reproduction.engine import reproduce as run
     from baselines.reproduction.page import tally
 
-    readings = Readings(
-        payload=payload,  # type: ignore[arg-type]
-        line=line,  # type: ignore[arg-type]
-        platform_mass=platform_mass,  # type: ignore[arg-type]
-        triangles=triangles,  # type: ignore[arg-type]
-        sides=sides,  # type: ignore[arg-type]
-        pulleys=pulleys,  # type: ignore[arg-type]
-        planar_apex=planar_apex,  # type: ignore[arg-type]
-        stiffness=stiffness,  # type: ignore[arg-type]
-        minimum_tension=minimum_tension,
-        alpha=alpha,  # type: ignore[arg-type]
-        eq24=eq24,  # type: ignore[arg-type]
-        eq37=eq37,  # type: ignore[arg-type]
-    )
+    chosen: dict[str, Any] = {
+        "payload": payload,
+        "line": line,
+        "platform_mass": platform_mass,
+        "triangles": triangles,
+        "sides": sides,
+        "pulleys": pulleys,
+        "planar_apex": planar_apex,
+        "stiffness": stiffness,
+        "minimum_tension": minimum_tension,
+        "alpha": alpha,
+        "eq24": eq24,
+        "eq37": eq37,
+    }
+    readings = Readings(**chosen)  # which refuses what is no choice
     names = [name.strip() for text in only or [] for name in text.split(",")]
     errors = Console(stderr=True, highlight=False, markup=False)
     columns = (

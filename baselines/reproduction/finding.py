@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from baselines.reproduction.part import Number
-from baselines.reproduction.published import Published, published_value
-from baselines.reproduction.readings import Readings, Source
+from baselines.reproduction.published import Published
+from baselines.reproduction.readings import AS_PRINTED, Readings, Source
 
 Verdict = Literal[
     "taken", "taken, corrected", "not taken", "contradicted", "reproduces", "does not", "cannot be decided"
@@ -167,21 +167,14 @@ _READINGS: dict[str, dict[str, str]] = {
 """What the choices of each reading mean, in a few words."""
 
 
-_PRINTED: dict[str, dict[Source, float]] = {
-    "platform_mass": {"control": published_value("table4.m"), "payload": published_value("table8.m")},
-    "stiffness": {"control": published_value("table5.K"), "payload": published_value("5.2.3.K")},
-}
-"""What "as printed" is where sections differ."""
-
-
 def reading_words(name: str, value: object, source: Source | None = None) -> str:
     """A reading as it was chosen, in a few words, where need be as ``source`` prints it."""
     if name == "minimum_tension":
         return f"T_min = {float(str(value)):g} N"
     if value == "as-printed" and source is not None:
-        value = f"{_PRINTED[name][source]:g}"
+        value = f"{AS_PRINTED[name][source]:g}"
     words = _READINGS.get(name, {}).get(str(value), f"{name.replace('_', ' ')} = {value}")
-    return words.format(**_PRINTED[name]) if name in _PRINTED else words
+    return words.format(**AS_PRINTED[name]) if name in AS_PRINTED else words
 
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args, get_type_hints
 
 import numpy as np
 
+from baselines.reproduction.published import published_value
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
@@ -19,10 +20,11 @@ Source = Literal["control", "payload"]
 """Which section's values hold where sections differ: ``control`` §4 (Tables 2, 4 and 5), ``payload`` §5.2 (Tables 7 to
 9 and the text of §5.2.3)."""
 
-_AS_PRINTED = {
-    "platform_mass": {"control": 11.0, "payload": 10.0},  # Tables 4 and 5; Table 8
-    "stiffness": {"control": 2.0, "payload": 3.0},  # Table 5; §5.2.3
+AS_PRINTED: dict[str, dict[Source, float]] = {
+    "platform_mass": {"control": published_value("table4.m"), "payload": published_value("table8.m")},
+    "stiffness": {"control": published_value("table5.K"), "payload": published_value("5.2.3.K")},
 }
+"""What "as printed" is where sections differ."""
 
 _HALF_SIDE_OF_CIRCUMRADIUS = math.sqrt(3) / 2
 _ALIGNED_RING = (0, 0, 1, 1, 2, 2)
@@ -141,7 +143,7 @@ class Readings:
 
     def _value(self, name: str, source: Source) -> float:
         choice = getattr(self, name)
-        return _AS_PRINTED[name][source] if choice == "as-printed" else float(choice)
+        return AS_PRINTED[name][source] if choice == "as-printed" else float(choice)
 
     def line_speed(self, robot: Robot) -> Array:
         """What the torque-speed line takes for the speed, as a multiple of the pulley's β̇, (m,)."""
