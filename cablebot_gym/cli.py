@@ -20,6 +20,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from cablebot_gym.benchmark.command import benchmark
+
 app = typer.Typer(
     name="cablebot",
     help="How many kilograms does a controller carry on a cable robot?",
@@ -231,6 +233,41 @@ def compare(
         print_comparison(comparison)
 
 
+@app.command()
+def bound(
+    env_id: EnvId,
+    trajectory: TrajectoryName = None,
+    position_bound: PositionBound = 0.01,
+    rotation_bound: RotationBound = 0.01,
+    control_frequency: Frequency = 500.0,
+    cache: Annotated[bool, typer.Option(help="Keep the result on disk, and take it from there.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False,
+) -> None:
+    """The best found: the largest payload for which some motion and inputs stay inside all limits, by optimization.
+
+    A lower bound of what is possible, verified by a replay of its inputs in the environment; for rigid planar robots
+    with a payload that is proved to be out of reach. Task criterion. Needs the extra: pip install
+    'cablebot-gym[optimal]'.
+
+    Example: cablebot bound CableBot-Spatial-v0 --position-bound 0.02 --json
+    """
+    from cablebot_gym.dlcc.optimum import best_found
+    from cablebot_gym.terminal import working
+
+    with working(_errors) as say:
+        found = best_found(
+            env_id,
+            trajectory=_data("--trajectory", trajectory),
+            limits={"position": position_bound, "rotation": rotation_bound},
+            control_frequency=control_frequency,
+            cache=cache,
+            progress=say,
+        )
+    print(found.to_json() if as_json else found)
+    if not found.verified:
+        raise typer.Exit(1)
+
+
 @app.command(name="list")
 def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False) -> None:
     """Environments, trajectories, uncertainties and installed policies.
@@ -305,6 +342,9 @@ def rollout(
     outcome = "carried" if verdict.carried else f"not carried: {verdict.limit}"
     ended = f" (ended early: {record.reason})" if record.reason else ""
     print(f"{env_id}, {policy}, {payload:g} kg, task criterion: {outcome}{ended}; recorded in {out}")
+
+
+app.command()(benchmark)
 
 
 def _data(option: str, text: str | None) -> Any:

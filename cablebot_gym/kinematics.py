@@ -3,6 +3,9 @@
 Arrays carry any number of leading batch axes. A planar pose is ``(x, y)``; a spatial pose is
 ``(x, y, z, ψ, θ, φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` and z pointing down. Lengths in m, angles in rad.
 Nothing here knows masses or motors.
+
+Arrays of objects that calculate, such as CasADi's symbols, pass through as they are: one set of equations for numbers
+and for derivatives of any kind.
 """
 
 from __future__ import annotations
@@ -17,6 +20,12 @@ Array = NDArray[Any]
 
 SPATIAL_COORDINATES = 6
 """Number of coordinates of a spatial pose."""
+
+
+def as_numbers(values: ArrayLike) -> Array:
+    """The values as float64, or as they are where they are objects."""
+    array = np.asarray(values)
+    return array if array.dtype == object else array.astype(float, copy=False)
 
 
 def rotation_matrix(euler: ArrayLike) -> Array:
@@ -51,18 +60,18 @@ def euler_rate_matrix_rate(euler: ArrayLike, rates: ArrayLike) -> Array:
 
 
 def _components(vector: ArrayLike) -> tuple[Array, Array, Array]:
-    vector = np.asarray(vector, float)
+    vector = as_numbers(vector)
     return vector[..., 0], vector[..., 1], vector[..., 2]
 
 
 def _cosines_and_sines(euler: ArrayLike) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
-    euler = np.asarray(euler, float)
+    euler = as_numbers(euler)
     return _components(np.cos(euler)), _components(np.sin(euler))
 
 
 def _matrix(rows: list[list[Array | float]]) -> Array:
     """3 × 3 matrices from batched entries; the last column gives the batch's shape."""
-    matrix = np.empty((*np.shape(rows[0][2]), 3, 3))
+    matrix = np.empty((*np.shape(rows[0][2]), 3, 3), np.asarray(rows[0][2]).dtype)
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
             matrix[..., i, j] = entry
@@ -77,7 +86,7 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
         platform: platform anchors b_i in the platform frame, same shape; planar cables meet in one point, b_i = 0.
         pose: shape (..., 2) or (..., 6).
     """
-    base, platform, pose = (np.asarray(array, float) for array in (base, platform, pose))
+    base, platform, pose = (as_numbers(array) for array in (base, platform, pose))
     if pose.shape[-1] == SPATIAL_COORDINATES:
         platform = platform @ np.swapaxes(rotation_matrix(pose[..., 3:]), -1, -2)
     return pose[..., None, : base.shape[-1]] + platform - base
@@ -85,13 +94,13 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
 
 def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
     """``q_i(X) = ‖A_i − (p + R b_i)‖``, shape (..., m). Arguments as in :func:`cable_vectors`."""
-    lengths: Array = np.linalg.norm(cable_vectors(base, platform, pose), axis=-1)
+    lengths: Array = np.sqrt(np.sum(cable_vectors(base, platform, pose) ** 2, axis=-1))
     return lengths
 
 
 def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
     """``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_vectors`."""
-    still = np.zeros_like(np.asarray(pose, float))
+    still = np.zeros_like(as_numbers(pose))
     return jacobian_and_rate(base, platform, pose, still)[0]
 
 
@@ -104,7 +113,7 @@ def jacobian_and_rate(
     base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike
 ) -> tuple[Array, Array]:
     """S and Ṡ together, each (..., m, n), for the price of little more than one."""
-    base, pose, velocity, platform = (np.asarray(array, float) for array in (base, pose, velocity, platform))
+    base, pose, velocity, platform = (as_numbers(array) for array in (base, pose, velocity, platform))
     if pose.shape[-1] != SPATIAL_COORDINATES:
         unit, unit_rate = _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :])
         return unit, unit_rate
@@ -135,7 +144,7 @@ def _unit_and_rate(vectors: Array, point_velocity: Array) -> tuple[Array, Array]
 
 def _skew(vector: Array) -> Array:
     """The matrix of ``vector ×``, shape (..., 3, 3)."""
-    matrix = np.zeros((*vector.shape, 3))
+    matrix = np.zeros((*vector.shape, 3), vector.dtype)
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
     matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x

@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import sys
-
-from rich.console import Console
 from rich.table import Table
 
 from cablebot_gym.dlcc.comparison import CONFIDENCE, REDUCED, Comparison, Estimate
 from cablebot_gym.dlcc.probability import fewest_draws, interval
 from cablebot_gym.dlcc.result import DLCCResult
 from cablebot_gym.envs import described
-
-_PLAIN_WIDTH = 170
-"""Columns where the output is no terminal."""
-
+from cablebot_gym.terminal import results_console
 
 _NARROW = 150
 """Columns below which a comparison stands on its side, a column for each policy."""
 
 
-def _console() -> Console:
-    """As wide as the terminal, or as ``COLUMNS`` says; no markup, no emoji: names hold brackets and colons."""
-    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _PLAIN_WIDTH
-    return Console(width=width, markup=False, emoji=False)
-
-
 def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
     """Evaluations of one policy, and the criteria that do not apply to it."""
-    console = _console()
+    console = results_console()
     first = results[0]
     told = "payload told" if first.payload_known else "payload not told"
     unknown = "" if first.uncertainty is None else f", {first.uncertainty}"
@@ -141,7 +128,7 @@ def print_comparison(comparison: Comparison) -> None:
             low, high = interval(int(one.carried.sum()), comparison.draws, CONFIDENCE)
             carried += f" [{low:.0%}, {high:.0%}]"
         rows.append([one.policy, carried, *cells])
-    console = _console()
+    console = results_console()
     if narrow := console.width < _NARROW:
         rows = [list(row) for row in zip(*rows, strict=True)]
     table = Table(title=title, title_justify="left")

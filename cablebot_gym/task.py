@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
@@ -34,6 +34,10 @@ class Limits:
             if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value) or value <= 0:
                 raise ValueError(f"limits: {field.name} must be a number greater than 0, not {value!r}")
             object.__setattr__(self, field.name, float(value))
+
+    def replace(self, **changes: float) -> Limits:
+        """A copy with some bounds changed."""
+        return replace(self, **changes)
 
 
 def find_limits(limits: Limits | dict[str, float] | None) -> Limits:

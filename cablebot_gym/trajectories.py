@@ -1,4 +1,4 @@
-"""Reference motions with their time derivatives in closed form: the paper's circles, and smooth ones to compare with.
+"""Reference motions with their time derivatives in closed form: the paper's circles, smooth ones, random ones by seed.
 
 A motion of your own is any object with ``name``, ``duration``, ``coordinates`` and ``__call__(times) -> Reference``,
 the :class:`Trajectory` protocol. Positions in m, angles in rad, times in s; z points down. Nothing here knows a robot.
@@ -7,10 +7,11 @@ the :class:`Trajectory` protocol. Positions in m, angles in rad, times in s; z p
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from numbers import Real
+from functools import cached_property, partial
+from numbers import Integral, Real
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -85,8 +86,7 @@ class _Motion:
 
     def _blend(self, time: Array) -> Array:
         """Time derivatives 0 to 4 of :data:`BLEND` stretched over the duration, shape (5, ...)."""
-        blend = np.polynomial.polynomial.polyval(time / self.duration, _BLEND_DERIVATIVES)
-        return _scaled(np.asarray(blend, float), 1 / self.duration)
+        return _scaled(_unit_blend(time / self.duration), 1 / self.duration)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,6 +269,152 @@ class Lemniscate(_Motion):
         return _in_plane(self.center, x, y, alpha)
 
 
+TRAINING_SEEDS = range(10_000)
+"""Seeds of :class:`RandomLoop` to train and tune with."""
+
+FIRST_HELD_OUT_SEED = TRAINING_SEEDS.stop
+"""Seeds from here on are for scores alone: no policy may be trained, tuned or chosen with them."""
+
+
+def held_out_seeds(count: int) -> range:
+    """The first ``count`` seeds that are for scores alone.
+
+    Raises:
+        ValueError: if ``count`` is no whole number of at least 1.
+    """
+    if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
+        raise ValueError(f"count must be a whole number of at least 1, such as 20, not {count!r}")
+    return range(FIRST_HELD_OUT_SEED, FIRST_HELD_OUT_SEED + int(count))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomLoop(_Motion):
+    """A random closed curve, once around, C⁴ and from rest to rest; the seed is the curve.
+
+    All coordinates are Fourier series of one phase, which :data:`BLEND` turns from 0 to 2π:
+
+        X(φ) = c + Σ_k (a_k cos kφ + b_k sin kφ),   k = 1 … :data:`HARMONICS`.
+
+    The components of a_k and b_k are uniform in ± 1/k². Then each group of coordinates, (x, y), z and (ψ, θ, φ), is
+    scaled so that the largest norm of its series is 50 to 100 % of its ``reach``, and c lies off ``center`` by no more
+    than what is left: the curve stays within ``reach`` of ``center``. The duration is the shortest with which no group
+    accelerates beyond a share of its ``acceleration``, the share between 60 and 100 %, rounded up to 10 ms. The speed
+    needs no bound of its own: it stays below √(2 · reach · acceleration) (Landau's inequality).
+
+    The numbers come from the raw bits of numpy's Philox, which do not change from version to version, so that a seed
+    means the same curve for ever. Norms and accelerations are sampled, and their peaks met to 0.1 %.
+
+    Raises:
+        ValueError: if the seed is no whole number of at least 0, or another value is no length, time or pose.
+    """
+
+    seed: int = 0
+    """Which curve; ≥ 0. :data:`TRAINING_SEEDS` are for training, those from :data:`FIRST_HELD_OUT_SEED` on for
+    scores."""
+    center: tuple[float, ...]
+    """Pose about which the curve lies, (n,)."""
+    reach: tuple[float, ...]
+    """How far from ``center`` the curve may go, > 0: (of (x, y) [m],) planar, (of (x, y) [m], of z [m], of (ψ, θ, φ)
+    [rad]) spatial; norms."""
+    acceleration: tuple[float, ...]
+    """Bounds of the accelerations [m/s², rad/s²], > 0, one for each of ``reach``; norms of second derivatives."""
+    duration: float = None  # type: ignore[assignment]  # for a moment: then it is what the bounds allow
+    """Time of the motion [s]; > 0. None for the one that the seed and ``acceleration`` give; ``dataclasses.replace``
+    keeps that one, unless told ``duration=None`` too."""
+    name: str = "loop"
+    """Shown in tables and error messages."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seed", _seed(self.seed))
+        _set_pose(self, "center")
+        for field in ("reach", "acceleration"):
+            values = _numbers(field, getattr(self, field))
+            if len(values) != len(_GROUPS[self.coordinates]) or min(values) <= 0:
+                groups = "(x, y)" if self.coordinates == 2 else "(x, y), one for z and one for the angles"
+                raise ValueError(f"{field} must hold one number greater than 0 for {groups}, not {values}")
+            object.__setattr__(self, field, values)
+        if self.duration is None:
+            object.__setattr__(self, "duration", self._shortest_duration())
+        super().__post_init__()
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates n of the pose."""
+        return len(self.center)
+
+    @cached_property
+    def _drawn(self) -> tuple[float, Array, Array]:
+        """Share of the acceleration, c (n,), and (a, b) (2, HARMONICS, n)."""
+        n, groups = self.coordinates, _GROUPS[self.coordinates]
+        # The order of the numbers is part of what a seed means.
+        numbers = _uniform(self.seed, 1 + len(groups) + n + 2 * HARMONICS * n)
+        share, sizes, offset, waves = np.split(numbers, np.cumsum([1, len(groups), n]))
+        waves = (2 * waves.reshape(2, HARMONICS, n) - 1) / _ORDERS[:, None] ** 2
+        center = np.array(self.center)
+        series = _series(waves, np.linspace(0, 2 * np.pi, _SAMPLES))[0]
+        for group, reach, size in zip(groups, self.reach, 0.5 + 0.5 * sizes, strict=True):
+            waves[..., group] *= size * reach / np.linalg.norm(series[:, group], axis=1).max()
+            dimensions = group.stop - group.start
+            center[group] += (1 - size) * reach * (2 * offset[group] - 1) / math.sqrt(dimensions)
+        return 0.6 + 0.4 * float(share[0]), center, waves
+
+    def _shortest_duration(self) -> float:
+        share, _, waves = self._drawn
+        phase = 2 * np.pi * _unit_blend(np.linspace(0, 1, _SAMPLES))
+        acceleration = _composed(_series(waves, phase[0]), phase[..., None])[2]
+        longest = max(
+            math.sqrt(np.linalg.norm(acceleration[:, group], axis=1).max() / (share * bound))
+            for group, bound in zip(_GROUPS[self.coordinates], self.acceleration, strict=True)
+        )
+        return math.ceil(100 * longest) / 100
+
+    def _derivatives(self, time: Array) -> Array:
+        _, center, waves = self._drawn
+        phase = 2 * np.pi * self._blend(time)
+        derivatives = _composed(_series(waves, phase[0]), phase[..., None])
+        derivatives[0] += center
+        return derivatives
+
+
+HARMONICS = 3
+"""Of a :class:`RandomLoop`."""
+
+_ORDERS = np.arange(1.0, HARMONICS + 1)
+
+_GROUPS = {2: (slice(0, 2),), 6: (slice(0, 2), slice(2, 3), slice(3, 6))}
+"""Coordinates that share a bound of :class:`RandomLoop`, by the number of coordinates."""
+
+_SAMPLES = 1001
+"""Instants or phases among which :class:`RandomLoop` looks for peaks."""
+
+
+def _seed(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
+        raise ValueError(
+            f"seed must be a whole number of at least 0, not {value!r}: 0 to {TRAINING_SEEDS[-1]} to train with, "
+            f"{FIRST_HELD_OUT_SEED} and on for held-out motions"
+        )
+    return int(value)
+
+
+def _uniform(seed: int, count: int) -> Array:
+    """Numbers in [0, 1) that depend on the seed alone; numpy promises the bits for ever, but not its distributions."""
+    bits = np.random.Philox(np.random.SeedSequence(seed)).random_raw(count)
+    return (bits >> np.uint64(11)).astype(float) / 2.0**53
+
+
+def _series(waves: Array, phase: Array) -> Array:
+    """Derivatives 0 to 4 of ``Σ_k (a_k cos kφ + b_k sin kφ)`` by the phase φ (...), shape (5, ..., n)."""
+    sines = _sine_and_on(phase[..., None] * _ORDERS)
+    factors = [_ORDERS**order for order in range(5)]
+    return np.stack(
+        [
+            (factor * sines[order + 1]) @ waves[0] + (factor * sines[order]) @ waves[1]
+            for order, factor in enumerate(factors)
+        ]
+    )
+
+
 BLEND = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 """s(u), the lowest polynomial from 0 at u = 0 to 1 at u = 1 whose first four derivatives vanish at both: C⁴ motions."""
 
@@ -280,6 +426,11 @@ def _blend_derivatives() -> Array:
 
 _BLEND_DERIVATIVES = _blend_derivatives()
 """Coefficients of s and its derivatives 1 to 4, one column each, shape (10, 5)."""
+
+
+def _unit_blend(share: Array) -> Array:
+    """s and its derivatives 1 to 4 at shares of the duration, shape (5, ...)."""
+    return np.asarray(np.polynomial.polynomial.polyval(share, _BLEND_DERIVATIVES), float)
 
 
 def _scaled(derivatives: Array, factor: float) -> Array:
@@ -373,6 +524,18 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     "lemniscate-spatial": partial(
         Lemniscate, name="lemniscate-spatial", amplitude=(0.1, 0.05), center=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
     ),
+    # Within the radii of the paper's circles, about their centers; at z = 0.1 m the tensions change so fast with depth
+    # and tilt that little of either is left. The accelerations, below the 35 and 16 m/s² of those circles, leave the
+    # first 2000 training and the first 2000 held-out seeds an exact-tracking payload on all of the paper's robots, with
+    # every tension above 5 N: at least 0.6 kg planar and 1.2 kg spatial.
+    "loop-planar": partial(RandomLoop, name="loop-planar", center=(0.0, 0.0), reach=(0.2165,), acceleration=(32.0,)),
+    "loop-spatial": partial(
+        RandomLoop,
+        name="loop-spatial",
+        center=(0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
+        reach=(0.1, 0.01, 0.03),
+        acceleration=(9.0, 2.5, 3.0),
+    ),
 }
 """Makers of the named motions; each takes the fields of its class as keywords and works without any."""
 
@@ -383,7 +546,7 @@ def trajectory_names(coordinates: int | None = None) -> list[str]:
     Args:
         coordinates: only those of a robot with this many coordinates; None: all.
     """
-    return [name for name, make in TRAJECTORIES.items() if coordinates in (None, make().coordinates)]
+    return [name for name, make in TRAJECTORIES.items() if coordinates is None or make().coordinates == coordinates]
 
 
 def find_trajectory(trajectory: str | dict[str, Any] | Trajectory, coordinates: int) -> Trajectory:
@@ -423,7 +586,7 @@ def _make(data: dict[str, Any], coordinates: int) -> Trajectory:
     name, fields = data["name"], {key: value for key, value in data.items() if key != "name"}
     if name not in trajectory_names():
         raise ValueError(f"unknown trajectory {name!r}; choose {_choices(coordinates)}")
-    if name not in trajectory_names(coordinates):
+    if TRAJECTORIES[name]().coordinates != coordinates:
         raise ValueError(f"trajectory {name!r} is not for {coordinates} coordinates; choose {_choices(coordinates)}")
     known = [key for key in inspect.signature(TRAJECTORIES[name]).parameters if key != "name"]
     for key in fields:

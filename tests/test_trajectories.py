@@ -262,7 +262,7 @@ def test_motions_cannot_be_changed_by_assignment(motion: Any, _: Any) -> None:
 
 
 def test_registry_has_no_name_missing() -> None:
-    kinds = ["paper", "circle", "hold", "line", "lemniscate"]
+    kinds = ["paper", "circle", "hold", "line", "lemniscate", "loop"]
     assert trajectory_names(2) == [f"{kind}-planar" for kind in kinds]
     assert trajectory_names(6) == [f"{kind}-spatial" for kind in kinds]
     assert sorted(trajectory_names()) == sorted(trajectory_names(2) + trajectory_names(6))
@@ -341,7 +341,9 @@ def test_users_object_is_not_replaced_or_refused() -> None:
 
 # --- errors -------------------------------------------------------------------------------------------------------
 
-SPATIAL_CHOICES = "choose one of paper-spatial, circle-spatial, hold-spatial, line-spatial, lemniscate-spatial$"
+SPATIAL_CHOICES = (
+    "choose one of paper-spatial, circle-spatial, hold-spatial, line-spatial, lemniscate-spatial, loop-spatial$"
+)
 
 
 @pytest.mark.parametrize(

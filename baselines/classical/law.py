@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics
+from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics, drive_command
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
@@ -62,7 +62,18 @@ class ClassicalLaw:
         Raises:
             ValueError: if the observation is not of this robot's layout.
         """
-        part = self._layout.split(self._layout.checked(observation, self.robot.name))
+        return self.respond(self.split(observation), state, episode_start)
+
+    def split(self, observation: ArrayLike) -> dict[str, Array]:
+        """The blocks of an observation by name, each (..., size).
+
+        Raises:
+            ValueError: if the observation is not of this robot's layout.
+        """
+        return self._layout.split(self._layout.checked(observation, self.robot.name))
+
+    def respond(self, part: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
+        """What :meth:`predict` does, from an observation's blocks, in which others may have put their own reference."""
         mass = self.robot.mass + part["told_payload"][..., 0]
         torques, speeds, state = self._control(part, mass, state, episode_start)
         return self._command(torques, speeds), state
@@ -81,7 +92,7 @@ class ClassicalLaw:
         raise NotImplementedError
 
     def _command(self, torques: Array, speeds: Array) -> Array:
-        return (torques + self.robot.speed_slope * speeds) / self.robot.stall_torque
+        return drive_command(self.robot, torques, speeds)
 
     def _inverse_dynamics(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> InverseDynamics:
         """Tensions, torques, speeds and windings β̈ at the pulleys."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from baselines.reproduction.readings import Readings, choices_of
+from cablebot_gym.terminal import counting, notes_console
 
 _CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
 
@@ -77,20 +75,14 @@ def reproduce(
     }
     readings = Readings(**chosen)  # which refuses what is no choice
     names = [name.strip() for text in only or [] for name in text.split(",")]
-    errors = Console(stderr=True, highlight=False, markup=False)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f} of {task.total:.0f} computations"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
+    errors = notes_console()
+    with counting(errors, "computations") as bar:
         task = bar.add_task("starting", total=1)
 
         def step(last: str, done: int, expected: int) -> None:
             bar.update(task, description=last, completed=done, total=expected)
 
-        say = partial(errors.print, soft_wrap=True)
+        say = errors.print
         try:
             results = run(readings, out, only=names, workers=workers, progress=step, say=say)
         except KeyboardInterrupt:

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
-import logging.handlers
 import math
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -31,6 +24,7 @@ from baselines.reproduction.readings import NoRobot, Readings
 from cablebot_gym.dlcc.batch import versions
 from cablebot_gym.dlcc.figures import DPI, import_matplotlib
 from cablebot_gym.files import usable_folder, write_whole
+from cablebot_gym.workers import check_workers, run
 
 RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
 """Names of the files beside the figures."""
@@ -90,13 +84,12 @@ def reproduce(
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     parts = find_parts(only)
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers must be at least 1, not {workers}")
+    workers = check_workers(workers)
     import_matplotlib()
     usable_folder(out)
     results = _Results(readings, out, alone=not only)
     try:
-        for part, found in _computed(parts, readings, workers or _cores(), progress, say or (lambda _: None)):
+        for part, found in _computed(parts, readings, workers, progress, say or (lambda _: None)):
             results.add(part, found)
     finally:
         written = results.write()
@@ -221,10 +214,6 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _computed(
     parts: Sequence[Part],
     readings: Readings,
@@ -254,7 +243,7 @@ def _computed(
             yield by_name[name], _gathered(waiting.pop(name), done)
 
     yield from complete()  # those that need no computation
-    for key, value in _run(cells, workers, say):
+    for key, value in run(cells, workers=workers, kind=_kind, say=say, returned=(NoRobot,)):
         done[key] = value
         if progress is not None:
             progress("computing", len(done), len(cells))
@@ -266,74 +255,6 @@ def _gathered(keys: Mapping[str, str], done: Mapping[str, Any]) -> Found | str:
     return str(failed[0]) if failed else {name: done[key] for name, key in keys.items()}
 
 
-def _run(cells: Mapping[str, Cell], workers: int, say: Callable[[str], None]) -> Iterator[tuple[str, Any]]:
-    """Results by key as they come; a NoRobot in place of a result says that the readings do not allow it."""
-    if not cells:
-        return
-    if workers == 1:
-        for key, cell in cells.items():
-            yield key, _attempt(cell)
-        return
-    context = multiprocessing.get_context("spawn")  # threads of BLAS do not survive a fork
-    messages, others = context.Queue(), set(multiprocessing.active_children())
-    with _listening(messages, say):
-        pool = ProcessPoolExecutor(
-            min(workers, len(cells)), mp_context=context, initializer=_start_worker, initargs=(messages,)
-        )
-        try:
-            futures = {pool.submit(_attempt, cells[key]): key for key in _leaders_first(cells)}
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-            pool.shutdown()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
-
-
-def _leaders_first(cells: Mapping[str, Cell]) -> list[str]:
-    """The keys, one cell of each kind of computation on each environment first.
-
-    A kernel is compiled once per machine; two workers that need the same one at the same time would both compile it.
-    """
-    leaders: dict[tuple[Any, Any], str] = {}
-    for key, cell in cells.items():
-        leaders.setdefault((cell.func, cell.keywords.get("env_id")), key)
-    return list(dict.fromkeys([*leaders.values(), *cells]))
-
-
-def _attempt(cell: Cell) -> Any:
-    try:
-        return cell()
-    except NoRobot as error:
-        return error
-
-
-def _start_worker(messages: Any) -> None:
-    """Leaves interrupts to the parent, and tells it what there is to tell."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    logger = logging.getLogger("cablebot_gym")
-    logger.addHandler(logging.handlers.QueueHandler(messages))
-    logger.propagate = False
-
-
-@contextmanager
-def _listening(messages: Any, say: Callable[[str], None]) -> Iterator[None]:
-    """Passes on what workers say, once each."""
-    said: set[str] = set()
-
-    class Handler(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            text = record.getMessage()
-            if text not in said:
-                said.add(text)
-                say(text)
-
-    listener = logging.handlers.QueueListener(messages, Handler())
-    listener.start()
-    try:
-        yield
-    finally:
-        listener.stop()
-        messages.close()
+def _kind(cell: Cell) -> tuple[Any, Any]:
+    """What tells the compiled code that a cell needs: its function and its environment."""
+    return cell.func, cell.keywords.get("env_id")

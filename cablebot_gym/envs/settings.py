@@ -103,6 +103,11 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
         raise ValueError(f"unknown keyword {unknown[0]!r}; an environment takes robot, {', '.join(known)}")
 
 
+def default_trajectory(robot: Robot) -> str:
+    """Name of the motion of a robot's environment: the paper's circle."""
+    return "paper-planar" if robot.planar else "paper-spatial"
+
+
 def make_settings(
     *,
     robot: str | dict[str, Any] | Robot,
@@ -124,7 +129,7 @@ def make_settings(
 ) -> Settings:
     """Settings from an environment's keywords; see :class:`Settings` for their meaning and :func:`check_options`."""
     robot = find_robot(robot)
-    trajectory = f"paper-{'planar' if robot.planar else 'spatial'}" if trajectory is None else trajectory
+    trajectory = default_trajectory(robot) if trajectory is None else trajectory
     episode = check_options(
         {
             "payload": payload,

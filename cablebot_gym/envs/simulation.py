@@ -215,7 +215,7 @@ class Simulation:
         self._plant.set_state(lanes, start.pose, start.velocity)
         if robot.flexible:
             self._plant.set_motors(lanes, start.angle, start.speed)
-        holding = (start.torque + robot.speed_slope * start.speed) / robot.stall_torque
+        holding = textbook.drive_command(robot, start.torque, start.speed)
         self._disturbances.begin(lanes, start.uncertainty, holding)
 
     def _remember(self, lanes: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, as_numbers
 from cablebot_gym.robots import Robot, RobotArrays
 
 Cable = Literal["unilateral", "bilateral"]
@@ -37,11 +37,11 @@ def jacobian_rate(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> A
 
 def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
     """D(X) of Eq. 3, shape (..., n, n): ``blkdiag(m I₃, PᵀIP)``; planar ``m I₂``."""
-    pose = np.asarray(pose, float)
-    mass = np.broadcast_to(np.asarray(mass, float), pose.shape[:-1])[..., None, None]
+    pose = as_numbers(pose)
+    mass = np.broadcast_to(as_numbers(mass), pose.shape[:-1])[..., None, None]
     if robot.planar:
         return mass * np.eye(2)
-    matrix = np.zeros((*pose.shape[:-1], 6, 6))
+    matrix = np.zeros((*pose.shape[:-1], 6, 6), np.result_type(pose, mass))
     matrix[..., :3, :3] = mass * np.eye(3)
     to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
     matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ (np.asarray(robot.inertia)[..., None] * to_omega)
@@ -50,8 +50,8 @@ def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
 
 def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """h(X, Ẋ) = C Ẋ + g of Eq. 3, shape (..., n): ``(0, 0, −m g, Pᵀ{I Ṗ Θ̇ + (PΘ̇) × I(PΘ̇)})``; planar 0."""
-    pose, velocity = np.asarray(pose, float), np.asarray(velocity, float)
-    vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape))
+    pose, velocity, mass = as_numbers(pose), as_numbers(velocity), as_numbers(mass)
+    vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape), np.result_type(pose, mass))
     if robot.planar:
         return vector
     inertia, rates = np.asarray(robot.inertia), velocity[..., 3:]
@@ -59,14 +59,19 @@ def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLi
     omega = _apply(to_omega, rates)
     moment = inertia * _apply(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
     moment = moment + np.cross(omega, inertia * omega)
-    vector[..., 2] = -np.asarray(mass, float) * robot.gravity
+    vector[..., 2] = -mass * robot.gravity
     vector[..., 3:] = _apply(np.swapaxes(to_omega, -1, -2), moment)
     return vector
 
 
+def load(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    """D Ẍ + h, what the cables' −SᵀT has to give (Eqs. 3 and 16), shape (..., n)."""
+    return _apply(mass_matrix(robot, mass, pose), as_numbers(acceleration)) + bias(robot, mass, pose, velocity)
+
+
 def pulley_speed(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """β̇ = −S Ẋ / r [rad/s], shape (..., m); winding is positive. With a rigid transmission, the motor speed."""
-    return -_apply(jacobian(robot, pose), np.asarray(velocity, float)) / robot.pulley_radius
+    return -_apply(jacobian(robot, pose), as_numbers(velocity)) / robot.pulley_radius
 
 
 def pulley_angle(robot: RobotArrays, pose: ArrayLike) -> Array:
@@ -112,8 +117,8 @@ def fastest_motor_rate(robot: RobotArrays) -> float:
 
 def pulley_acceleration(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """β̈ = −(S Ẍ + Ṡ Ẋ)/r (Eq. 6) [rad/s²], shape (..., m)."""
-    cable = _apply(jacobian(robot, pose), np.asarray(acceleration, float))
-    cable = cable + _apply(jacobian_rate(robot, pose, velocity), np.asarray(velocity, float))
+    cable = _apply(jacobian(robot, pose), as_numbers(acceleration))
+    cable = cable + _apply(jacobian_rate(robot, pose, velocity), as_numbers(velocity))
     return -cable / robot.pulley_radius
 
 
@@ -146,11 +151,10 @@ def _tensions(
     minimum: float,
     strict: bool,
 ) -> Array:
-    load = _apply(mass_matrix(robot, mass, pose), np.asarray(acceleration, float))
-    load = load + bias(robot, mass, pose, velocity)
+    wrench = load(robot, mass, pose, velocity, acceleration)
     if robot.planar:
-        return least_tensions(structure, load, minimum, strict=strict)
-    return -np.linalg.solve(np.swapaxes(structure, -1, -2), load[..., None])[..., 0]
+        return least_tensions(structure, wrench, minimum, strict=strict)
+    return -np.linalg.solve(np.swapaxes(structure, -1, -2), wrench[..., None])[..., 0]
 
 
 def least_tensions(structure: Array, load: Array, minimum: float, *, strict: bool = True) -> Array:
@@ -201,7 +205,7 @@ def required_torques(
 
 
 def _torques(robot: Robot, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
-    torque: Array = robot.pulley_radius * np.asarray(tensions, float)
+    torque: Array = robot.pulley_radius * as_numbers(tensions)
     return torque + robot.pulley_inertia * acceleration + robot.damping * speed
 
 
@@ -241,8 +245,14 @@ def inverse_dynamics(
 
 def torque_limits(robot: Robot, speed: ArrayLike) -> tuple[Array, Array]:
     """``U⁻`` and ``U⁺`` (Eq. 37) at motor speeds of shape (..., m) [rad/s], each (..., m) [N·m]."""
-    drop = robot.speed_slope * np.asarray(speed, float)
+    drop = robot.speed_slope * as_numbers(speed)
     return -robot.stall_torque - drop, robot.stall_torque - drop
+
+
+def drive_command(robot: RobotArrays, torques: ArrayLike, speed: ArrayLike) -> Array:
+    """a = (τ + (τ_s/ω_n) speed)/τ_s, which asks for torques [N·m] at motor speeds [rad/s], each (..., m)."""
+    command: Array = (as_numbers(torques) + robot.speed_slope * as_numbers(speed)) / robot.stall_torque
+    return command
 
 
 def forward_dynamics(

@@ -26,6 +26,7 @@ from cablebot_gym.dlcc.paper_algorithm import iterate_load
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.workers import leaders_first
 
 # --- largest payloads that U⁻ ends ------------------------------------------------------------------------------------
 
@@ -327,6 +328,6 @@ def test_one_cell_of_each_kind_and_environment_comes_first_and_every_cell_once()
     for mark in range(3):
         for env_id in ("planar", "spatial"):
             cells[f"{env_id} {mark}"] = partial(another_cell, env_id=env_id, mark=mark)
-    order = engine._leaders_first(cells)
+    order = leaders_first(cells, engine._kind)
     assert sorted(order) == sorted(cells)
     assert order[:3] == ["one 0", "planar 0", "spatial 0"]

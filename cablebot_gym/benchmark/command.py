@@ -1,0 +1,130 @@
+"""``cablebot benchmark``."""
+
+from __future__ import annotations
+
+import shlex
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cablebot_gym.terminal import counting, notes_console
+
+if TYPE_CHECKING:
+    from cablebot_gym.benchmark.run import Backend
+
+MARKDOWN, CSV, JSON = "leaderboard.md", "results.csv", "results.json"
+"""Names of the files in the folder of results."""
+
+
+def benchmark(
+    suite: Annotated[str, typer.Option(help="smoke (a minute), standard (half an hour) or full (hours).")] = "smoke",
+    policies: Annotated[
+        str | None, typer.Option(help="Names as for `dlcc --policy`, separated by commas; all installed if not given.")
+    ] = None,
+    ids: Annotated[
+        str | None, typer.Option(help="Environments, separated by commas; the suite's if not given.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; one per core if not given.")] = None,
+    ray: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Ray cluster instead: its address, auto, or local (extra ray)."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the tables and for every finished cell.")] = Path("benchmark"),
+    page: Annotated[Path | None, typer.Option(help=f"The page; {MARKDOWN} in the folder if not given.")] = None,
+    any_source: Annotated[
+        bool, typer.Option("--any-source", help="Take finished cells of other code where there are none of this.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help=f"Print what {JSON} holds.")] = False,
+) -> None:
+    """Every policy's payload as a share of the best found, on the paper's circle and on held-out motions.
+
+    Finished cells stay in the folder, one file each: the same command goes on where it was interrupted, and computes
+    only what is missing, broken or of other code.
+
+    Examples:
+
+    cablebot benchmark --suite smoke --out results
+
+    cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out results
+
+    cablebot benchmark --suite full --ray auto --out results
+    """
+    from cablebot_gym.benchmark.leaderboard import markdown, results_json
+    from cablebot_gym.benchmark.run import run_cells
+    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
+    from cablebot_gym.benchmark.tables import csv_text, print_benchmark
+    from cablebot_gym.files import write_whole
+
+    compute_on = _backend(workers, ray)
+    chosen = find_suite(suite)
+    env_ids = find_env_ids(chosen, _names(ids))
+    cells = suite_cells(chosen, find_policies(_names(policies), env_ids))
+    files = (out / JSON, out / CSV, page or out / MARKDOWN)
+    _check_writable(out, files)
+    command = _command(suite=suite, policies=policies, ids=ids, out=str(out), page=None if page is None else str(page))
+    errors = notes_console()
+    store = Store(out, say=errors.print, any_source=any_source)
+    with counting(errors, "cells") as bar:
+        task = bar.add_task("computing", total=len(cells))
+        try:
+            records = run_cells(
+                cells,
+                store,
+                compute_on,
+                progress=lambda done, expected: bar.update(task, completed=done, total=expected),
+                say=errors.print,
+            )
+        except KeyboardInterrupt:
+            errors.print(f"{bar.tasks[task].completed:.0f} of {len(cells)} cells are in {out}; go on with: {command}")
+            raise
+    text = results_json(suite, command, records)
+    for path, content in zip(files, (text, csv_text(records), markdown(suite, command, records)), strict=True):
+        write_whole(path, partial(_write, content))
+    if store.foreign:
+        how = "taken as they are" if any_source else "computed anew and kept beside them (--any-source takes them)"
+        errors.print(f"{store.foreign} cells were there by other code alone: {how}")
+    errors.print("wrote " + ", ".join(map(str, files)))
+    if as_json:
+        print(text, end="")
+    else:
+        print_benchmark(records)
+
+
+def _backend(workers: int | None, ray: str | None) -> Backend:
+    from cablebot_gym.benchmark.run import local
+    from cablebot_gym.workers import check_workers
+
+    if ray is None:
+        return local(check_workers(workers))
+    if workers is not None:
+        raise ValueError("--workers and --ray exclude each other: a Ray cluster has workers of its own")
+    from cablebot_gym.benchmark.ray_backend import on_ray
+
+    return on_ray(ray)
+
+
+def _check_writable(out: Path, files: tuple[Path, ...]) -> None:
+    from cablebot_gym.benchmark.store import FOLDER
+    from cablebot_gym.files import usable_folder
+
+    usable_folder(out / FOLDER)
+    for path in files:
+        usable_folder(path.parent)
+        if path.is_dir():
+            raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another place")
+
+
+def _command(**options: str | None) -> str:
+    given = (f"--{name} {shlex.quote(value)}" for name, value in options.items() if value is not None)
+    return " ".join(["cablebot benchmark", *given])
+
+
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def _write(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,503 @@
+"""An upper certificate of the payload: a proof that no motion and no inputs carry more, planar robots.
+
+**Statement.** A rigid planar robot starts at the reference's pose and velocity. No motion that stays within R of the
+reference ``p_d`` at every time, with taut cables that only pull (T ≥ 0) and motors below their torque-speed lines, has
+a total mass above ``total_mass``. Nothing is assumed of the motion's speed or acceleration.
+
+**Proof.** Let M be the total mass, ``q_i`` the cables' lengths and ``d_i`` their directions from the platform to the
+anchors. Equations 1 and 37 give ``M p̈ = Σ T_i d_i`` and, since ``β̇ = −q̇/r``,
+
+    0 ≤ T_i ≤ s_i + k_i q̇_i + μ_i q̈_i,    s = τ_s/r,  k = (τ_s/ω_n + c)/r²,  μ = J/r².                            (1)
+
+Take *any* functions of time alone, w(t) in the plane and φ_i(t) ≥ 0, with
+
+    φ_i(t) ≥ w(t)·d_i(p)  for every p within R of p_d(t).                                                          (2)
+
+As T_i ≥ 0, every motion satisfies ``M ∫ w·p̈ = ∫ Σ T_i w·d_i ≤ ∫ Σ T_i φ_i ≤ ∫ Σ φ_i (s_i + k_i q̇_i + μ_i q̈_i)``.
+Let w, φ and their rates vanish at the end (and at their start, unless that is t = 0, where pose and velocity are
+known). Integrating by parts until only positions are left, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
+
+    M (ẇ(0)·p(0) − w(0)·ṗ(0) + ∫ ẅ·p) − Σ (∫ s_i φ_i + μ_i (φ̇_i(0) q_i(0) − φ_i(0) q̇_i(0)) − k_i φ_i(0) q_i(0)
+      + ∫ b_i q_i) ≤ 0.                                                                                            (3)
+
+Positions are known up to the tube: with ``p = p_d + e``, |e| ≤ R and u_i = −d_i(p_d), geometry gives
+``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i``. So the left side of (3) is at least
+
+    h(M) = [the same at p_d] − ∫ (R |M ẅ − Σ b_i u_i| + Σ max(b_i, 0) κ_i) dt.                                     (4)
+
+Where h(M) > 0 nothing carries M. Nor does anything carry more, as there is no gravity: a lighter mass takes the same
+motion with tensions scaled down. The certificate is the zero of the concave function h.
+
+**Quadrature.** w and φ are quadratic splines, C¹. Between instants η apart p_d is replaced by its chord, and R by
+``R + max|p̈_d| η²/8``; what is left are functions of known curvature along straight lines, and a function lies within
+η²/8 of its largest second derivative of its own chord. With speed V of the chord and a cable no shorter than ρ, a
+direction turns by at most V/ρ, with at most √(4/3) V²/ρ² as second derivative, and q̈ is in [0, V²/ρ]. Each estimate is
+taken to the safe side in :func:`proved_mass`; only rounding is neglected. (2) is closed: over a disc of radius R at
+distance q a direction turns by up to arcsin(R/q).
+
+**Choice of w and φ.** For given M the largest h, with ∫ w·p̈_d = 1, is a second-order cone problem, solved here as a
+linear programme with polygons for circles; its exactness does not matter to the proof. M is lowered until h vanishes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import brentq, linprog, minimize_scalar
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Limits, find_limits
+from cablebot_gym.trajectories import Trajectory, find_trajectory
+
+REFINEMENT = 8
+"""Chords of the reference in each interval between knots."""
+
+WILDNESS = 1.1
+"""Between samples, the reference's acceleration is taken to stay below this multiple of the largest one sampled."""
+
+_COARSE, _FINE = 80, 160
+"""Intervals between knots: on the whole motion, and where the first multiplier turned out not to vanish."""
+_DIRECTIONS = 24
+"""Corners of the polygon that stands for a circle in the linear programme."""
+_ENOUGH = 1e-3
+"""Relative improvement at which the search stops."""
+_TRIALS = 12
+"""Linear programmes in a pass, at most."""
+_ROUNDING = 1e-12
+"""Share of the largest w that is nothing to it."""
+_HEAVIEST = 1e12
+"""Mass [kg] beyond which nothing is looked for."""
+_TURN = math.sqrt(4 / 3)
+"""Largest |d²u/dt²| of a direction u to a point passed in a straight line, in V²/ρ²: max of sin·√(sin² + 4 cos²)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Multiplier:
+    """w and φ as quadratic splines on N equal intervals: what proves a certificate."""
+
+    start: float
+    """First knot [s]."""
+    end: float
+    """Last knot [s]."""
+    force: Array
+    """Coefficients of w, (N + 2, 2)."""
+    tension: Array
+    """Coefficients of φ, (N + 2, m)."""
+
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        """``(w, ẇ, ẅ)`` of shape (3, …, 2) and ``(φ, φ̇, φ̈)`` of shape (3, …, m) at times of shape (…); ẅ and φ̈ from
+        the right at knots, and all zero outside."""
+        intervals = len(self.force) - 2
+        width = (self.end - self.start) / intervals
+        place = (np.asarray(times, float) - self.start) / width
+        interval = np.clip(np.floor(place).astype(int), 0, intervals - 1)
+        inside = ((place >= 0) & (place <= intervals))[..., None]
+        at = np.stack(_spline(place - interval, width))  # (3, 3, …): derivative, coefficient
+        first, second = (
+            np.where(inside, np.einsum("dc...,c...i->d...i", at, np.stack([c[interval + j] for j in range(3)])), 0.0)
+            for c in (self.force, self.tension)
+        )
+        return first, second
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Certificate:
+    """No motion and no inputs carry more than this within the limits, see the module for statement and proof."""
+
+    total_mass: float
+    """Platform and payload [kg]; ``inf``: no mass is excluded."""
+    platform_mass: float
+    """Mass without payload [kg]."""
+    limits: Limits
+    """Bounds of the error; the position's is R."""
+    conditions: str
+    """What it takes for granted, in words."""
+    method: str
+    """How it was proved, in words."""
+    multiplier: Multiplier | None
+    """What proves it: ``proved_mass(robot, trajectory, limits, multiplier)`` gives ``total_mass``. None: no proof."""
+
+    @property
+    def payload(self) -> float:
+        """Payload that no motion exceeds [kg]; negative: not even the platform can be moved so."""
+        return self.total_mass - self.platform_mass
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able data, without the multiplier; masses that nothing bounds are None."""
+        return {
+            "total_mass": self.total_mass if math.isfinite(self.total_mass) else None,
+            "payload": self.payload if math.isfinite(self.payload) else None,
+            "limits": {"position": self.limits.position},
+            "conditions": self.conditions,
+            "method": self.method,
+        }
+
+
+CONDITIONS = (
+    "the nominal rigid robot without disturbances, started on the reference; taut cables that only pull; errors and "
+    "torque-speed lines kept at every instant (a simulated drive reads its speed once in a physics step); a reference "
+    f"whose acceleration, between samples, stays below {WILDNESS} times the largest one sampled"
+)
+METHOD = "duality: multipliers in time for force balance and torque-speed lines, integrated by parts to positions"
+
+
+def planar_certificate(
+    robot: Robot, trajectory: Trajectory, limits: Limits | dict[str, float] | None = None, *, passes: int = 3
+) -> Certificate:
+    """A mass that no motion and no inputs of a planar robot exceed within the limits, proved as in the module.
+
+    Args:
+        robot: planar, with a rigid transmission.
+        trajectory: for a planar robot.
+        limits: bound R of the position error; None for the default.
+        passes: how often the knots are refined, a few seconds each; ≥ 1. One gives a valid, looser certificate.
+
+    Raises:
+        ValueError: if an argument is not valid, the tube reaches an anchor, or no certificate is known for this kind
+            of robot.
+    """
+    trajectory, limits = _checked(robot, trajectory, limits)
+    if isinstance(passes, bool) or not isinstance(passes, int) or passes < 1:
+        raise ValueError(f"passes must be a whole number of at least 1, not {passes!r}")
+    multipliers = list(_multipliers(robot, trajectory, limits, passes))
+    best = multipliers[-1] if multipliers else None
+    return Certificate(
+        total_mass=math.inf if best is None else proved_mass(robot, trajectory, limits, best),
+        platform_mass=robot.mass,
+        limits=limits,
+        conditions=CONDITIONS,
+        method=METHOD,
+        multiplier=best,
+    )
+
+
+def proved_mass(
+    robot: Robot, trajectory: Trajectory, limits: Limits | dict[str, float] | None, multiplier: Multiplier
+) -> float:
+    """The total mass above which a multiplier proves that no motion exists [kg]; ``inf`` if it proves nothing.
+
+    Args:
+        robot: planar and rigid.
+        trajectory: for a planar robot.
+        limits: bound R of the position error; None for the default.
+        multiplier: any; whether it fulfils (2) and vanishes where it has to is checked here.
+
+    Raises:
+        ValueError: as :func:`planar_certificate`, or if the multiplier's knots leave the motion.
+    """
+    trajectory, limits = _checked(robot, trajectory, limits)
+    if not 0 <= multiplier.start < multiplier.end <= trajectory.duration:
+        raise ValueError(
+            f"the multiplier's knots must lie in the motion's 0 to {trajectory.duration:g} s, not from "
+            f"{multiplier.start:g} to {multiplier.end:g} s"
+        )
+    tube = _Tube(robot, trajectory, limits, multiplier.start, multiplier.end, len(multiplier.force) - 2)
+    return _zero(tube, multiplier.force, multiplier.tension)
+
+
+def _checked(
+    robot: Robot, trajectory: Trajectory, limits: Limits | dict[str, float] | None
+) -> tuple[Trajectory, Limits]:
+    if not robot.planar or robot.flexible:
+        kind = "has flexible joints" if robot.flexible else "is spatial"
+        raise ValueError(f"no upper certificate is known for {robot.name!r}, which {kind}: it must be planar and rigid")
+    return find_trajectory(trajectory, robot.coordinates), find_limits(limits)
+
+
+def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:
+    """Value, first and second derivative of the three quadratic B-splines at fractions s of an interval."""
+    one = np.ones_like(s)
+    return (
+        ((1 - s) ** 2 / 2, 0.5 + s - s**2, s**2 / 2),
+        (-(1 - s) / width, (1 - 2 * s) / width, s / width),
+        (one / width**2, -2 * one / width**2, one / width**2),
+    )
+
+
+class _Tube:
+    """The reference's chords between ``start`` and ``end`` with what (3) and (4) need of them.
+
+    Arrays over chords have shape (chords, …), over their ends (chords + 1, …); chords = REFINEMENT · intervals.
+    """
+
+    def __init__(
+        self, robot: Robot, trajectory: Trajectory, limits: Limits, start: float, end: float, intervals: int
+    ) -> None:
+        self.robot, self.start, self.end, self.intervals = robot, start, end, intervals
+        self.width = (end - start) / intervals
+        self.chord = self.width / REFINEMENT
+        self.known_start = start == 0  # pose and velocity
+        chords = intervals * REFINEMENT
+        twice = trajectory(np.minimum(start + np.arange(2 * chords + 1) * (self.chord / 2), trajectory.duration))
+        self.acceleration = WILDNESS * float(np.linalg.norm(twice.acceleration, axis=-1).max())
+        self.radius = limits.position + self.acceleration * self.chord**2 / 8
+        self.position, self.first_velocity = twice.position[::2], twice.velocity[0]
+        self.speed = np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
+
+        self.pull = robot.stall_torque / robot.pulley_radius
+        self.slope = (robot.speed_slope + robot.damping) / robot.pulley_radius**2
+        self.inertia = robot.pulley_inertia / robot.pulley_radius**2
+        self.away = textbook.jacobian(robot, self.position)  # u
+        self.length = np.linalg.norm(self.position[:, None] - robot.base, axis=-1)
+        shortest = np.minimum(self.length[1:], self.length[:-1]) - self.speed * self.chord / 2
+        if np.any(shortest <= self.radius):
+            cable = int(np.argmin(shortest.min(axis=0))) + 1
+            raise ValueError(
+                f"no certificate: the tube of {limits.position:g} m reaches the anchor of cable {cable}; choose a "
+                "smaller position bound or another trajectory"
+            )
+        self.arc = np.arcsin(self.radius / self.length)
+        self.bulge = shortest - np.sqrt(shortest**2 - self.radius**2)  # κ
+        self.turning, self.bending = self.speed / shortest, _TURN * (self.speed / shortest) ** 2
+        nearest = shortest - self.radius
+        self.turning_in_tube, self.bending_in_tube = self.speed / nearest, _TURN * (self.speed / nearest) ** 2
+        self.sagging = self.speed**2 / shortest
+
+        fractions = np.arange(REFINEMENT + 1) / REFINEMENT
+        self.splines: Array = np.array(_spline(fractions, self.width))  # (derivative, coefficient, place in interval)
+        self.free_force = np.ones(intervals + 2, bool)
+        self.free_tension = np.ones(intervals + 2, bool)
+        self.free_tension[-2:] = self.free_force[-4:] = False
+        if not self.known_start:
+            self.free_tension[:2] = self.free_force[:4] = False
+        self._functionals()
+
+    def chords(self, coefficients: Array) -> tuple[Array, Array, Array]:
+        """Value and rate at both ends of each chord, shape (chords, 2, …), and second derivative, shape (chords, …)."""
+        local = np.stack([coefficients[j : j + self.intervals] for j in range(3)])
+        value, rate, second = (np.einsum("cs,ck...->ks...", table, local) for table in self.splines)
+
+        def ends(at: Array) -> Array:
+            pairs = np.stack([at[:, :-1], at[:, 1:]], axis=2)
+            return pairs.reshape(-1, 2, *at.shape[2:])
+
+        return ends(value), ends(rate), second[:, :-1].reshape(-1, *second.shape[2:])
+
+    def _functionals(self) -> None:
+        """The left side of (3) on the chords, with every q_i linear along each, as linear functions of coefficients:
+        ``force`` (N + 2, 2) without its factor M, and ``tension`` (N + 2, m)."""
+        n, eta = self.intervals, self.chord
+        self.force, self.tension = np.zeros((n + 2, 2)), np.zeros((n + 2, self.robot.cables))
+        place = self.position[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
+        length = self.length[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
+        whole = eta * np.concatenate([[0.5], np.ones(REFINEMENT - 1), [0.5]])
+        for j in range(3):
+            _, rate, second = self.splines[:, j]
+            self.force[j : j + n] += np.einsum("s,ksi->ki", whole * second, place)
+            area = self.width * (1 / 6, 2 / 3, 1 / 6)[j]
+            bent = np.einsum("s,ksi->ki", whole * second, length)
+            # ∫ of a product of two functions that are linear along each chord, exactly
+            left, right = rate[:-1], rate[1:]
+            weight = np.zeros(REFINEMENT + 1)
+            weight[:-1] += eta * (2 * left + right) / 6
+            weight[1:] += eta * (left + 2 * right) / 6
+            turned = np.einsum("s,ksi->ki", weight, length)
+            self.tension[j : j + n] -= self.pull * area + self.inertia * bent - self.slope * turned
+        if self.known_start:
+            value, rate = self.splines[0, :, 0], self.splines[1, :, 0]
+            length_rate = self.away[0] @ self.first_velocity
+            self.force[:3] += np.outer(rate, self.position[0]) - np.outer(value, self.first_velocity)
+            self.tension[:3] -= self.inertia * (np.outer(rate, self.length[0]) - np.outer(value, length_rate))
+            self.tension[:3] += self.slope * np.outer(value, self.length[0])
+
+    def deficits(self, force: Array, tension: Array) -> Array:
+        """By how much (2) may fail on each chord, at most, shape (chords, m); ≤ 0 where it holds."""
+        w, w_rate, w_second = (_norm(x) for x in self.chords(force))
+        phi, _, phi_second = self.chords(tension)
+        bend = w_second[:, None] + 2 * w_rate.max(axis=1)[:, None] * self.turning_in_tube
+        largest = w.max(axis=1) + w_second * self.chord**2 / 8
+        bend = bend + largest[:, None] * self.bending_in_tube + phi_second
+        margin = np.maximum(bend, 0.0) * self.chord**2 / 8
+        deficit = (self._support(force) - phi).max(axis=1) + margin
+        # Where w vanishes, (2) is φ ≥ 0: so it is with coefficients ≥ 0.
+        return np.where((largest > 0)[:, None], deficit, 0.0)
+
+    def _support(self, force: Array) -> Array:
+        """max of w·d_i over the disc, at both ends of each chord, shape (chords, 2, m)."""
+        w = self.chords(force)[0][:, :, None]  # (chords, 2, 1, 2)
+        towards = -np.stack([self.away[:-1], self.away[1:]], axis=1)
+        arc = np.stack([self.arc[:-1], self.arc[1:]], axis=1)
+        along = np.sum(w * towards, axis=-1)
+        across = np.abs(w[..., 0] * towards[..., 1] - w[..., 1] * towards[..., 0])
+        angle = np.arctan2(across, along)
+        return np.hypot(along, across) * np.cos(np.maximum(angle - arc, 0.0))
+
+    def surplus(self, mass: float, force: Array, tension: Array) -> float:
+        """h(M) of (4), to the safe side."""
+        _, _, w_second = self.chords(force)
+        _, rate, second = self.chords(tension)
+        b = self.inertia * second[:, None] - self.slope * rate  # (chords, 2, m)
+        away = np.stack([self.away[:-1], self.away[1:]], axis=1)
+        psi = mass * w_second[:, None] - np.einsum("kei,keij->kej", b, away)
+        largest = np.abs(b).max(axis=1)
+        bend = np.sum(2 * self.slope * np.abs(second) * self.turning + largest * self.bending, axis=-1)
+        tube = self.radius * (_norm(psi).mean(axis=1) + bend * self.chord**2 / 8)
+        bulge = np.sum(np.maximum(b.max(axis=1), 0.0) * self.bulge, axis=-1)
+        sag = np.sum(np.maximum(-b.min(axis=1), 0.0) * self.sagging, axis=-1) * self.chord**2 / 8
+        known = mass * np.sum(self.force * force) + np.sum(self.tension * tension)
+        return float(known - self.chord * np.sum(tube + bulge + sag))
+
+
+def _norm(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=-1)
+    return lengths
+
+
+def _zero(tube: _Tube, force: Array, tension: Array) -> float:
+    """The mass where h changes its sign to positive; ``inf`` if there is none, or (2) fails."""
+    held = not (np.any(force[~tube.free_force]) or np.any(tension[~tube.free_tension]))
+    if not held or np.any(tension < 0) or np.any(tube.deficits(force, tension) > 0):
+        return math.inf
+    if tube.surplus(0.0, force, tension) > 0:
+        return 0.0
+    high = 1.0
+    while tube.surplus(2 * high, force, tension) > tube.surplus(high, force, tension) and high < _HEAVIEST:
+        high *= 2
+    # h is concave: its largest value is at most one doubling away.
+    top = minimize_scalar(lambda mass: -tube.surplus(mass, force, tension), bounds=(high / 2, 2 * high)).x
+    if tube.surplus(top, force, tension) <= 0:
+        return math.inf
+    return float(brentq(tube.surplus, 0.0, top, args=(force, tension), rtol=1e-12))
+
+
+def _lifted(tube: _Tube, force: Array, tension: Array) -> Array:
+    """The least change of φ's coefficients, more or less, with which (2) holds everywhere."""
+    for _ in range(50):
+        deficit = tube.deficits(force, tension).reshape(tube.intervals, REFINEMENT, -1).max(axis=1)
+        if np.all(deficit <= 0):
+            break
+        # A little more than needed, or rounding would leave nothing of a small lift.
+        lift = np.where(deficit > 0, deficit * (1 + 1e-6) + _ROUNDING * np.abs(force).max(), 0.0)
+        padded = np.pad(lift, ((2, 2), (0, 0)))
+        needed = np.max([padded[j : j + tube.intervals + 2] for j in range(3)], axis=0)
+        tension = tension + np.where(tube.free_tension[:, None], needed, 0.0)
+    return tension
+
+
+def _multipliers(robot: Robot, trajectory: Trajectory, limits: Limits, passes: int) -> Iterator[Multiplier]:
+    """Multipliers that prove less and less: on the whole motion first, then on fine knots where it matters."""
+    start, end, intervals, mass = 0.0, float(trajectory.duration), _COARSE, math.inf
+    for _ in range(passes):
+        tube = _Tube(robot, trajectory, limits, start, end, intervals)
+        before, mass, found = mass, *_best(tube, mass)
+        if found is None:
+            return
+        yield found
+        if mass > before * (1 - _ENOUGH):
+            return
+        weight = _norm(found.force)
+        used = np.flatnonzero(weight > 1e-3 * weight.max())  # coefficient j acts on intervals j - 2 to j
+        start = max(0.0, start + float(used[0] - 8) * tube.width)
+        end = min(end, found.start + float(used[-1] + 6) * tube.width)
+        intervals = _FINE
+
+
+def _best(tube: _Tube, mass: float) -> tuple[float, Multiplier | None]:
+    """The least mass that a multiplier on the tube's knots proves, and it; None if that is not below ``mass``."""
+    if tube.acceleration == 0:  # standing still, anything is carried
+        return mass, None
+    programme, found = _Programme(tube), None
+    # The multiplier that is best for a wrong mass proves some mass, too, and mostly a close one.
+    trial = mass if math.isfinite(mass) else float(np.sum(tube.pull)) / tube.acceleration
+    for _ in range(_TRIALS):
+        solution = programme.solve(trial)
+        proved = math.inf
+        if solution is not None:
+            force, tension = solution[0], _lifted(tube, *solution)
+            proved = _zero(tube, force, tension)
+        if proved < mass:
+            before, mass = mass, proved
+            found = Multiplier(start=tube.start, end=tube.end, force=force, tension=tension)
+            trial = mass
+            if mass > before * (1 - _ENOUGH):
+                break
+        elif math.isfinite(mass):
+            break
+        else:
+            trial *= 4
+    return mass, found
+
+
+class _Programme:
+    """The linear programme of a tube: variables are coefficients of w (2), of φ (m), and |ψ| in mid-interval (N).
+
+    ψ = ẅ − Σ b_i u_i / M, times the interval's width squared: of the size of w.
+    """
+
+    def __init__(self, tube: _Tube) -> None:
+        self.tube = tube
+        n, m = tube.intervals, tube.robot.cables
+        middle = REFINEMENT // 2
+        self.second = tube.width**2 * self._table(2, middle)
+        self.rate = tube.width**2 * self._table(1, middle)
+        self.away = tube.away[middle::REFINEMENT][:n]
+        rows = []
+        for place in range(0, REFINEMENT, 2):
+            value = self._table(0, place)
+            at = np.arange(n) * REFINEMENT + place
+            towards, arc = -tube.away[at], tube.arc[at]
+            left = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
+            cosine, sine = np.cos(arc)[..., None], np.sin(arc)[..., None]
+            # The hull of an arc of directions lies in that of its ends and the corner of its tangents.
+            for corner in (towards * cosine + left * sine, towards * cosine - left * sine, towards / cosine):
+                for i in range(m):
+                    rows.append(
+                        [sparse.diags_array(corner[:, i, axis]) @ value for axis in range(2)]
+                        + [-value if i == j else None for j in range(m)]
+                        + [sparse.csr_array((n, n))]
+                    )
+        self.cone = sparse.block_array(rows, format="csr")
+
+    def _table(self, derivative: int, place: int) -> Any:
+        n = self.tube.intervals
+        local = self.tube.splines[derivative, :, place]
+        return sparse.diags_array([np.full(n, x) for x in local], offsets=[0, 1, 2], shape=(n, n + 2), format="csr")
+
+    def solve(self, mass: float) -> tuple[Array, Array] | None:
+        """The multiplier with the largest h(M), more or less, coefficients of w and φ; None if there is none."""
+        tube, n, m = self.tube, self.tube.intervals, self.tube.robot.cables
+        angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        rows = []
+        for direction in np.stack([np.cos(angle), np.sin(angle)], axis=-1):
+            along = self.away @ direction
+            known = [component * self.second for component in direction]
+            pulled = [
+                sparse.diags_array(-along[:, i] / mass) @ (tube.inertia[i] * self.second - tube.slope[i] * self.rate)
+                for i in range(m)
+            ]
+            rows.append([*known, *pulled, -sparse.eye_array(n)])
+        inequalities: Any = sparse.vstack([sparse.block_array(rows, format="csr"), self.cone], format="csr")
+        gain = np.concatenate(
+            [tube.force.T.ravel(), tube.tension.T.ravel() / mass, np.full(n, -tube.radius / tube.width)]
+        )
+        scaled = np.concatenate([tube.force.T.ravel(), np.zeros(m * (n + 2) + n)])
+        free = np.concatenate([tube.free_force] * 2 + [tube.free_tension] * m + [np.ones(n, bool)])
+        lower = np.where(free, np.r_[np.full(2 * (n + 2), -np.inf), np.zeros(m * (n + 2) + n)], 0.0)
+        upper = np.where(free, np.inf, 0.0)
+        bounds: Any = np.stack([lower, upper], axis=-1)
+        found = linprog(
+            -gain,
+            A_ub=inequalities,
+            b_ub=np.zeros(inequalities.shape[0]),
+            A_eq=scaled[None],
+            b_eq=[1.0],
+            bounds=bounds,
+            method="highs-ipm",
+        )
+        if found.x is None:
+            return None
+        split = 2 * (n + 2)
+        force = found.x[:split].reshape(2, -1).T
+        tension = found.x[split : split + m * (n + 2)].reshape(m, -1).T
+        noise = np.abs(force) < _ROUNDING * np.abs(force).max()
+        return (
+            np.where(tube.free_force[:, None] & ~noise, force, 0.0),
+            np.where(tube.free_tension[:, None], np.maximum(tension, 0.0), 0.0),
+        )

@@ -1,0 +1,117 @@
+"""Plans that have been made once are kept: in memory, and on disk by a hash of all that they depend on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablebot_gym.files import write_whole
+from cablebot_gym.planning.instants import import_casadi
+from cablebot_gym.planning.motion import Margins, PlannedMotion
+from cablebot_gym.planning.program import MotionProgram
+from cablebot_gym.robots import Robot
+from cablebot_gym.source import source_hash
+from cablebot_gym.task import Limits, as_plain
+from cablebot_gym.trajectories import Trajectory
+
+CACHE_VARIABLE = "CABLEBOT_CACHE"
+"""Environment variable that names another folder for the cache."""
+
+_SAMPLES = 1000.0
+"""Instants per second at which a reference is told apart from others [Hz]."""
+
+
+def cache_folder() -> Path:
+    """Where plans and best payloads are kept: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
+    if named := os.environ.get(CACHE_VARIABLE):
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cablebot_gym"
+
+
+def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) -> str:
+    """Of a robot, of what a reference does, of further data, and of the code and solver that plan from them.
+
+    Args:
+        module: that plans; what it imports counts too.
+        robot: nominal.
+        trajectory: the reference, told apart by what it does.
+        more: JSON-able data, or dataclasses of them.
+    """
+    times = np.arange(round(trajectory.duration * _SAMPLES) + 1) / _SAMPLES
+    reference = trajectory(times)
+    plain = {name: as_plain(value) for name, value in more.items()}
+    data = [robot.to_dict(), trajectory.name, trajectory.duration, plain, source_hash(module), version("casadi")]
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
+    for values in (reference.position, reference.velocity):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()[:24]
+
+
+def kept(name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write: Callable[[Any], bytes]) -> Any:
+    """What a file of the cache holds, or what ``make`` returns, which is then kept.
+
+    A file that cannot be read is made anew; a folder that cannot be written to keeps nothing.
+    """
+    path = cache_folder() / name
+    with suppress(Exception):  # not there, half a file, something else by that name: whatever it is, make it
+        return read(path.read_bytes())
+    made = make()
+    data = write(made)
+    with suppress(OSError):
+        write_whole(path, lambda temporary: _write(temporary, data))
+    return made
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+
+
+def planned(
+    robot: Robot,
+    trajectory: Trajectory,
+    limits: Limits,
+    *,
+    intervals: int,
+    margins: Margins | None = None,
+    lightest: float | None = None,
+    period: float = 0.0,
+) -> PlannedMotion:
+    """The motion of a :class:`~cablebot_gym.planning.MotionProgram`, made once and then kept on disk.
+
+    Raises:
+        Infeasible: if there is no motion inside the limits.
+        ImportError: if CasADi is missing.
+    """
+    import_casadi()
+    margins = margins or Margins()
+    settings = {"limits": limits, "margins": margins, "intervals": intervals, "lightest": lightest, "period": period}
+    key = fingerprint("cablebot_gym.planning.program", robot, trajectory, **settings)
+
+    def make() -> PlannedMotion:
+        program = MotionProgram(
+            robot, trajectory, limits, intervals=intervals, margins=margins, lightest=lightest, period=period
+        )
+        return program.solve()
+
+    plan: PlannedMotion = kept(f"plan-{key}.npz", _read_plan, make, _plan_bytes)
+    return plan
+
+
+def _plan_bytes(plan: PlannedMotion) -> bytes:
+    buffer = BytesIO()
+    np.savez(buffer, **plan.to_arrays())  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _read_plan(data: bytes) -> PlannedMotion:
+    with np.load(BytesIO(data), allow_pickle=False) as file:
+        return PlannedMotion.from_arrays(file)

@@ -1,0 +1,394 @@
+"""The heaviest payload of a motion inside the limits, as a nonlinear program: splines, collocation, CasADi and IPOPT.
+
+The motion X(t) is a spline. On a rigid robot tensions and torques follow from X, Ẋ and Ẍ at every instant by
+themselves. On a flexible one the motor angles β′(t) are a second spline, bound to the first by the platform's balance
+of forces at the collocation points; torques follow from β′ and its derivatives. So every limit is a function of a few
+numbers at one instant, and these are affine in the program's variables: Jacobian and Hessian are put together from
+small dense ones, which is ten times sooner than to have the whole program differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.sparse import csr_matrix
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.textbook import MINIMUM_TENSION
+from cablebot_gym.planning.instants import TENSION, derivatives, flexible_instant, import_casadi, rigid_instant
+from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Limits
+from cablebot_gym.trajectories import Trajectory
+
+INSTANTS = 2
+"""Instants per interval of the splines at which motors and cables are held to their limits; the tube has twice as
+many."""
+
+_TOLERANCE = 1e-5
+"""Of IPOPT, on a program whose numbers are near 1; payloads then agree to 0.1 g."""
+
+_LIGHTEST = -0.95
+"""Least payload that the program considers, in platform masses: how much too heavy a platform is, is an answer too."""
+
+
+HEAVIEST = 1000.0
+"""Largest payload that the program considers [kg]: where even that is carried, nothing limits it."""
+
+
+class Infeasible(RuntimeError):
+    """The solver found no motion inside the limits."""
+
+
+class _Spline:
+    """One spline of the program: where its control points stand among the variables, and what they are made of."""
+
+    def __init__(self, knots: Array, degree: int, at: Array, base: Array, scale: Array) -> None:
+        self.knots, self.degree = knots, degree
+        self.at, self.base, self.scale = at, base, scale
+
+    def rows(self, times: Array, orders: Sequence[int]) -> list[_Row]:
+        """The spline's values and derivatives at each time, coordinate by coordinate."""
+        rows = []
+        for order in orders:
+            basis = _basis(self.knots, self.degree, times, order)
+            for channel, scale in enumerate(self.scale):
+                rows.append(_Row(basis * scale, self.at[:, channel], basis @ self.base[:, channel]))
+        return rows
+
+    def control_points(self, z: Array) -> Array:
+        """From the variables, (count, channels)."""
+        points: Array = self.base + self.scale * z[self.at]
+        return points
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A number at each of several instants: ``matrix @ z[at] + constant``."""
+
+    matrix: Array
+    at: Array
+    constant: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Block:
+    """A function of a few numbers, bounded at each of several instants."""
+
+    function: Any
+    """SX function from the numbers to what is bounded."""
+    matrix: csr_matrix
+    """From the variables to all numbers, one instant after the other."""
+    offset: Array
+    low: Array
+    """Lower bounds at one instant."""
+    high: Array
+    """Upper bounds at one instant."""
+    instants: int
+
+
+class MotionProgram:
+    """The program for one robot, reference and mesh.
+
+    Args:
+        robot: any.
+        trajectory: whose tube the motion keeps, from whose start it starts.
+        limits: bounds of the errors.
+        intervals: of the splines.
+        margins: what is left unused of the limits.
+        lightest: payload with which the same motion has to be possible too [kg]; None: with the heaviest alone.
+            Demands and tensions are affine in the payload on a given motion, so that all in between are possible.
+        period: for which torques are held [s]; 0: not at all.
+
+    Raises:
+        ImportError: if CasADi is missing; the message names the command that installs it.
+        ValueError: if the margins leave nothing of the limits.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        trajectory: Trajectory,
+        limits: Limits,
+        *,
+        intervals: int,
+        margins: Margins | None = None,
+        lightest: float | None = None,
+        period: float = 0.0,
+    ) -> None:
+        self._ca = import_casadi()
+        self._period = period
+        self._robot, self._trajectory, self._limits = robot, trajectory, limits
+        self._margins, self._lightest = margins or Margins(), lightest
+        for name in ("position", "rotation"):
+            if not getattr(self._margins, name) < getattr(limits, name):
+                raise ValueError(f"margins: {name} has to be below its limit {getattr(limits, name):g}")
+        self._instants = np.linspace(0.0, trajectory.duration, INSTANTS * intervals + 1)
+        self._variables = 0
+        self._payload_at = self._take(1)
+        self._poses = self._pose_spline(intervals)
+        loads = 1 if lightest is None else 2
+        self._motors = [self._motor_spline(intervals) for _ in range(loads if robot.flexible else 0)]
+        self._tensions = [self._take(len(self._instants), robot.cables) for _ in range(0 if robot.flexible else loads)]
+        self._solver: tuple[Any, Array, Array] | None = None
+
+    def solve(self, start: PlannedMotion | None = None, *, shift: Array | None = None) -> PlannedMotion:
+        """The motion for the heaviest payload.
+
+        Args:
+            start: a motion to start from, as of a coarser mesh; None for the reference.
+            shift: added to the pose's control points that the solver starts with, in units of the limits, (n,) or
+                (control points, n).
+
+        Raises:
+            Infeasible: if the solver ends without a motion inside the limits; the message is its status.
+        """
+        if self._solver is None:
+            self._solver = self._assembled()
+        solver, lowest, highest = self._solver
+        low, high = self._bounds()
+        first = np.clip(self._first(start, 0.0 if shift is None else shift), low, high)
+        solution = solver(x0=first, lbx=low, ubx=high, lbg=lowest, ubg=highest)
+        status = solver.stats()["return_status"]
+        if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+            raise Infeasible(status)
+        return self._motion(np.array(solution["x"])[:, 0])
+
+    @property
+    def control_points(self) -> int:
+        """Of the pose's spline."""
+        return len(self._poses.base)
+
+    # Variables
+
+    def _take(self, *shape: int) -> Array:
+        """Places of new variables."""
+        first, self._variables = self._variables, self._variables + int(np.prod(shape))
+        return np.arange(first, self._variables).reshape(shape)
+
+    def _pose_spline(self, intervals: int) -> _Spline:
+        degree = FLEXIBLE_DEGREE if self._robot.flexible else RIGID_DEGREE
+        knots = _knots(self._trajectory.duration, intervals, degree)
+        n, count = self._robot.coordinates, intervals + degree
+        base = _fitted(knots, degree, self._trajectory(greville(knots, degree)).position)
+        bounds = np.array([self._limits.position] * 3 + [self._limits.rotation] * 3)[:n]
+        return _Spline(knots, degree, self._take(count, n), base, bounds)
+
+    def _motor_spline(self, intervals: int) -> _Spline:
+        robot, degree = self._robot, MOTOR_DEGREE
+        knots = _knots(self._trajectory.duration, intervals, degree)
+        poses = self._trajectory(greville(knots, degree)).position
+        angles = textbook.static_motor_angle(robot, robot.mass, poses, minimum=MINIMUM_TENSION)
+        base = _fitted(knots, degree, angles)
+        return _Spline(knots, degree, self._take(len(base), robot.cables), base, np.ones(robot.cables))
+
+    def _masses(self) -> list[float | None]:
+        """Of the loads, None for the one that is looked for."""
+        return [None] if self._lightest is None else [None, self._robot.mass + self._lightest]
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Of the variables: the start is the reference's, with motors at rest on it."""
+        low, high = np.full(self._variables, -np.inf), np.full(self._variables, np.inf)
+        robot, reference = self._robot, self._trajectory(np.zeros(1))
+        pose, velocity = reference.position[0], reference.velocity[0]
+        ends = [(self._poses, pose, velocity)]
+        if robot.planar:  # in space the angles depend on the payload: a constraint
+            angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=MINIMUM_TENSION) if self._motors else 0
+            ends += [(spline, angle, textbook.pulley_speed(robot, pose, velocity)) for spline in self._motors]
+        for spline, value, rate in ends:
+            step = spline.knots[spline.degree + 1] / spline.degree
+            for row, point in enumerate((value, value + step * rate)):
+                low[spline.at[row]] = high[spline.at[row]] = (point - spline.base[row]) / spline.scale
+        for at in self._tensions:
+            low[at] = self._margins.tension / TENSION
+        low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, HEAVIEST
+        return low, high
+
+    def _first(self, start: PlannedMotion | None, shift: Any) -> Array:
+        """Where the solver starts."""
+        z, robot, poses = np.zeros(self._variables), self._robot, self._poses
+        for at in self._tensions:
+            z[at] = 1.0
+        if start is not None:
+            points = _fitted(poses.knots, poses.degree, start(greville(poses.knots, poses.degree)).position)
+            z[poses.at] = (points - poses.base) / poses.scale
+            z[self._payload_at] = start.payload
+            motion = start(self._instants)
+            masses = [robot.mass + start.payload if mass is None else mass for mass in self._masses()]
+            for at, mass in zip(self._tensions, masses, strict=False):
+                needed = textbook.required_tensions(
+                    robot, mass, motion.position, motion.velocity, motion.acceleration, strict=False
+                )
+                z[at] = needed / TENSION
+            for spline, mass in zip(self._motors, masses, strict=False):
+                times = greville(spline.knots, spline.degree)
+                angles = start.motor_motion(times, np.full(len(times), mass - robot.mass))[0]
+                z[spline.at] = _fitted(spline.knots, spline.degree, angles) - spline.base
+        z[poses.at] += shift
+        return z
+
+    def _motion(self, z: Array) -> PlannedMotion:
+        payload = float(z[self._payload_at][0])
+        return PlannedMotion(
+            name=self._trajectory.name,
+            knots=self._poses.knots,
+            poses=self._poses.control_points(z),
+            motors=tuple(spline.control_points(z) for spline in self._motors),
+            payload=payload,
+            lightest=payload if self._lightest is None else self._lightest,
+            minimum_tension=self._margins.tension,
+        )
+
+    # Constraints
+
+    def _blocks(self) -> list[_Block]:
+        blocks = self._tube()
+        for place, mass in enumerate(self._masses()):
+            blocks += self._flexible(place, mass) if self._robot.flexible else self._rigid(place, mass)
+        return blocks
+
+    def _block(self, function: Any, rows: list[_Row], low: Array, high: Array) -> _Block:
+        """The numbers of one instant after the other: row k·d + i is number i at instant k."""
+        d, instants = len(rows), len(rows[0].constant)
+        indices, columns, values = [], [], []
+        for place, row in enumerate(rows):
+            k, j = np.nonzero(row.matrix)
+            indices.append(k * d + place)
+            columns.append(row.at[j])
+            values.append(row.matrix[k, j])
+        entries = np.concatenate(values), (np.concatenate(indices), np.concatenate(columns))
+        matrix = csr_matrix(entries, (instants * d, self._variables))
+        offset = np.stack([row.constant for row in rows], axis=1).ravel()
+        return _Block(function=function, matrix=matrix, offset=offset, low=low, high=high, instants=instants)
+
+    def _tube(self) -> list[_Block]:
+        """Position and rotation errors, in units of their bounds."""
+        ca, n = self._ca, self._robot.coordinates
+        times = np.linspace(0.0, self._trajectory.duration, 2 * len(self._instants) - 1)[1:]
+        reference = self._trajectory(times).position
+        rows = [
+            _Row(row.matrix / bound, row.at, (row.constant - wanted) / bound)
+            for row, wanted, bound in zip(self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True)
+        ]
+        along, turn = ca.SX.sym("e", min(n, 3)), ca.SX.sym("e", max(n - 3, 0))
+        radius = 1 - self._margins.position / self._limits.position
+        distance = ca.Function("distance", [along], [ca.sumsqr(along)])
+        blocks = [self._block(distance, rows[:3], np.array([-np.inf]), np.array([radius**2]))]
+        if n > 3:
+            most = np.full(n - 3, 1 - self._margins.rotation / self._limits.rotation)
+            blocks.append(self._block(ca.Function("rotation", [turn], [turn]), rows[3:], -most, most))
+        return blocks
+
+    def _mass_row(self, mass: float | None, times: int) -> _Row:
+        known, unknown = mass is not None, np.ones((times, 1))
+        constant = np.full(times, self._robot.mass if mass is None else mass)
+        return _Row(0 * unknown if known else unknown, self._payload_at, constant)
+
+    def _demand(self) -> Array:
+        return np.full(2 * self._robot.cables, 1 - self._margins.demand)
+
+    def _rigid(self, place: int, mass: float | None) -> list[_Block]:
+        times, balanced, most = self._instants, np.zeros(self._robot.coordinates), self._demand()
+        at = self._tensions[place]
+        tensions = [_Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
+        rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
+        return [
+            self._block(rigid_instant(self._robot, self._period), rows, np.r_[balanced, -most], np.r_[balanced, most])
+        ]
+
+    def _flexible(self, place: int, mass: float | None) -> list[_Block]:
+        robot, poses, motors = self._robot, self._poses, self._motors[place]
+        balance, limits, start = flexible_instant(robot, self._period)
+        balanced, most = np.zeros(robot.coordinates), self._demand()
+        least = np.full(2 * robot.cables, self._margins.tension / TENSION)
+
+        def rows(times: Array, orders: Sequence[int]) -> list[_Row]:
+            return [*poses.rows(times, orders), *motors.rows(times, orders), self._mass_row(mass, len(times))]
+
+        collocation = greville(motors.knots, motors.degree)
+        if place > 0:  # all loads start with the same Ẍ, which the first one has settled
+            collocation = collocation[1:]
+        blocks = [
+            self._block(balance, rows(collocation, [0, 1, 2]), balanced, balanced),
+            self._block(
+                limits, rows(self._instants, [0, 1, 2]), np.r_[-most, least], np.r_[most, np.full(len(least), np.inf)]
+            ),
+        ]
+        if not robot.planar:
+            at_rest = np.zeros(robot.coordinates + robot.cables)
+            blocks.append(self._block(start, rows(np.zeros(1), [0, 1]), at_rest, at_rest))
+        return blocks
+
+    # The program
+
+    def _assembled(self) -> tuple[Any, Array, Array]:
+        """IPOPT on the program, and the bounds of its constraints."""
+        ca = self._ca
+        z, sigma, nothing = ca.MX.sym("z", self._variables), ca.MX.sym("sigma"), ca.MX.sym("p", 0)
+        values, slopes, multipliers, lows, highs = [], [], [], [], []
+        hessian = ca.MX(self._variables, self._variables)
+        for block in self._blocks():
+            matrix = ca.DM(block.matrix.tocsc())
+            size, rows, count = block.matrix.shape[0] // block.instants, len(block.low), block.instants
+            numbers = ca.reshape(matrix @ z + ca.DM(block.offset), size, count)
+            first, second = derivatives(block.function)
+            values.append(ca.vec(block.function.map(count)(numbers)))
+            slopes.append(ca.diagcat(*ca.horzsplit(first.map(count)(numbers), size)) @ matrix)
+            multipliers.append(ca.MX.sym("lam", rows * count))
+            curvature = second.map(count)(numbers, ca.reshape(multipliers[-1], rows, count))
+            hessian += matrix.T @ ca.diagcat(*ca.horzsplit(curvature, size)) @ matrix
+            lows.append(np.tile(block.low, count))
+            highs.append(np.tile(block.high, count))
+        constraints = ca.vertcat(*values)
+        lam = ca.MX.sym("lam_g", constraints.shape[0])
+        ends = np.cumsum([0, *(item.shape[0] for item in multipliers)]).tolist()
+        (hessian,) = ca.graph_substitute([ca.triu(hessian)], multipliers, ca.vertsplit(lam, ends))
+        options = {
+            "jac_g": ca.Function(
+                "slopes", [z, nothing], [constraints, ca.vertcat(*slopes)], ["x", "p"], ["g", "jac_g_x"]
+            ),
+            "hess_lag": ca.Function(
+                "curvature", [z, nothing, sigma, lam], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+            ),
+            "print_time": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "max_iter": 300,
+                "tol": _TOLERANCE,
+                "acceptable_tol": 10 * _TOLERANCE,
+                "linear_solver": "mumps",
+                "mu_strategy": "adaptive",
+            },
+        }
+        program = {"x": z, "f": -z[int(self._payload_at[0])], "g": constraints}
+        return ca.nlpsol("motion", "ipopt", program, options), np.concatenate(lows), np.concatenate(highs)
+
+
+def greville(knots: Array, degree: int) -> Array:
+    """The Greville points of a spline, one for each control point: where values determine it."""
+    count = len(knots) - degree - 1
+    return np.array([knots[place + 1 : place + degree + 1].mean() for place in range(count)])
+
+
+def _knots(duration: float, intervals: int, degree: int) -> Array:
+    """Clamped at both ends, equally spaced."""
+    return np.r_[np.zeros(degree), np.linspace(0.0, duration, intervals + 1), np.full(degree, duration)]
+
+
+def _basis(knots: Array, degree: int, times: Array, order: int) -> Array:
+    """From control points to a derivative at each time, (times, control points)."""
+    spline = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
+    values = (spline.derivative(order) if order else spline)(times)
+    return np.where(np.abs(values) > 1e-12 * np.abs(values).max(), values, 0.0)
+
+
+def _fitted(knots: Array, degree: int, values: Array) -> Array:
+    """Control points of the spline through values at its Greville points."""
+    points: Array = np.linalg.solve(_basis(knots, degree, greville(knots, degree), 0), values)
+    return points

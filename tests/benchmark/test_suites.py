@@ -1,0 +1,124 @@
+"""Suites: which cells they have, of which policies."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from cablebot_gym import ENV_IDS
+from cablebot_gym.benchmark.cells import BestCell, PolicyCell
+from cablebot_gym.benchmark.score import motion_key
+from cablebot_gym.benchmark.suites import (
+    FIRST_HELD_OUT,
+    SLOW,
+    SUITES,
+    find_env_ids,
+    find_policies,
+    find_suite,
+    suite_cells,
+)
+from cablebot_gym.envs import env_robot
+from cablebot_gym.policies import policy_entries
+from cablebot_gym.robots import find_robot
+from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.uncertainty import find_uncertainty
+
+PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+
+
+def cells(name, names=()):
+    suite = find_suite(name)
+    return list(suite_cells(suite, find_policies(names, suite.env_ids)).values())
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_every_cell_can_be_asked_and_has_a_best_found(name):
+    some = cells(name)
+    best = {motion_key(cell) for cell in some if isinstance(cell, BestCell)}
+    assert best == {motion_key(cell) for cell in some if isinstance(cell, PolicyCell)}
+    for cell in some:
+        robot = find_robot(env_robot(cell.env_id))
+        find_trajectory(dict(cell.trajectory), robot.coordinates)
+        if isinstance(cell, PolicyCell):
+            assert find_uncertainty(cell.uncertainty, robot).random == (cell.draws > 1)
+            assert cell.env_id in policy_entries()[cell.policy].env_ids
+
+
+@pytest.mark.parametrize("name", ["standard", "full"])
+def test_no_policy_environment_or_condition_is_missing(name):
+    some = [cell for cell in cells(name) if isinstance(cell, PolicyCell)]
+    assert {(cell.env_id, cell.policy) for cell in some} == {
+        (env_id, entry.name) for entry in policy_entries().values() for env_id in entry.env_ids
+    }
+    for env_id in ENV_IDS:
+        asked = {
+            (cell.information, cell.uncertainty, cell.criterion, str(cell.trajectory["name"]).startswith("paper-"))
+            for cell in some
+            if cell.env_id == env_id
+        }
+        for information in ("told", "untold"):
+            for uncertainty, circle in ((None, True), (None, False), ("table6", True), ("sensors", True)):
+                assert (information, uncertainty, "task", circle) in asked
+        assert {
+            ("told", None, "paper", True),
+            ("told-0.9", None, "task", True),
+            ("told-1.1", None, "task", True),
+        } < asked
+    seeds = {cell.trajectory["seed"] for cell in some if "seed" in cell.trajectory}
+    assert seeds == set(range(FIRST_HELD_OUT, FIRST_HELD_OUT + len(seeds)))
+    assert len(seeds) >= 5
+
+
+def test_policy_that_takes_minutes_a_cell_is_not_asked_everywhere(monkeypatch):
+    monkeypatch.setattr("cablebot_gym.benchmark.suites.SLOW", frozenset({"fl"}))
+    fl = [cell for cell in cells("standard", ["fl"]) if isinstance(cell, PolicyCell)]
+    assert {(cell.information, cell.uncertainty, cell.trajectory["name"][:5]) for cell in fl} == {
+        ("told", None, "paper"),
+        ("untold", None, "paper"),
+    }
+    assert "fl" not in SLOW
+
+
+def test_smoke_is_small():
+    assert len(cells("smoke", ["fl"])) == 6
+
+
+def test_policies_that_are_asked_for_are_those_that_are_asked():
+    assert find_policies(["fl", "motor-pd", "fl"], ENV_IDS) == {
+        PLANAR: ("fl",),
+        SPATIAL: ("fl",),
+        "CableBot-FlexPlanar-v0": ("motor-pd",),
+        "CableBot-FlexSpatial-v0": ("motor-pd",),
+    }
+
+
+def test_factory_that_is_for_some_robots_takes_part_and_one_for_none_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "toy_suites.py").write_text(
+        "def planar(robot):\n    assert robot.planar\n    return lambda observation: 0\n"
+        "def none(robot):\n    raise RuntimeError('not today')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert find_policies(["toy_suites:planar"], [PLANAR, SPATIAL])[SPATIAL] == ("toy_suites:planar",)
+    with pytest.raises(ValueError, match="not today"):
+        find_policies(["toy_suites:none"], [PLANAR, SPATIAL])
+    sys.modules.pop("toy_suites")
+
+
+@pytest.mark.parametrize(
+    ("names", "ids", "message"),
+    [
+        (["nobody"], [], "unknown policy 'nobody'; choose one of"),
+        (["fl4"], [PLANAR], "policy 'fl4' is made for CableBot-FlexSpatial-v0, not for CableBot-Planar-v0"),
+        ([], ["CableBot-Round-v0"], "unknown environment 'CableBot-Round-v0'"),
+        ([], [SPATIAL], "suite 'smoke' does not have CableBot-Spatial-v0; its ids are CableBot-Planar-v0"),
+    ],
+)
+def test_bad_choice_is_one_sentence(names, ids, message):
+    with pytest.raises(ValueError, match=message):
+        find_policies(names, find_env_ids(find_suite("smoke"), ids))
+
+
+def test_unknown_suite_names_the_known_ones():
+    with pytest.raises(ValueError, match="unknown suite 'huge'; choose one of smoke, standard, full"):
+        find_suite("huge")

@@ -1,0 +1,329 @@
+"""The random family: the same curve for ever, smooth, at rest at its ends, within its bounds, and possible."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from itertools import islice
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import BSpline
+from scipy.optimize import linprog
+
+from cablebot_gym.dlcc.exact import exact_payload
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.task import as_plain
+from cablebot_gym.trajectories import (
+    FIRST_HELD_OUT_SEED,
+    KINDS,
+    TRAINING_SEEDS,
+    TRAJECTORIES,
+    RandomLoop,
+    find_trajectory,
+    held_out_seeds,
+)
+
+GROUPS = {2: [[0, 1]], 6: [[0, 1], [2], [3, 4, 5]]}
+ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
+
+names = st.sampled_from(["loop-planar", "loop-spatial"])
+seeds = st.integers(0, 2 * FIRST_HELD_OUT_SEED) | st.integers(0, 10**40)
+
+
+def loop(name: str, seed: int, **fields: Any) -> RandomLoop:
+    motion = TRAJECTORIES[name](seed=seed, **fields)
+    assert isinstance(motion, RandomLoop)
+    return motion
+
+
+def stacked(motion: RandomLoop, times: Any) -> np.ndarray:
+    return np.stack([getattr(motion(times), order) for order in ORDERS])
+
+
+def norms(motion: RandomLoop, values: np.ndarray) -> np.ndarray:
+    """Norms by groups, (..., groups)."""
+    groups = GROUPS[motion.coordinates]
+    return np.stack([np.linalg.norm(values[..., group], axis=-1) for group in groups], axis=-1)
+
+
+# --- one seed, one curve ------------------------------------------------------------------------------------------
+
+GOLDEN = [
+    ("loop-planar", 0, 1.78, [0.020319727845268427, -0.03715468184376407]),
+    ("loop-planar", 9999, 1.79, [0.05510986066400408, 0.048168513665292165]),
+    ("loop-planar", 10000, 1.61, [-0.052613588669482375, -0.06707021055852484]),
+    (
+        "loop-spatial",
+        0,
+        2.25,
+        [-0.00897567088412, 0.03724777644533, 0.10564034220693, 0.08721250827350, 0.09736064131095, 0.09474043547910],
+    ),
+    (
+        "loop-spatial",
+        10000,
+        2.09,
+        [-0.07597230559126, 0.01431028872318, 0.09068707051714, 0.08946581209068, 0.11304240397265, 0.09547381370340],
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "seed", "duration", "pose"), GOLDEN)
+def test_seed_does_not_become_another_curve(name: str, seed: int, duration: float, pose: list[float]) -> None:
+    motion = loop(name, seed)
+    assert motion.duration == duration
+    np.testing.assert_allclose(motion(0.4 * duration).position, pose, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["loop-planar", "loop-spatial"])
+def test_curve_is_not_another_than_the_documented_draw(name: str) -> None:
+    """Word by word from the docstring, with complex numbers, before the scale: both series are similar."""
+    motion, count = loop(name, 12345), len(GROUPS[loop(name, 0).coordinates])
+    bits = np.random.Philox(np.random.SeedSequence(12345)).random_raw(200)
+    draw = (int(word >> np.uint64(11)) / 2**53 for word in bits)
+    _, sizes, offset = (list(islice(draw, number)) for number in (1, count, motion.coordinates))
+    a, b = ([[(2 * next(draw) - 1) / k**2 for _ in offset] for k in (1, 2, 3)] for _ in range(2))
+    times = np.linspace(0, motion.duration, 2001)
+    u = times / motion.duration
+    phase = 2 * np.pi * u**5 * (126 - 420 * u + 540 * u**2 - 315 * u**3 + 70 * u**4)
+    waves = [np.exp(1j * k * phase)[:, None] * (np.array(a[k - 1]) - 1j * np.array(b[k - 1])) for k in (1, 2, 3)]
+    series = np.real(sum(waves))
+    position = motion(times).position
+    for group, reach, size in zip(GROUPS[motion.coordinates], motion.reach, sizes, strict=True):
+        scale = (0.5 + size / 2) * reach
+        shift = (reach - scale) * (2 * np.array(offset)[group] - 1) / math.sqrt(len(group))
+        shape = series[:, group] / np.linalg.norm(series[:, group], axis=1).max()
+        expected = np.array(motion.center)[group] + shift + scale * shape
+        np.testing.assert_allclose(position[:, group], expected, rtol=0, atol=1e-3 * reach)
+
+
+def test_global_random_state_is_neither_read_nor_moved() -> None:
+    poses = []
+    for state in (1, 2):
+        np.random.seed(state)  # noqa: NPY002
+        poses.append(loop("loop-spatial", 7)(0.5).position)
+        assert np.random.get_state()[2] == 624  # noqa: NPY002  # nothing read since it was seeded
+    np.testing.assert_array_equal(*poses)
+
+
+@pytest.mark.parametrize("name", ["loop-planar", "loop-spatial"])
+def test_no_two_seeds_give_one_curve(name: str) -> None:
+    chosen = [0, 1, 2, 9999, 10000, 10001, 2**32, 2**64, 2**128, 2**200]
+    poses = [loop(name, seed)(0.5).position for seed in chosen]
+    gaps = [np.abs(one - other).max() for k, one in enumerate(poses) for other in poses[:k]]
+    assert min(gaps) > 1e-4
+
+
+def test_held_out_seeds_are_not_among_those_to_train_with() -> None:
+    assert list(TRAINING_SEEDS) == list(range(10000))
+    assert list(held_out_seeds(3)) == [10000, 10001, 10002]
+    assert not set(held_out_seeds(500)) & set(TRAINING_SEEDS)
+
+
+# --- shape --------------------------------------------------------------------------------------------------------
+
+
+@given(name=names, seed=seeds, share=st.floats(0.01, 0.99))
+def test_no_derivative_is_off_from_finite_differences(name: str, seed: int, share: float) -> None:
+    motion = loop(name, seed)
+    step = 2e-4 * motion.duration
+    values = stacked(motion, share * motion.duration + step * np.arange(-2, 3))
+    differences = np.einsum("k,okn->on", [1, -8, 0, 8, -1], values[:-1]) / (12 * step)
+    scale = np.abs(stacked(motion, np.linspace(0, motion.duration, 101))[1:]).max(axis=(1, 2))
+    assert np.all(np.abs(differences - values[1:, 2]) <= 1e-6 * scale[:, None])
+
+
+@given(name=names, seed=seeds)
+def test_curve_is_closed_and_at_rest_to_snap_at_both_ends(name: str, seed: int) -> None:
+    motion = loop(name, seed)
+    ends = stacked(motion, [0.0, motion.duration])
+    scale = np.abs(stacked(motion, np.linspace(0, motion.duration, 101))).max(axis=(1, 2))
+    np.testing.assert_allclose(ends[0, 0], ends[0, 1], rtol=0, atol=1e-12)
+    assert np.all(np.abs(ends[1:]).max(axis=(1, 2)) <= 1e-9 * scale[1:])
+    near = stacked(motion, [1e-6 * motion.duration, (1 - 1e-6) * motion.duration])
+    assert np.all(np.abs(near[1:]).max(axis=(1, 2)) <= 1e-3 * scale[1:])
+
+
+@given(name=names, seed=seeds)
+def test_no_group_leaves_its_reach_or_hardly_moves(name: str, seed: int) -> None:
+    motion = loop(name, seed)
+    position = motion(np.linspace(0, motion.duration, 1501)).position
+    away = norms(motion, position - np.array(motion.center))
+    assert np.all(away.max(axis=0) <= 1.001 * np.array(motion.reach))
+    assert np.all(away.max(axis=0) >= 0.25 * np.array(motion.reach))
+    assert np.all(np.ptp(position, axis=0) > 0)
+
+
+@given(name=names, seed=seeds)
+def test_acceleration_and_speed_are_neither_beyond_their_bounds_nor_idle(name: str, seed: int) -> None:
+    motion = loop(name, seed)
+    motion_at = motion(np.linspace(0, motion.duration, 1501))
+    used = norms(motion, motion_at.acceleration).max(axis=0) / motion.acceleration
+    assert 0.58 <= used.max() <= 1.001
+    speed = norms(motion, motion_at.velocity).max(axis=0)
+    assert np.all(speed <= np.sqrt(2.002 * np.array(motion.reach) * motion.acceleration))  # Landau
+
+
+@given(name=names, seed=seeds)
+def test_duration_does_not_depend_on_the_bounds_other_than_by_their_root(name: str, seed: int) -> None:
+    motion = loop(name, seed)
+    harder = loop(name, seed, acceleration=[4 * bound for bound in motion.acceleration])
+    assert harder.duration == pytest.approx(motion.duration / 2, abs=0.0101)
+    shares = np.linspace(0, 1, 7)
+    np.testing.assert_allclose(
+        harder(shares * harder.duration).position, motion(shares * motion.duration).position, atol=1e-12
+    )
+    assert motion.duration == round(motion.duration, 2)
+
+
+def test_no_field_is_without_effect() -> None:
+    motion = loop("loop-spatial", 3)
+    assert loop("loop-spatial", 3, duration=1.5).duration == 1.5
+    changes = {"seed": 4, "center": (0, 0, 0.2, 0, 0, 0), "reach": (0.05, 0.02, 0.01), "acceleration": (5, 1, 1)}
+    for field, value in changes.items():
+        changed = dataclasses.replace(motion, **{field: value}, duration=None)  # type: ignore[arg-type]
+        assert not np.allclose(changed(0.8).position, motion(0.8).position, atol=1e-6)
+
+
+# --- possible -----------------------------------------------------------------------------------------------------
+
+SAMPLE = [*range(0, 10), *held_out_seeds(10), 1066, 1290, 10425, 10674, 11355, 11476]
+"""The first of both sets, and the hardest that were met among 4000."""
+
+
+@pytest.mark.parametrize("minimum", [0.0, 5.0])
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
+def test_no_loop_is_beyond_the_papers_rigid_robots(robot: Robot, minimum: float) -> None:
+    name = f"loop-{robot.name}"
+    found = [exact_payload(robot, loop(name, seed), minimum_tension=minimum, grid=250) for seed in SAMPLE]
+    payloads = np.array([result.payload for result in found])
+    assert payloads.min() >= 0.3
+    assert max(result.lowest for result in found) <= -0.3
+    assert np.percentile(payloads, 90) > 1.5 * np.percentile(payloads, 10)
+    assert payloads.max() <= 10
+    assert all(0.8 <= loop(name, seed).duration <= 3.5 for seed in SAMPLE)
+
+
+def flat_limits(robot: Robot, motion: RandomLoop) -> tuple[np.ndarray, np.ndarray]:
+    """Torque demand ``τ + (τ_s/ω_n) β̇′`` and tensions on the motion, affine in the total mass and a null tension.
+
+    The last axis: constant, per kg of mass, and, of a planar robot, per coefficient of a spline of what the cables pull
+    against each other, which is free and has to be smooth. Flat plant: ``κ = r T + J β̈ + c β̇``, ``β′ = β + κ/K``,
+    ``τ = κ + J′ β̈′ + c′ β̇′``; the derivatives of κ by central differences.
+    """
+    step, times = 1e-3, np.arange(0, motion.duration, 1 / 200)
+
+    def spring(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        at = motion(times + shift)
+        state = (at.position, at.velocity, at.acceleration)
+        structure = textbook.jacobian(robot, at.position)
+        pull = -np.linalg.pinv(np.swapaxes(structure, -1, -2))
+        loads = [textbook.mass_matrix(robot, mass, at.position) @ at.acceleration[..., None] for mass in (0.0, 1.0)]
+        loads = [load[..., 0] + textbook.bias(robot, mass, *state[:2]) for mass, load in enumerate(loads)]
+        constant, unit = ((pull @ load[..., None])[..., 0] for load in loads)
+        columns = [constant, unit - constant]
+        if robot.planar:
+            knots = np.linspace(-0.01, motion.duration + 0.01, 20)
+            knots = np.concatenate([[knots[0]] * 5, knots, [knots[-1]] * 5])
+            splines = BSpline.design_matrix(times + shift, knots, 5).toarray()
+            null = np.cross(structure[..., 0], structure[..., 1])
+            null /= null.sum(axis=-1, keepdims=True)
+            columns += [null * spline[:, None] for spline in splines.T]
+        tensions = np.stack(columns, axis=-1)
+        speed, winding = textbook.pulley_speed(robot, *state[:2]), textbook.pulley_acceleration(robot, *state)
+        torque = robot.pulley_radius[:, None] * tensions
+        torque[..., 0] += robot.pulley_inertia * winding + robot.damping * speed
+        return torque, tensions, speed, winding
+
+    before, (kappa, tensions, speed, winding), after = (spring(shift) for shift in (-step, 0.0, step))
+    motor_speed = (after[0] - before[0]) / (2 * step) / robot.stiffness[:, None]
+    motor_winding = (after[0] - 2 * kappa + before[0]) / step**2 / robot.stiffness[:, None]
+    motor_speed[..., 0] += speed
+    motor_winding[..., 0] += winding
+    slope = robot.motor_damping + robot.speed_slope
+    demand = kappa + robot.motor_inertia[:, None] * motor_winding + slope[:, None] * motor_speed
+    return demand.reshape(-1, demand.shape[-1]), tensions.reshape(-1, tensions.shape[-1])
+
+
+@pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
+def test_no_loop_is_beyond_the_papers_robots_with_springs(robot: Robot) -> None:
+    for seed in SAMPLE:
+        demand, tensions = flat_limits(robot, loop(f"loop-{KINDS[robot.coordinates]}", seed))
+        stall = np.tile(robot.stall_torque, len(demand) // robot.cables)
+        rows = np.concatenate([demand, -demand, -tensions])
+        room = np.concatenate([stall, stall, np.full(len(tensions), -5.0)]) - rows[:, 0]
+        free = [(None, None)] * (rows.shape[1] - 2)
+        best = linprog([-1.0] + [0.0] * len(free), A_ub=rows[:, 1:], b_ub=room, bounds=[(0, None), *free])
+        assert best.status == 0, seed
+        assert best.x[0] - robot.mass >= 0.3, seed
+
+
+# --- by name ------------------------------------------------------------------------------------------------------
+
+
+@given(name=names, seed=seeds)
+def test_json_data_do_not_give_another_motion(name: str, seed: int) -> None:
+    motion = loop(name, seed)
+    found = find_trajectory(json.loads(json.dumps(as_plain(motion))), motion.coordinates)
+    assert found == motion
+    assert hash(found) == hash(motion)
+    assert find_trajectory({"name": name, "seed": seed}, motion.coordinates) == motion
+    assert find_trajectory({"name": name, "seed": np.int64(5)}, motion.coordinates).seed == 5  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"])
+def test_environments_do_not_follow_another_loop_than_the_seeds(env_id: str) -> None:
+    name = "loop-planar" if "Planar" in env_id else "loop-spatial"
+    first, second = ({"name": name, "seed": seed} for seed in (10000, 3))
+    env = gym.make(env_id, trajectory=first)
+    vector = gym.make_vec(env_id, num_envs=2, trajectory=first)
+    place = vector.unwrapped.layout.slices()["reference_pose"]  # type: ignore[attr-defined]
+    command = np.zeros(env.action_space.shape)
+    for data, options in ((first, None), (second, {"trajectory": second})):
+        env.reset(seed=0, options=options)
+        vector.reset(seed=0, options=options)
+        for _ in range(3):
+            observation, *_ = env.step(command)
+            observations, *_ = vector.step(np.stack([command] * 2))
+        expected = loop(**data)(3 / 500).position  # type: ignore[arg-type]
+        np.testing.assert_allclose(observation[place], expected, rtol=1e-6, atol=1e-9)
+        np.testing.assert_array_equal(observations, [observation] * 2)
+
+
+# --- errors -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [True, False, -1, 3.0, "7", None, float("nan"), [3], np.bool_(True)])
+def test_what_is_no_seed_is_not_taken(seed: Any) -> None:
+    with pytest.raises(ValueError, match=r"seed must be a whole number of at least 0, not .*: 0 to 9999 to train with"):
+        find_trajectory({"name": "loop-planar", "seed": seed}, 2)
+
+
+@pytest.mark.parametrize("count", [True, 0, -2, 2.0, "3", None])
+def test_what_is_no_count_is_not_taken(count: Any) -> None:
+    with pytest.raises(ValueError, match="count must be a whole number of at least 1"):
+        held_out_seeds(count)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"reach": [0.1]}, r"reach must hold one number greater than 0 for \(x, y\), one for z and one for the angles"),
+        ({"reach": [0.1, 0.0, 0.1]}, "reach must hold one number greater than 0"),
+        ({"reach": 0.1}, "reach must hold numbers, not 0.1"),
+        ({"acceleration": [1, -1, 1]}, r"acceleration must hold one number .* not \(1.0, -1.0, 1.0\)"),
+        ({"acceleration": [1, float("inf"), 1]}, "acceleration must hold finite numbers"),
+        ({"center": [0, 0, 0]}, "center must be"),
+        ({"duration": 0}, "duration must be a finite number greater than 0"),
+        ({"speed": 2}, "no field 'speed'; its fields are seed, center, reach, acceleration, duration$"),
+    ],
+)
+def test_unphysical_field_is_not_taken(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        find_trajectory({"name": "loop-spatial", **fields}, 6)
