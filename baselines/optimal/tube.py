@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -186,6 +186,7 @@ class Tube:
         self.fallbacks = 0
         """Episodes since the last :meth:`begin` that follow no plan."""
         self._groups: tuple[_Group, ...] | None = None
+        self._plans: dict[Any, PlannedMotion | str] = {}
         self._reference_law = _reference_law(robot)
 
     def begin(self, tasks: Sequence[Task]) -> None:
@@ -198,12 +199,22 @@ class Tube:
         self.fallbacks = 0
         alike: dict[Any, list[int]] = {}
         for lane, task in enumerate(tasks):
-            alike.setdefault((task.robot, task.trajectory, task.limits, task.control_frequency), []).append(lane)
+            alike.setdefault(_case(task), []).append(lane)
         self._groups = tuple(
             _Group(lanes=np.array(lanes), law=self._law(tasks[lanes[0]], len(lanes))) for lanes in alike.values()
         )
 
     def _law(self, task: Task, episodes: int) -> Adaptive:
+        key = _case(task)
+        if key not in self._plans:
+            self._plans[key] = self._plan(task)
+        plan = self._plans[key]
+        if isinstance(plan, str):
+            return self._fall_back(episodes, plan)
+        return AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, self.style)
+
+    def _plan(self, task: Task) -> PlannedMotion | str:
+        """The motion for the heaviest payload, or why there is none."""
         try:
             plan = planned(
                 self.robot,
@@ -215,10 +226,8 @@ class Tube:
                 period=1 / task.control_frequency,
             )
         except Infeasible as error:
-            return self._fall_back(episodes, f"no motion for {task.trajectory.name!r} was found ({error})")
-        if plan.payload <= 0:
-            return self._fall_back(episodes, f"{task.trajectory.name!r} leaves no payload to plan for")
-        return AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, self.style)
+            return f"no motion for {task.trajectory.name!r} was found ({error})"
+        return plan if plan.payload > 0 else f"{task.trajectory.name!r} leaves no payload to plan for"
 
     def _fall_back(self, episodes: int, reason: str) -> Adaptive:
         self.fallbacks += episodes
@@ -253,6 +262,12 @@ class Tube:
             command[group.lanes], after = group.law.predict(observation[group.lanes], before, start, deterministic)
             states.append(after)
         return command, tuple(states)
+
+
+def _case(task: Task) -> tuple[Any, ...]:
+    """Tells tasks with different plans apart; a trajectory that cannot be hashed is like itself alone."""
+    motion = task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
+    return motion, task.limits, task.control_frequency
 
 
 def _reference_law(robot: Robot) -> Adaptive:

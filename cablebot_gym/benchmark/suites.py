@@ -12,9 +12,7 @@ from cablebot_gym.benchmark.cells import BestCell, Cell, PolicyCell
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
-
-FIRST_HELD_OUT = 10_000
-"""Seed of the first held-out motion; policies are tuned and trained on the seeds below."""
+from cablebot_gym.trajectories import held_out_seeds
 
 SLOW = frozenset({"nmpc"})
 """Policies that solve a program every few control steps: minutes a cell, so that most blocks do without them."""
@@ -175,7 +173,7 @@ def _motions(env_id: str, loops: int) -> list[dict[str, Any]]:
     kind = "planar" if find_robot(env_robot(env_id)).planar else "spatial"
     if not loops:
         return [{"name": f"paper-{kind}"}]
-    return [{"name": f"loop-{kind}", "seed": FIRST_HELD_OUT + number} for number in range(loops)]
+    return [{"name": f"loop-{kind}", "seed": seed} for seed in held_out_seeds(loops)]
 
 
 def _check_made(name: str, env_ids: Sequence[str]) -> None:

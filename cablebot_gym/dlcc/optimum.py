@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
+from importlib.metadata import version
 from io import BytesIO
 from typing import Any
 
@@ -208,7 +209,7 @@ class _Case:
                 "trajectory": as_plain(self.trajectory),
                 "control_frequency": self.control_frequency,
             },
-            versions=versions(),
+            versions=versions() | {"casadi": version("casadi")},
             motion=motion,
             commands=commands,
         )
