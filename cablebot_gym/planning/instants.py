@@ -32,8 +32,8 @@ def import_casadi() -> Any:
 
 
 @lru_cache(maxsize=16)
-def rigid_instant(robot: Robot, period: float) -> Any:
-    """Of (X, Ẋ, Ẍ, T/50 N, mass): balance of forces (n), then drive commands (2 m), of a rigid robot."""
+def rigid_instant(robot: Robot, period: float = 0.0) -> Any:
+    """Of (X, Ẋ, Ẍ, T/50 N, mass): balance of forces (n), then :func:`_commands`, of a rigid robot."""
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
     (xs, x), (vs, v), (as_, a), (ts, t), (ms, mass) = (
@@ -47,10 +47,10 @@ def rigid_instant(robot: Robot, period: float) -> Any:
 
 
 @lru_cache(maxsize=16)
-def flexible_instant(robot: Robot, period: float) -> tuple[Any, Any, Any]:
+def flexible_instant(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
     """Balance, limits and start of a flexible robot.
 
-    Of (X, Ẋ, Ẍ, β′, β̇′, β̈′, mass): balance of forces (n); drive commands (2 m), T/50 N (m) and κ/r/50 N (m), for
+    Of (X, Ẋ, Ẍ, β′, β̇′, β̈′, mass): balance of forces (n); :func:`_commands`, T/50 N (m) and κ/r/50 N (m), for
     springs do not push. Of (X, Ẋ, β′, β̇′, mass): balance at rest (n), then β̇′ − β̇ (m), which an episode starts with.
     """
     ca = import_casadi()
@@ -74,14 +74,15 @@ def flexible_instant(robot: Robot, period: float) -> tuple[Any, Any, Any]:
     )
 
 
-def _commands(robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float) -> tuple[Array, Array]:
+def _commands(robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float) -> tuple[Array, ...]:
     """Drive commands for a torque that is held for a period, at the motors' speeds when it begins and when it ends.
 
     A command asks for a torque by the speed at the period's beginning; at its end it must not be clipped. Each is
-    (1, m).
+    (1, m); without a period both are one.
     """
     half = period / 2 * acceleration
-    return textbook.drive_command(robot, torque, speed - half), textbook.drive_command(robot, torque, speed + half)
+    speeds = (speed - half, speed + half) if period > 0 else (speed,)
+    return tuple(textbook.drive_command(robot, torque, one) for one in speeds)
 
 
 def derivatives(function: Any) -> tuple[Any, Any]:

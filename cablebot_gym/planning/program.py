@@ -21,6 +21,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning.instants import TENSION, derivatives, flexible_instant, import_casadi, rigid_instant
+from cablebot_gym.planning.interrupts import Interrupts
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits
@@ -135,6 +136,7 @@ class MotionProgram:
         loads = 1 if lightest is None else 2
         self._motors = [self._motor_spline(intervals) for _ in range(loads if robot.flexible else 0)]
         self._tensions = [self._take(len(self._instants), robot.cables) for _ in range(0 if robot.flexible else loads)]
+        self._interrupts = Interrupts()
         self._solver: tuple[Any, Array, Array] | None = None
 
     def solve(self, start: PlannedMotion | None = None, *, shift: Array | None = None) -> PlannedMotion:
@@ -153,7 +155,8 @@ class MotionProgram:
         solver, lowest, highest = self._solver
         low, high = self._bounds()
         first = np.clip(self._first(start, 0.0 if shift is None else shift), low, high)
-        solution = solver(x0=first, lbx=low, ubx=high, lbg=lowest, ubg=highest)
+        with self._interrupts.heard():
+            solution = solver(x0=first, lbx=low, ubx=high, lbg=lowest, ubg=highest)
         status = solver.stats()["return_status"]
         if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
             raise Infeasible(status)
@@ -290,7 +293,7 @@ class MotionProgram:
         return _Row(0 * unknown if known else unknown, self._payload_at, constant)
 
     def _demand(self) -> Array:
-        return np.full(2 * self._robot.cables, 1 - self._margins.demand)
+        return np.full((2 if self._period > 0 else 1) * self._robot.cables, 1 - self._margins.demand)
 
     def _rigid(self, place: int, mass: float | None) -> list[_Block]:
         times, balanced, most = self._instants, np.zeros(self._robot.coordinates), self._demand()
@@ -348,7 +351,9 @@ class MotionProgram:
         lam = ca.MX.sym("lam_g", constraints.shape[0])
         ends = np.cumsum([0, *(item.shape[0] for item in multipliers)]).tolist()
         (hessian,) = ca.graph_substitute([ca.triu(hessian)], multipliers, ca.vertsplit(lam, ends))
+        self._watch = self._interrupts.callback(ca, self._variables, constraints.shape[0])
         options = {
+            "iteration_callback": self._watch,
             "jac_g": ca.Function(
                 "slopes", [z, nothing], [constraints, ca.vertcat(*slopes)], ["x", "p"], ["g", "jac_g_x"]
             ),
