@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
 from cablebot_gym.envs.observation import PREVIEWS
@@ -47,7 +46,7 @@ class Tuning:
     end_velocity: float
     """Weight of the square of the last velocity error, in bounds per 50 ms."""
     smoothness: float
-    """Weight of the mean square jump of acceleration from one instant to the next, in bounds per (50 ms)²."""
+    """Weight of the sum of squared jumps of acceleration from one instant to the next, in bounds per (50 ms)²."""
     too_much: float = 100.0
     """Price of the largest drive command beyond its limit, in commands, and of tensions, in 250 N."""
     too_far: float = 1000.0
@@ -102,7 +101,7 @@ class HorizonProgram:
         self._quadratic.inputs["lbx"][:-2] = -np.inf  # what exceeds limits is not negative
         self._quadratic.inputs["ubx"][:] = np.inf
 
-    def basis(self, times: ArrayLike) -> Array:
+    def basis(self, times: Array | float) -> Array:
         """From control points to pose, velocity and acceleration at times within the horizon, (3, ..., points)."""
         spline = BSpline(self._knots, np.eye(len(self._knots) - _DEGREE - 1), _DEGREE)
         return np.stack([spline(times), spline.derivative(1)(times), spline.derivative(2)(times)])
@@ -217,21 +216,19 @@ class HorizonProgram:
         masses = np.full((count, 1), mass)
         self._linear.inputs["motion"][:] = np.concatenate([poses, velocities, accelerations, tensions, masses], 1).T
         results = self._linear()
-        balance, demand = np.split(results["values"].T.copy(), [n], axis=1)
+        demand = results["values"][n:].T.copy()
         slope = results["slopes"].reshape(n + m, count, 3 * n + m).swapaxes(0, 1)
         by_motion, by_tension = np.split(slope, [3 * n], axis=2)
         # The balance gives the tensions' change from the motion's, up to what moves nothing.
         inverse = np.linalg.pinv(by_tension[:, :n]) if self._spare else np.linalg.inv(by_tension[:, :n])
         follow = -inverse @ by_motion[:, :n]
-        tension = tensions - (inverse @ balance[..., None])[..., 0]
-        demand = demand + (by_tension[:, n:] @ (tension - tensions)[..., None])[..., 0]
         demand_slope = self._slope(by_motion[:, n:] + by_tension[:, n:] @ follow)
         tension_slope = self._slope(follow)
         if self._spare:
             nothing = np.swapaxes(np.linalg.svd(by_tension[:, :n])[2][:, n:], 1, 2)
             demand_slope = np.hstack([demand_slope, _diagonal(by_tension[:, n:] @ nothing)])
             tension_slope = np.hstack([tension_slope, _diagonal(nothing)])
-        return demand, demand_slope, tension, tension_slope
+        return demand, demand_slope, tensions, tension_slope
 
     def _slope(self, by_motion: Array) -> Array:
         """From slopes by (X, Ẋ, Ẍ) at each instant, (K, rows, 3n), to those by the free control points."""
@@ -268,7 +265,7 @@ class _InPlace:
         """By name, column-major; to be written to."""
         self._outputs: dict[str, Array] = {}
         for place in range(function.n_in()):
-            flat = np.zeros(function.numel_in(place))
+            flat: Any = np.zeros(function.numel_in(place))
             if flat.size:
                 self._buffer.set_arg(place, memoryview(flat))
                 self.inputs[function.name_in(place)] = flat.reshape(function.size_in(place), order="F")

@@ -272,6 +272,16 @@ def test_casadi_that_raises_does_not_end_the_episode(monkeypatch):
     assert policy.fallbacks == 4
 
 
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
+def test_state_from_which_no_limit_can_be_kept_is_no_failure(robot):
+    """Outside the tube, leaving it, and so fast that braking would take slack cables and several times the torque."""
+    program, n = HorizonProgram(robot, TUNING["planar" if robot.planar else "spatial"]), robot.coordinates
+    home, away = np.array(robot.home), np.eye(n)[min(n, 3) - 1]
+    still = np.tile(home, (len(program.instants), 1))
+    plan = program.plan(still, home - 0.015 * away, -2.0 * away, still, np.zeros(n), mass=20.0, limits=Limits())
+    assert np.isfinite(plan).all()
+
+
 @pytest.mark.parametrize("env_id", ROBOTS)
 def test_platform_far_away_is_not_planned_for_and_counts_once(env_id, monkeypatch):
     policy = NMPC.factory(ROBOTS[env_id])
@@ -287,6 +297,8 @@ def test_platform_far_away_is_not_planned_for_and_counts_once(env_id, monkeypatc
         assert np.isfinite(action).all()
     assert not solved
     assert policy.fallbacks == 1
+    policy.predict(observation, state=state, episode_start=np.array([True]))  # another episode, as far away
+    assert policy.fallbacks == 2
 
 
 def test_pose_without_equations_is_no_exception(policies):
