@@ -35,6 +35,11 @@ class Limits:
                 raise ValueError(f"limits: {field.name} must be a number greater than 0, not {value!r}")
             object.__setattr__(self, field.name, float(value))
 
+    @property
+    def termination_radius(self) -> float:
+        """Position error beyond which an episode that is judged by these limits may end [m]: well out of the tube."""
+        return max(0.1, 2 * self.position)
+
     def replace(self, **changes: float) -> Limits:
         """A copy with some bounds changed."""
         return replace(self, **changes)

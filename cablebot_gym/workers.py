@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 Task = TypeVar("Task", bound=Callable[[], Any])
 """A computation. For workers, a function of a module, or a :func:`functools.partial` of one, that can be pickled."""
@@ -129,7 +129,7 @@ class _Crew:
                 self._workers.append(_Worker())
                 occupy(self._workers[-1])
             while busy := {worker.pipe: worker for worker in self._workers if worker.key is not None}:
-                for worker in [busy[pipe] for pipe in wait(list(busy)) if isinstance(pipe, Connection)]:
+                for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
                     key, ended = worker.key or "", self._heard(worker)
                     if isinstance(ended, WorkerDied):
                         deaths[key] += 1

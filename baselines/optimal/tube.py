@@ -17,12 +17,12 @@ from baselines.classical.flexible import composite_tuned
 from baselines.classical.law import Array, ClassicalLaw, first_steps
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning import Follower, Infeasible, Margins, PlannedMotion, planned
-from cablebot_gym.planning.following import State
+from cablebot_gym.planning import Follower, Infeasible, Margins, PlannedMotion, State, planned
 from cablebot_gym.planning.instants import import_casadi
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits, Task
+from cablebot_gym.trajectories import Trajectory
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -186,7 +186,7 @@ class Tube:
         self.fallbacks = 0
         """Episodes since the last :meth:`begin` that follow no plan."""
         self._groups: tuple[_Group, ...] | None = None
-        self._plans: dict[Any, PlannedMotion | str] = {}
+        self._plans: dict[Any, tuple[Trajectory, PlannedMotion | str]] = {}
         self._reference_law = _reference_law(robot)
 
     def begin(self, tasks: Sequence[Task]) -> None:
@@ -207,8 +207,8 @@ class Tube:
     def _law(self, task: Task, episodes: int) -> Adaptive:
         key = _case(task)
         if key not in self._plans:
-            self._plans[key] = self._plan(task)
-        plan = self._plans[key]
+            self._plans[key] = task.trajectory, self._plan(task)  # the object lives as long as its identity counts
+        plan = self._plans[key][1]
         if isinstance(plan, str):
             return self._fall_back(episodes, plan)
         return AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, self.style)

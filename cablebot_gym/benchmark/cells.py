@@ -18,9 +18,10 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import Policy, load_policy
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.source import source_hash
+from cablebot_gym.task import Limits, as_plain
 from cablebot_gym.uncertainty import Spread, Uncertainty, find_uncertainty
 
-DEFAULT_LIMITS = MappingProxyType({"position": 0.01, "rotation": 0.01})
+DEFAULT_LIMITS = MappingProxyType(as_plain(Limits()))
 """Bounds of the errors in every suite [m, rad]."""
 
 TOLD_SHARE = MappingProxyType({"told": 1.0, "untold": None, "told-0.9": 0.9, "told-1.1": 1.1})
@@ -193,7 +194,7 @@ class Record:
     seconds: float
     """What it took."""
     final: bool = True
-    """Whether trying again gives the same; not where a package was missing or a process died."""
+    """Whether trying again gives the same; not where a package, a file or memory was missing, or a process died."""
 
     @property
     def error(self) -> str | None:
@@ -206,7 +207,7 @@ def compute(cell: Cell) -> Record:
     start, final = time.perf_counter(), True
     try:
         result = cell.compute()
-    except ImportError as error:
+    except (ImportError, OSError, MemoryError) as error:
         result, final = {"error": _sentence(error)}, False
     except Exception as error:
         result = {"error": _sentence(error)}

@@ -37,7 +37,7 @@ def on_ray(address: str) -> Backend:
         ray = _import_ray()
         if not tasks:
             return
-        joined = not ray.is_initialized()
+        joined, keys = not ray.is_initialized(), {}
         if joined:
             _connect(ray, address)
         try:

@@ -155,7 +155,7 @@ class Batch:
         """Of the draws: an environment reset with one of them repeats the draw."""
         self._together = min(together, max(1, BATCH // self.draws))
         # A wide tube must not be cut short by the environment's own end of an episode.
-        self.keywords = {"termination_radius": max(0.1, 2 * limits.position)} | keywords
+        self.keywords = {"termination_radius": limits.termination_radius} | keywords
         """For the environment."""
         self.env = gym.make_vec(
             env_id,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from io import BytesIO
@@ -23,8 +24,7 @@ from cablebot_gym.dlcc.monitor import DLCCMonitor, Verdict
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.kinematics import Array
-from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion
-from cablebot_gym.planning.following import State
+from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.instants import import_casadi
 from cablebot_gym.planning.library import fingerprint, kept
 from cablebot_gym.planning.program import HEAVIEST
@@ -35,11 +35,11 @@ from cablebot_gym.trajectories import Trajectory, find_trajectory
 REFINED = 0.005
 """Meshes are halved until the payload moves by less than this share of itself."""
 
-COARSEST, LEAST, MOST = 25.0, 20, 1600
-"""Intervals of the first mesh per second, of the shortest motion, and of the last mesh."""
+COARSEST, LEAST = 25.0, 20
+"""Intervals of the first mesh, per second and at least."""
 
-STARTS = 3
-"""Places from which the first mesh is solved: the reference, sagged under gravity, and one at random."""
+MOST = 64
+"""No mesh is finer than so many times the first."""
 
 _FIRST_SHARE = 5e-4
 _FIRST_MARGINS = Margins(demand=1e-4, tension=0.05)
@@ -48,8 +48,9 @@ _FIRST_MARGINS = Margins(demand=1e-4, tension=0.05)
 _RUNGS = 10
 """Margins that may be tried, each twice the one before."""
 
-_FINER = {"rigid": 1, "flexible": 2}
-"""By how much finer a replayed motion's mesh is: springs swing between the points at which forces balance."""
+_WORTH = 0.997
+"""A replayed payload is near enough to the program's; if not, a mesh twice as fine is tried: springs swing between the
+points at which forces balance."""
 
 _GAINS = {"rigid": (2500.0, 100.0), "flexible": (100.0, 10.0)}
 """(K_P, K_D) with which inputs are made from a motion [1/s², 1/s]; the replay then has no feedback."""
@@ -60,9 +61,9 @@ _MOTOR_FREQUENCY = 200.0
 _FIRST_MESHES = 3
 """Meshes that may fail: in a narrow tube about a reference that jumps, coarse ones have no motion."""
 
-_STRONGER, _WIDER = 20.0, 0.05
-"""A limit is to blame if it alone lets a motion through once the motors are so many times as strong, or once the bound
-is so wide [m, rad]."""
+_STRONGER, _WIDER = 1e3, 0.05
+"""A limit is to blame if a motion is found once the motors are so many times as strong, or the bound is so wide [m,
+rad]: one limit alone, or if that is not enough, all of them together."""
 
 Progress = Callable[[str], None]
 """Told what is done next."""
@@ -189,11 +190,16 @@ class _Case:
         meshes = list(self._refined(say))
         intervals, program = meshes[-1]
         motion, commands, margins, verified = self._verified(intervals, program, say)
+        if not verified or motion.payload < _WORTH * program.payload:
+            finer = self._verified(2 * intervals, program, say)
+            if finer[-1] and (not verified or finer[0].payload > motion.payload):
+                motion, commands, margins, verified = finer
         robot, rotates = self.robot, not self.robot.planar
         upper = None
         if robot.planar and not robot.flexible:
             say("proving a bound from above")
-            upper = planar_certificate(robot, self.trajectory, self.limits).to_dict()
+            with suppress(ValueError):  # a tube that reaches an anchor has no certificate
+                upper = planar_certificate(robot, self.trajectory, self.limits).to_dict()
         return BestFound(
             env_id=self.env_id,
             payload=motion.payload,
@@ -234,7 +240,7 @@ class _Case:
         """Every mesh and its motion."""
         intervals, best = max(LEAST, math.ceil(COARSEST * self.trajectory.duration)), None
         for _ in range(_FIRST_MESHES):
-            say(f"{intervals} intervals, {STARTS} starts")
+            say(f"{intervals} intervals, several starts")
             best = self._first(intervals)
             if best is not None:
                 break
@@ -242,17 +248,22 @@ class _Case:
         if best is None or best.payload < 0 or best.payload > (1 - 1e-3) * HEAVIEST:
             raise ValueError(self._blame(intervals, best))
         yield intervals, best
-        while 2 * intervals <= MOST:
+        most = MOST * intervals
+        while 2 * intervals <= most:
             intervals *= 2
             say(f"{intervals} intervals, {best.payload:.3f} kg so far")
-            finer = self._solve(intervals, best)
+            try:
+                finer = self._solve(intervals, best)
+            except Infeasible:  # what the coarser mesh found still stands, to be verified by its replay
+                say(f"no motion on {intervals} intervals, going on with fewer")
+                return
             yield intervals, finer
             moved, best = abs(finer.payload - best.payload), finer
             if moved < REFINED * max(best.payload, 1e-3):
                 return
 
     def _first(self, intervals: int) -> PlannedMotion | None:
-        """The best of several starts; None if none succeeds."""
+        """The best of several starts: the reference, sagged, and wandering about it; None if none succeeds."""
         program = self._program(intervals)
         n, found = self.robot.coordinates, []
         sag = np.zeros(n)
@@ -260,7 +271,7 @@ class _Case:
         wave = np.random.default_rng(0).uniform(-0.5, 0.5, (4, n))
         phases = np.linspace(0.0, math.pi, program.control_points)[:, None]
         wandering = np.sum([part * np.sin((k + 1) * phases) for k, part in enumerate(wave)], axis=0) / len(wave)
-        for shift in (np.zeros(n), sag, wandering)[:STARTS]:
+        for shift in (np.zeros(n), sag, wandering):
             try:
                 found.append(program.solve(shift=shift))
             except Infeasible:
@@ -285,32 +296,7 @@ class _Case:
         name = self.trajectory.name
         if best is not None and best.payload > 0:
             return f"nothing limits the payload on {name!r}: {HEAVIEST:g} kg are carried; choose a faster motion"
-        motors, limits = self.robot.motors, self.limits
-        stronger = motors.replace(
-            stall_torque=tuple(_STRONGER * self.robot.stall_torque),
-            free_speed=tuple(_STRONGER * self.robot.per_motor(motors.free_speed)),
-        )
-        wider = {
-            "the motors' torque-speed lines": (self.robot.replace(motors=stronger), limits),
-            f"the position bound of {limits.position:g} m": (
-                self.robot,
-                limits.replace(position=max(_WIDER, limits.position)),
-            ),
-        }
-        if not self.robot.planar:
-            wider[f"the rotation bound of {limits.rotation:g} rad"] = (
-                self.robot,
-                limits.replace(rotation=max(_WIDER, limits.rotation)),
-            )
-        guilty = []
-        for limit, (robot, bounds) in wider.items():
-            try:
-                motion = MotionProgram(robot, self.trajectory, bounds, intervals=intervals).solve()
-            except Infeasible:
-                continue
-            if motion.payload >= 0:
-                guilty.append(limit)
-        cause = " and ".join(guilty) or "the cables, which can only pull: the motion asks them to push"
+        cause = self._cause(intervals)
         if best is not None:
             most = self.robot.mass + best.payload
             return (
@@ -319,13 +305,40 @@ class _Case:
             )
         return f"no motion along {name!r} was found inside the limits: to blame is {cause}; widen it, or move slower"
 
+    def _cause(self, intervals: int) -> str:
+        motors, limits = self.robot.motors, self.limits
+        stronger = self.robot.replace(
+            motors=motors.replace(
+                stall_torque=tuple(_STRONGER * self.robot.stall_torque),
+                free_speed=tuple(_STRONGER * self.robot.per_motor(motors.free_speed)),
+            )
+        )
+        position, rotation = max(_WIDER, limits.position), max(_WIDER, limits.rotation)
+        wider = {
+            "the motors' torque-speed lines": (stronger, limits),
+            f"the position bound of {limits.position:g} m": (self.robot, limits.replace(position=position)),
+        }
+        if not self.robot.planar:
+            bound = f"the rotation bound of {limits.rotation:g} rad"
+            wider[bound] = (self.robot, limits.replace(rotation=rotation))
+
+        def possible(robot: Robot, bounds: Limits) -> bool:
+            with suppress(Infeasible):
+                return MotionProgram(robot, self.trajectory, bounds, intervals=intervals).solve().payload >= 0
+            return False
+
+        if alone := [limit for limit, relaxed in wider.items() if possible(*relaxed)]:
+            return " or ".join(alone)
+        if possible(stronger, Limits(position=position, rotation=rotation)):
+            return " together with ".join(wider)
+        return "the cables, which can only pull: the motion asks them to push"
+
     # The replay
 
     def _verified(
         self, intervals: int, program: PlannedMotion, say: Progress
     ) -> tuple[PlannedMotion, Array, Margins, bool]:
         """The heaviest motion whose inputs pass a replay, found by bisection over the margins."""
-        intervals = min(MOST, intervals * _FINER["flexible" if self.robot.flexible else "rigid"])
         low, high = 0, _RUNGS
         best: tuple[PlannedMotion, Array, Margins] | None = None
         rung = _RUNGS // 5
@@ -365,6 +378,7 @@ class _Case:
             robot=self.robot,
             trajectory=self.trajectory,
             limits=self.limits,
+            termination_radius=self.limits.termination_radius,
             payload=payload,
             control_frequency=self.control_frequency,
             max_episode_steps=self.steps,

@@ -65,6 +65,7 @@ def flexible_instant(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
     wound = spring / robot.pulley_radius
     torque = spring + robot.motor_inertia * w + robot.motor_damping * u
     still = np.zeros((1, n))
+    # A difference of speeds, in units of what the motors give up to it.
     at_rest = _balance(robot, mass[0], x, still, still, wound)
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
     return (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import version
@@ -34,7 +35,7 @@ def cache_folder() -> Path:
     """Where plans and best payloads are kept: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
     if named := os.environ.get(CACHE_VARIABLE):
         return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cablebot_gym"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "cablebot_gym"
 
 
 def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) -> str:
@@ -49,11 +50,15 @@ def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) 
     times = np.arange(round(trajectory.duration * _SAMPLES) + 1) / _SAMPLES
     reference = trajectory(times)
     plain = {name: as_plain(value) for name, value in more.items()}
-    data = [robot.to_dict(), trajectory.name, trajectory.duration, plain, source_hash(module), version("casadi")]
+    data = [robot.to_dict(), trajectory.name, trajectory.duration, plain, source_hash(module), _versions()]
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     for values in (reference.position, reference.velocity):
         digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()[:24]
+
+
+def _versions() -> list[str]:
+    return [platform.python_version(), *(version(name) for name in ("casadi", "numpy", "scipy", "numba"))]
 
 
 def kept(name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write: Callable[[Any], bytes]) -> Any:

@@ -16,7 +16,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Reference
 
 MOTOR_DEGREE = 3
-"""Of the splines of β′, so that β̈′ and with it the torque is linear between knots: what holds there holds between."""
+"""Of the splines of β′: β̈′, which asks most of the torque, is linear between knots and does not swing."""
 
 RIGID_DEGREE, FLEXIBLE_DEGREE = 3, MOTOR_DEGREE + 2
 """Of the spline of X: Ẍ as smooth as the torques of a rigid robot, or as the motor angles of a flexible one."""

@@ -315,7 +315,7 @@ class MotionProgram:
 
         collocation = greville(motors.knots, motors.degree)
         if place > 0:  # all loads start with the same Ẍ, which the first one has settled
-            collocation = collocation[1:]
+            collocation = collocation[1:]  # from rest; a moving start would be each load's own
         blocks = [
             self._block(balance, rows(collocation, [0, 1, 2]), balanced, balanced),
             self._block(
