@@ -38,7 +38,10 @@ REFINED = 0.005
 COARSEST, LEAST = 25.0, 20
 """Intervals of the first mesh, per second and at least."""
 
-MOST = 64
+_LITTLE = 0.1
+"""Of a payload below this share of the platform's mass, meshes need not find out more."""
+
+MOST = 16
 """No mesh is finer than so many times the first."""
 
 _FIRST_SHARE = 5e-4
@@ -259,7 +262,7 @@ class _Case:
                 return
             yield intervals, finer
             moved, best = abs(finer.payload - best.payload), finer
-            if moved < REFINED * max(best.payload, 1e-3):
+            if moved < REFINED * max(best.payload, _LITTLE * self.robot.mass):
                 return
 
     def _first(self, intervals: int) -> PlannedMotion | None:

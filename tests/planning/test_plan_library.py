@@ -1,0 +1,161 @@
+"""Plans on disk: what is kept, what makes a plan another one, and what broken files and folders do."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cablebot_gym.planning import Infeasible, Margins, MotionProgram, PlannedMotion, library, planned
+from cablebot_gym.planning.library import cache_folder, fingerprint
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, Motors
+from cablebot_gym.task import Limits
+from cablebot_gym.trajectories import PointToPoint, find_trajectory
+
+pytest.importorskip("casadi")
+
+LINE = find_trajectory({"name": "line-planar", "duration": 0.4}, 2)
+TUBE = Limits(position=0.01)
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of the test's own."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """One entry for every program that is solved."""
+    calls, solve = [], MotionProgram.solve
+
+    def counted(program: MotionProgram, *arguments: Any, **keywords: Any) -> PlannedMotion:
+        calls.append(1)
+        return solve(program, *arguments, **keywords)
+
+    monkeypatch.setattr(MotionProgram, "solve", counted)
+    return calls
+
+
+def plan(**changes: Any) -> PlannedMotion:
+    settings = {"robot": PLANAR, "trajectory": LINE, "limits": TUBE, "intervals": 8} | changes
+    robot, trajectory, limits = (settings.pop(name) for name in ("robot", "trajectory", "limits"))
+    return planned(robot, trajectory, limits, **settings)
+
+
+def same(one: PlannedMotion, other: PlannedMotion) -> bool:
+    left, right = one.to_arrays(), other.to_arrays()
+    return left.keys() == right.keys() and all(np.array_equal(left[name], right[name]) for name in left)
+
+
+@pytest.mark.parametrize("robot", [PLANAR, FLEX_PLANAR], ids=lambda robot: robot.name)
+def test_a_kept_plan_is_neither_made_twice_nor_another_one(robot: Any, cache: Path, solved: list[int]) -> None:
+    first, second = plan(robot=robot, intervals=20, lightest=0.1), plan(robot=robot, intervals=20, lightest=0.1)
+    assert len(solved) == 1
+    assert same(first, second)
+    assert [path.suffix for path in cache.iterdir()] == [".npz"]
+
+
+def test_a_plan_is_not_kept_for_other_settings(solved: list[int]) -> None:
+    motors = Motors(stall_torque=5.1, free_speed=PLANAR.motors.free_speed)
+    others: list[dict[str, Any]] = [
+        {},
+        {"robot": PLANAR.replace(mass=1.1)},
+        {"robot": PLANAR.replace(motors=motors)},
+        {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
+        {"trajectory": PointToPoint(name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4)},
+        {"limits": Limits(position=0.011)},
+        {"intervals": 9},
+        {"margins": Margins(demand=0.1)},
+        {"margins": Margins(tension=1.0)},
+        {"lightest": 0.0},
+        {"period": 0.002},
+    ]
+    for changes in others:
+        plan(**changes)
+    assert len(solved) == len(others)
+    assert len(list(cache_folder().iterdir())) == len(others)
+
+
+def test_fingerprint_does_not_ignore_the_code_the_solver_or_more_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(module: str = "cablebot_gym.planning.program", frequency: float = 500.0) -> str:
+        return fingerprint(module, PLANAR, LINE, control_frequency=frequency, limits=TUBE)
+
+    usual = key()
+    assert usual == key()
+    keys = [usual, key("cablebot_gym.dlcc.optimum"), key(frequency=250.0)]
+    monkeypatch.setattr(library, "version", lambda _: "0")
+    keys.append(key())
+    monkeypatch.setattr(library, "source_hash", lambda _: "another code")
+    keys.append(key())
+    assert len(set(keys)) == len(keys)
+
+
+@pytest.mark.parametrize("content", [b"", b"half of", None], ids=["empty", "other", "cut"])
+def test_a_broken_file_is_not_in_the_way(content: bytes | None, cache: Path, solved: list[int]) -> None:
+    first = plan()
+    (path,) = cache.iterdir()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    assert same(plan(), first)
+    assert len(solved) == 2
+    assert same(plan(), first)  # repaired
+    assert len(solved) == 2
+
+
+def test_a_folder_by_the_file_s_name_is_not_in_the_way(cache: Path, solved: list[int]) -> None:
+    first = plan()
+    (path,) = cache.iterdir()
+    path.unlink()
+    path.mkdir()
+    assert same(plan(), first)
+    assert len(solved) == 2
+    assert list(cache.iterdir()) == [path]  # nothing half-written beside it
+
+
+def test_a_folder_that_cannot_be_made_does_no_harm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, solved: list[int]
+) -> None:
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    monkeypatch.setenv("CABLEBOT_CACHE", str(tmp_path / "file" / "cache"))
+    assert same(plan(), plan())
+    assert len(solved) == 2
+
+
+def test_what_cannot_be_planned_does_not_leave_a_file(cache: Path) -> None:
+    with pytest.raises(Infeasible):
+        plan(limits=Limits(position=1e-7), trajectory=find_trajectory("paper-planar", 2), intervals=4)
+    assert not cache.exists()
+
+
+def test_folder_is_not_another_than_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
+    assert cache_folder() == cache
+    monkeypatch.delenv("CABLEBOT_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "cablebot_gym"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    for name in ("HOME", "USERPROFILE"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
+
+
+def test_missing_casadi_is_not_a_trace_of_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
+        plan()
+    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
+        MotionProgram(PLANAR, LINE, TUBE, intervals=4)
+
+
+def test_planning_does_not_import_casadi_before_it_is_needed() -> None:
+    """Without the extra the package has to be of use: everything but a plan."""
+    code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.dlcc.optimum"
+    ended = subprocess.run([sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False)
+    assert ended.returncode == 0, ended.stderr.decode()
