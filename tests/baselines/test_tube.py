@@ -23,13 +23,6 @@ from cablebot_gym.trajectories import SmoothCircle
 PLANAR_ID, SPATIAL_ID, FLEX_SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CABLEBOT_CACHE", str(tmp_path_factory.mktemp("plans")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def planar_best():
     found = best_found(PLANAR_ID)
