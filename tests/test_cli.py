@@ -898,7 +898,7 @@ def test_command_of_another_package_is_not_missing_from_the_help(cablebot):
     ended = cablebot("--help")
     assert ended.out.count("reproduce") == 1
     assert cablebot("--help").out == ended.out
-    assert "dlcc, compare, list, rollout, benchmark, reproduce" in cablebot("nosuch").err.replace("\n", " ")
+    assert "dlcc, compare, bound, list, rollout, benchmark, reproduce" in cablebot("nosuch").err.replace("\n", " ")
     assert re.search(r"Examples:\s+cablebot reproduce", cablebot("reproduce", "--help").out)
 
 

@@ -71,7 +71,7 @@ SUITES = MappingProxyType(
                     Block(information=_WRONG),
                     Block(information=("told",), criterion="paper"),
                     Block(uncertainty="table6", draws=32),
-                    Block(uncertainty="sensors", draws=32),
+                    Block(information=("untold",), uncertainty="sensors", draws=32),
                     Block(loops=3),
                 ),
             ),
