@@ -67,7 +67,7 @@ def test_no_policy_environment_or_condition_is_missing(name):
         } < asked
     seeds = {cell.trajectory["seed"] for cell in some if "seed" in cell.trajectory}
     assert seeds == set(held_out_seeds(len(seeds)))
-    assert len(seeds) >= 3
+    assert len(seeds) >= 2
 
 
 def test_policy_that_takes_minutes_a_cell_is_not_asked_everywhere(monkeypatch):
