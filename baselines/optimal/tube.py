@@ -91,13 +91,7 @@ class PlanLaw(ClassicalLaw):
 
     def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         plan = self._plan
-        state = State(
-            time=plan.duration - part["time_left"][..., 0],
-            pose=part["pose"],
-            velocity=part["velocity"],
-            motor_angle=part.get("motor_angle"),
-            motor_speed=part.get("motor_speed"),
-        )
+        state = State.of(part, plan.duration - part["time_left"][..., 0])
         return self._follower.torques(plan, state, mass - self.robot.mass, self._period)
 
     @property

@@ -394,16 +394,9 @@ class _Case:
         follower = Follower(robot=self.robot, gains=_GAINS[kind], motor_frequency=_MOTOR_FREQUENCY)
         env, period = self._environment(motion.payload), 1 / self.control_frequency
         observation, _ = env.reset(seed=0)
-        layout, commands = env.unwrapped.layout, []  # type: ignore[attr-defined]
+        layout, commands = env.get_wrapper_attr("layout"), []
         for step in range(self.steps):
-            part = layout.split(observation)
-            state = State(
-                time=np.asarray(step * period),
-                pose=part["pose"],
-                velocity=part["velocity"],
-                motor_angle=part.get("motor_angle"),
-                motor_speed=part.get("motor_speed"),
-            )
+            state = State.of(layout.split(observation), np.asarray(step * period))
             command = follower.command(motion, state, np.asarray(motion.payload), period)
             commands.append(np.clip(command, -1.0, 1.0))
             observation, _, terminated, _, _ = env.step(commands[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,12 @@ class State:
     """β′ [rad], of a flexible robot."""
     motor_speed: Array | None = None
     """β̇′ [rad/s], of a flexible robot."""
+
+    @classmethod
+    def of(cls, part: Mapping[str, Array], time: Array) -> State:
+        """From the blocks of an observation."""
+        motor = {name: part[name] for name in ("motor_angle", "motor_speed") if name in part}
+        return cls(time=time, pose=part["pose"], velocity=part["velocity"], **motor)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +78,15 @@ class Follower:
             payload: believed [kg], (...).
             period: for which torques are held [s].
         """
-        asked, after = plan(state.time), plan(state.time + period)
+        # Beyond its end a plan rests, at once: a last period that reaches over it, if by rounding alone, must not brake.
+        end = np.minimum(state.time + period, plan.duration)
+        asked, after = plan(state.time), plan(end)
         error, rate = asked.position - state.pose, asked.velocity - state.velocity
         correction = self.gains[0] * error + self.gains[1] * rate
         if self.robot.flexible:
             return self._motors(plan, state, payload, period, correction)
-        acceleration = (after.velocity - asked.velocity) / period + correction
+        span = np.where(end > state.time, end - state.time, period)[..., None]
+        acceleration = (after.velocity - asked.velocity) / span + correction
         return self._computed(state, payload, period, acceleration, plan.minimum_tension)
 
     def _computed(

@@ -69,14 +69,7 @@ def follow(name: str, follower: Follower, *, error: float = 0.0, frequency: floa
     observation, _ = env.reset(seed=0)
     layout, distances = env.unwrapped.layout, []
     for step in range(steps):
-        part = layout.split(observation)
-        state = State(
-            time=np.asarray(step * period),
-            pose=part["pose"],
-            velocity=part["velocity"],
-            motor_angle=part.get("motor_angle"),
-            motor_speed=part.get("motor_speed"),
-        )
+        state = State.of(layout.split(observation), np.asarray(step * period))
         action = follower.command(motion, state, np.asarray(motion.payload), period)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
         assert not terminated
@@ -144,6 +137,31 @@ def test_a_batch_is_not_other_than_its_rows(name: str) -> None:
     for k in range(2):
         alone = follower.command(motion, state(k), payload[k], 0.002)
         np.testing.assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
+
+
+def test_a_last_period_that_reaches_over_the_end_by_rounding_does_not_brake() -> None:
+    """829 periods and one more are 1.6600000000000001 s, where a plan of 1.66 s has come to rest at once."""
+    period, steps, duration = 0.002, 830, 1.66
+    last = (steps - 1) * period
+    assert last + period > duration
+    reference = find_trajectory({"name": "line-planar", "duration": duration}, 2)
+    drift = PlannedMotion(
+        name="drift",
+        knots=np.array([0.0, 0.0, duration, duration]),
+        poses=reference(0.0).position + np.array([[0.0, 0.0], [0.1, 0.0]]),
+        motors=(),
+        payload=1.0,
+        lightest=1.0,
+        minimum_tension=0.0,
+    )
+    follower = Follower(robot=PLANAR, gains=NO_GAINS)
+
+    def torques(time: float) -> np.ndarray:
+        x = drift(time)
+        state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
+        return follower.torques(drift, state, np.asarray(1.0), period)[0]
+
+    np.testing.assert_allclose(torques(last), torques(last - period), atol=1e-3)
 
 
 # --- a whole motion ---------------------------------------------------------------------------------------------------
