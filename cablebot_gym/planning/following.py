@@ -78,7 +78,7 @@ class Follower:
             payload: believed [kg], (...).
             period: for which torques are held [s].
         """
-        # Beyond its end a plan rests, at once: a last period that reaches over it, if by rounding alone, must not brake.
+        # Beyond its end a plan rests, at once: a last period that reaches over it by rounding must not brake.
         end = np.minimum(state.time + period, plan.duration)
         asked, after = plan(state.time), plan(end)
         error, rate = asked.position - state.pose, asked.velocity - state.velocity
