@@ -10,7 +10,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -250,6 +250,11 @@ class Robot:
     def flexible(self) -> bool:
         """Whether springs stand between motors and pulleys."""
         return self.transmission.stiffness is not None
+
+    @property
+    def joints(self) -> Literal["rigid", "flexible"]:
+        """The same as a word, which tables of settings have for a key."""
+        return "flexible" if self.flexible else "rigid"
 
     @cached_property
     def stiffness(self) -> Array:

@@ -271,18 +271,14 @@ def _reference_law(robot: Robot) -> Adaptive:
     return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
 
 
-def _kind(robot: Robot) -> str:
-    return "flexible" if robot.flexible else "rigid"
-
-
 def close(robot: Robot) -> Tube:
     """``tube``."""
-    return Tube(robot, CLOSE[_kind(robot)])
+    return Tube(robot, CLOSE[robot.joints])
 
 
 def safe(robot: Robot) -> Tube:
     """``tube-safe``."""
-    return Tube(robot, SAFE[_kind(robot)])
+    return Tube(robot, SAFE[robot.joints])
 
 
 TUBE = PolicyEntry(

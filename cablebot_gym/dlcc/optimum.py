@@ -390,8 +390,7 @@ class _Case:
 
     def _commands(self, motion: PlannedMotion) -> Array:
         """Drive commands that follow a motion, (steps, m)."""
-        kind = "flexible" if self.robot.flexible else "rigid"
-        follower = Follower(robot=self.robot, gains=_GAINS[kind], motor_frequency=_MOTOR_FREQUENCY)
+        follower = Follower(robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY)
         env, period = self._environment(motion.payload), 1 / self.control_frequency
         observation, _ = env.reset(seed=0)
         layout, commands = env.get_wrapper_attr("layout"), []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+import os
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ TENSION = 50.0
 _WRENCH = np.array([50.0, 50.0, 50.0, 5.0, 5.0, 5.0])
 """The same for balances of forces [N] and moments [N·m]."""
 
+_THREADS = "OPENBLAS_NUM_THREADS"
+"""Read by the solver's linear algebra when it is loaded."""
+
 
 def import_casadi() -> Any:
     """CasADi.
@@ -28,7 +32,21 @@ def import_casadi() -> Any:
         import casadi
     except ImportError:
         raise ImportError("planned motions need CasADi: pip install 'cablebot-gym[optimal]'", name="casadi") from None
+    _load_solver(casadi)
     return casadi
+
+
+@cache
+def _load_solver(casadi: Any) -> None:
+    """Loads IPOPT with one thread for its linear algebra, whose matrices are too small for more.
+
+    Two threads make a program a fifth slower, and several times where each core already has a process.
+    """
+    before = os.environ.get(_THREADS)
+    os.environ[_THREADS] = before or "1"
+    casadi.load_nlpsol("ipopt")
+    if before is None:
+        del os.environ[_THREADS]
 
 
 @lru_cache(maxsize=16)

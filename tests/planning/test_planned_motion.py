@@ -91,7 +91,7 @@ def payloads(name: str) -> list[float]:
 
 
 def fine_times(name: str) -> Array:
-    return np.linspace(0.0, plan(name).duration, FINER * INSTANTS * CASES[name].intervals + 1)
+    return np.linspace(0.0, plan(name).duration, FINER * INSTANTS[CASES[name].robot.joints] * CASES[name].intervals + 1)
 
 
 @dataclass(frozen=True)
