@@ -64,7 +64,7 @@ SUITES = MappingProxyType(
             ),
             Suite(
                 name="standard",
-                summary="every id, circle with and without uncertainty, two held-out motions; under half an hour",
+                summary="every id, circle with and without uncertainty, three held-out motions; under half an hour",
                 env_ids=ENV_IDS,
                 blocks=(
                     Block(slow=True),
@@ -72,7 +72,7 @@ SUITES = MappingProxyType(
                     Block(information=("told",), criterion="paper"),
                     Block(uncertainty="table6", draws=32),
                     Block(information=("untold",), uncertainty="sensors", draws=32),
-                    Block(loops=2),
+                    Block(loops=3),
                 ),
             ),
             Suite(

@@ -96,6 +96,11 @@ def _bounds_text(bounds: tuple[float, ...]) -> str:
     return ", ".join(values)
 
 
+def preview_name(ahead: float) -> str:
+    """Name of the block that previews the reference so far ahead [s]."""
+    return f"preview_{round(ahead * 1e3)}ms"
+
+
 @lru_cache(maxsize=64)
 def observation_layout(robot: Robot) -> ObservationLayout:
     """The layout for a robot. Bounds follow from its workspace: half as much again on each side."""
@@ -128,7 +133,7 @@ def observation_layout(robot: Robot) -> ObservationLayout:
         ("reference_acceleration", n, symmetric[2], units[2], "second derivative of X_d"),
         *(higher if robot.flexible else []),
         *(
-            (f"preview_{round(ahead * 1e3)}ms", n, symmetric[0], units[0], f"X_d {ahead:g} s ahead, less X_d now")
+            (preview_name(ahead), n, symmetric[0], units[0], f"X_d {ahead:g} s ahead, less X_d now")
             for ahead in PREVIEWS
         ),
         ("told_payload", 1, ((0.0,), (1e3,)), "kg", "payload as told; 0 if it is not known"),

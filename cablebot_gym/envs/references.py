@@ -5,12 +5,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.envs.observation import PREVIEWS
+from cablebot_gym.envs.observation import PREVIEWS, preview_name
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Reference, Trajectory
 
 LONGEST_MOTION = 1000.0
 """Longest motion that is tabulated [s]; the observation's clock ends there too."""
+
+
+def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
+    """What an observation says of the reference at each time (K,): its blocks by name, each (K, size), in order.
+
+    Args:
+        trajectory: the reference.
+        times: since the episode's start [s].
+        to_snap: whether the robot is flexible.
+    """
+    now = trajectory(times)
+    derivatives = {"pose": now.position, "velocity": now.velocity, "acceleration": now.acceleration}
+    if to_snap:
+        derivatives |= {"jerk": now.jerk, "snap": now.snap}
+    return {
+        "time_left": np.maximum(trajectory.duration - times, 0.0)[:, None],
+        **{f"reference_{name}": values for name, values in derivatives.items()},
+        **{preview_name(ahead): trajectory(times + ahead).position - now.position for ahead in PREVIEWS},
+    }
 
 
 class ReferenceTables:
@@ -61,11 +80,8 @@ class ReferenceTables:
         if not isinstance(now, Reference):
             raise ValueError(f"trajectory {trajectory.name!r} must return a Reference, not {type(now).__name__}")
         physics = trajectory(np.arange(steps * self._substeps + 1) / rate).position
-        left = np.maximum(trajectory.duration - times, 0.0)
-        ahead = [trajectory(times + preview).position - now.position for preview in PREVIEWS]
-        higher = [now.jerk, now.snap] if self._to_snap else []
-        columns = [left[:, None], now.position, now.velocity, now.acceleration, *higher, *ahead]
-        control = np.concatenate(columns, axis=1)
+        blocks = observed_reference(trajectory, times, to_snap=self._to_snap)
+        control = np.concatenate(list(blocks.values()), axis=1)
         if physics.shape != (steps * self._substeps + 1, trajectory.coordinates) or not np.all(np.isfinite(physics)):
             raise ValueError(f"trajectory {trajectory.name!r} must give finite poses (..., {trajectory.coordinates})")
         if not np.all(np.isfinite(control)):

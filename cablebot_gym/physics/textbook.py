@@ -200,8 +200,17 @@ def required_torques(
     acceleration: ArrayLike,
 ) -> Array:
     """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission, shape (..., m) [N·m]."""
-    speed = pulley_speed(robot, pose, velocity)
-    return _torques(robot, tensions, speed, pulley_acceleration(robot, pose, velocity, acceleration))
+    structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
+    return _torques(robot, tensions, *_winding(robot, structure, rate, velocity, acceleration))
+
+
+def _winding(
+    robot: Robot, structure: Array, rate: Array, velocity: ArrayLike, acceleration: ArrayLike
+) -> tuple[Array, Array]:
+    """β̇ and β̈, see :func:`pulley_speed` and :func:`pulley_acceleration`, for S and Ṡ that are at hand."""
+    velocity = as_numbers(velocity)
+    speed = -_apply(structure, velocity) / robot.pulley_radius
+    return speed, -(_apply(structure, as_numbers(acceleration)) + _apply(rate, velocity)) / robot.pulley_radius
 
 
 def _torques(robot: Robot, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
@@ -236,8 +245,7 @@ def inverse_dynamics(
     """Tensions, torques, speeds and windings of a motion at once; arguments as for :func:`required_tensions`."""
     pose, velocity, acceleration = (np.asarray(array, float) for array in (pose, velocity, acceleration))
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
-    speed = -_apply(structure, velocity) / robot.pulley_radius
-    winding = -(_apply(structure, acceleration) + _apply(rate, velocity)) / robot.pulley_radius
+    speed, winding = _winding(robot, structure, rate, velocity, acceleration)
     tensions = _tensions(robot, mass, pose, velocity, acceleration, structure, minimum, strict)
     torques = _torques(robot, tensions, speed, winding)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, windings=winding)
