@@ -1,0 +1,94 @@
+"""Torch tensors through the textbook's equations, against the compiled kernel, a law in numpy, and differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cablebot_gym  # noqa: F401  # registers the ids
+from baselines.classical.flexible import Motion
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.trajectories import find_trajectory
+
+torch = pytest.importorskip("torch")
+from baselines.learned.differentiable import asked  # noqa: E402  # needs torch
+
+COUNT = 40
+MINIMUM = 5.0
+SIZES = {"position": 0.05, "velocity": 0.4, "acceleration": 3.0, "jerk": 30.0, "snap": 600.0}
+
+
+def motion(robot: Robot) -> Motion:
+    """A random one, at many instants."""
+    rng = np.random.default_rng(3)
+    values = {name: rng.uniform(-size, size, (COUNT, robot.coordinates)) for name, size in SIZES.items()}
+    values["position"] += robot.home
+    return Motion(**values)
+
+
+def tensors(robot: Robot, values: Motion) -> list[torch.Tensor]:
+    return [torch.tensor(value) for value in vars(values).values()][: 5 if robot.flexible else 3]
+
+
+def masses(robot: Robot) -> np.ndarray:
+    return robot.mass + np.linspace(0.0, 5.0, COUNT)
+
+
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
+def test_tensors_do_not_ask_for_other_torques_than_the_kernel(robot: Robot) -> None:
+    x, mass = motion(robot), masses(robot)
+    needed = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
+    result = asked(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
+    np.testing.assert_allclose(result.tensions.numpy(), needed.tensions, rtol=1e-9, atol=1e-9)
+    demand = textbook.drive_command(robot, needed.torques, needed.speeds)
+    np.testing.assert_allclose(result.demand.numpy(), demand, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
+def test_springs_are_not_left_out_of_what_motors_have_to_do(robot: Robot) -> None:
+    """Against motor angles that are differentiated in time along a motion."""
+    reference = find_trajectory("loop-planar" if robot.planar else "loop-spatial", robot.coordinates)
+    times, step = np.linspace(0.2, reference.duration - 0.2, COUNT), 1e-3
+    mass = robot.mass + 2.0
+
+    def spring_and_angle(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x = reference(at)
+        spring = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM).torques
+        return spring, textbook.pulley_angle(robot, x.position) + spring / robot.stiffness
+
+    spring, angle = spring_and_angle(times)
+    two_before, before, after, two_after = (spring_and_angle(times + k * step)[1] for k in (-2, -1, 1, 2))
+    speed = (two_before - 8 * before + 8 * after - two_after) / (12 * step)
+    acceleration = (-two_before + 16 * before - 30 * angle + 16 * after - two_after) / (12 * step**2)
+    torques = spring + robot.motor_inertia * acceleration + robot.motor_damping * speed
+    x = reference(times)
+    derivatives = [torch.tensor(v) for v in (x.position, x.velocity, x.acceleration, x.jerk, x.snap)]
+    result = asked(robot, derivatives, torch.full((COUNT,), mass, dtype=torch.float64), minimum=MINIMUM)
+    kinks = 1e-3 if robot.planar else 1e-6  # least tensions have kinks, which differences of any kind smear
+    far = np.abs(result.demand.numpy() - textbook.drive_command(robot, torques, speed)).max(axis=1)
+    assert np.quantile(far, 0.9) < kinks
+
+
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
+def test_gradients_are_not_those_of_another_function(robot: Robot) -> None:
+    first = [value[:2].clone().requires_grad_(True) for value in tensors(robot, motion(robot))]
+    mass = torch.tensor(masses(robot)[:2])
+
+    def both(*derivatives: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        result = asked(robot, derivatives, mass, minimum=MINIMUM)
+        return result.tensions, result.demand
+
+    # Differences in time stand behind a spring's acceleration: their rounding is larger.
+    assert torch.autograd.gradcheck(both, first, eps=1e-6, atol=1e-3 if robot.flexible else 1e-5, rtol=1e-4)
+
+
+def test_demands_are_affine_in_the_mass_of_a_spatial_robot() -> None:
+    """What lets a payload at which a limit is reached be computed and not searched."""
+    x = tensors(SPATIAL, motion(SPATIAL))
+    low, middle, high = (
+        asked(SPATIAL, x, torch.full((COUNT,), mass, dtype=torch.float64)).demand for mass in (10.0, 12.0, 14.0)
+    )
+    torch.testing.assert_close(middle, (low + high) / 2)
+    assert (high - low).abs().max() > 0.05
