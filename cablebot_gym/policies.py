@@ -57,6 +57,8 @@ class PolicyEntry:
     """Makes the policy from a nominal robot."""
     summary: str
     """One line."""
+    slow: bool = False
+    """Whether an evaluation takes minutes: then most parts of a benchmark do without."""
 
 
 class PolicyError(RuntimeError):

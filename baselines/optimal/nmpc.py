@@ -273,4 +273,5 @@ NMPC = PolicyEntry(
     env_ids=RIGID_ENV_IDS,
     factory=NonlinearMPC,
     summary="plans the next 0.2 s anew every fifth control step, from the observation alone",
+    slow=True,
 )

@@ -14,9 +14,6 @@ from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
 
-SLOW = frozenset({"nmpc"})
-"""Policies that solve a program every few control steps: minutes a cell, so that most blocks do without them."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
@@ -33,7 +30,7 @@ class Block:
     draws: int = 1
     """Episodes at each payload."""
     slow: bool = False
-    """Whether :data:`SLOW` policies take part."""
+    """Whether policies whose entry says that they are slow take part."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,12 +145,13 @@ def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str,
         policies: of each environment that is to be asked, from :func:`find_policies`.
     """
     cells: list[Cell] = []
+    slow = {name for name, entry in policy_entries().items() if entry.slow}
     for env_id, names in policies.items():
         motions = {block.loops: _motions(env_id, block.loops) for block in suite.blocks}
         every = {str(motion): motion for some in motions.values() for motion in some}
         cells += [BestCell(env_id=env_id, trajectory=motion) for motion in every.values()]
         for block in suite.blocks:
-            asked = [name for name in names if block.slow or name not in SLOW]
+            asked = [name for name in names if block.slow or name not in slow]
             for motion, name, information in product(motions[block.loops], asked, block.information):
                 cells.append(
                     PolicyCell(

@@ -53,7 +53,8 @@ def place(board: Board, policy: str, column: Column) -> str:
     if board.motions > 1:
         payloads = [one.payload or 0.0 for one in some]
         kilograms = f"{median(payloads):.2f} kg, {min(payloads):.2f} kg"
-        return kilograms if share is None else f"{share.median:.0%}, {share.worst:.0%}"
+        mark = "*" if any(one.raised for one in some) else ""
+        return kilograms if share is None else f"{share.median:.0%}, {share.worst:.0%}{mark}"
     payload = some[0].payload
     weight = "none" if payload is None else f"{payload:.2f}" + ("*" if some[0].raised else "")
     return weight if share is None else f"{weight}, {share.median:.0%}"
@@ -109,7 +110,7 @@ def print_benchmark(records: Sequence[Record]) -> None:
     for line in [*map(best_text, bests), *failures(records), *fallbacks(records)]:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
     if any(best.raised_by for best in bests):
-        console.print("*: this payload is the best found itself, which is raised to it", highlight=False)
+        console.print("*: a payload is the best found itself, which is raised to it", highlight=False)
 
 
 def csv_text(records: Sequence[Record]) -> str:

@@ -24,6 +24,7 @@ from cablebot_gym.dlcc.monitor import DLCCMonitor, Verdict
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.instants import import_casadi
 from cablebot_gym.planning.library import fingerprint, kept
@@ -372,7 +373,7 @@ class _Case:
             position=share * self.limits.position,
             rotation=share * self.limits.rotation,
             demand=rest.demand,
-            tension=rest.tension,
+            tension=min(rest.tension, MINIMUM_TENSION),  # more would only cost payload
         )
 
     def _environment(self, payload: float) -> DLCCMonitor:

@@ -111,7 +111,8 @@ class MotionProgram:
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if the margins leave nothing of the limits.
+        ValueError: if the margins leave nothing of the limits, or ask for more tension than a planar robot with joint
+            springs starts with.
     """
 
     def __init__(
@@ -132,6 +133,11 @@ class MotionProgram:
         for name in ("position", "rotation"):
             if not getattr(self._margins, name) < getattr(limits, name):
                 raise ValueError(f"margins: {name} has to be below its limit {getattr(limits, name):g}")
+        if robot.flexible and robot.planar and self._margins.tension > MINIMUM_TENSION:
+            raise ValueError(
+                f"margins: tension must be at most the {MINIMUM_TENSION:g} N with which {robot.name!r} starts, "
+                f"not {self._margins.tension:g} N"
+            )
         count = INSTANTS[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
         self._tube_instants = np.linspace(0.0, trajectory.duration, TUBE_INSTANTS * intervals + 1)[1:]

@@ -93,6 +93,11 @@ def test_family_without_a_best_found_is_judged_in_kilograms():
     assert row(markdown("smoke", "c", FAMILY[3:]), "robust") == ["1.20 kg, 0.00 kg"]
 
 
+def test_family_in_which_a_best_found_was_raised_is_marked():
+    more = carries("tube", 99.0, LOOPS[0])
+    assert row(markdown("smoke", "c", [*FAMILY, more]), "tube") == ["100%, 100%\\*"]
+
+
 def test_family_with_a_failure_is_not_judged_by_the_rest():
     broken = record(PolicyCell(env_id=PLANAR, trajectory=LOOPS[0], policy="fl"), error="it raised")
     some = [*FAMILY[:3], broken, *FAMILY[4:]]

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import pytest
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell
 from cablebot_gym.benchmark.score import motion_key
-from cablebot_gym.benchmark.suites import (
-    SLOW,
-    SUITES,
-    find_env_ids,
-    find_policies,
-    find_suite,
-    suite_cells,
-)
+from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
 from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import find_robot
@@ -71,13 +65,16 @@ def test_no_policy_environment_or_condition_is_missing(name):
 
 
 def test_policy_that_takes_minutes_a_cell_is_not_asked_everywhere(monkeypatch):
-    monkeypatch.setattr("cablebot_gym.benchmark.suites.SLOW", frozenset({"fl"}))
+    slow = {name: replace(entry, slow=name == "fl") for name, entry in policy_entries().items()}
+    monkeypatch.setattr("cablebot_gym.benchmark.suites.policy_entries", lambda: slow)
     fl = [cell for cell in cells("standard", ["fl"]) if isinstance(cell, PolicyCell)]
     assert {(cell.information, cell.uncertainty, cell.trajectory["name"][:5]) for cell in fl} == {
         ("told", None, "paper"),
         ("untold", None, "paper"),
     }
-    assert "fl" not in SLOW
+    monkeypatch.undo()
+    assert len(cells("standard", ["fl"])) > len(fl) + 16
+    assert [name for name, entry in policy_entries().items() if entry.slow] == ["nmpc"]
 
 
 def test_smoke_is_small():

@@ -309,3 +309,9 @@ def test_margins_that_leave_nothing_of_a_limit_are_not_planned_with(field: str) 
     margins = replace(Margins(), **{field: getattr(LIMITS, field)})
     with pytest.raises(ValueError, match=f"margins: {field} has to be below its limit"):
         MotionProgram(SPATIAL, find_trajectory("paper-spatial", 6), LIMITS, intervals=4, margins=margins)
+
+
+def test_more_tension_than_there_is_at_the_start_is_not_left_to_the_solver_to_refuse() -> None:
+    margins = Margins(tension=textbook.MINIMUM_TENSION + 1)
+    with pytest.raises(ValueError, match="at most the 5 N with which 'flex-planar' starts, not 6 N"):
+        MotionProgram(FLEX_PLANAR, find_trajectory("paper-planar", 2), LIMITS, intervals=20, margins=margins)
