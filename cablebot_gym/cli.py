@@ -29,7 +29,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-_errors = Console(stderr=True)
+_errors = Console(stderr=True, emoji=False)
 _BOTH = "both"
 COMMAND_GROUP = "cablebot_gym.commands"
 """Entry points of further commands: functions with typer's annotations."""

@@ -17,6 +17,8 @@ _NAMED = re.compile(r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
     """Of modules, of what they import from their own packages and from this one, and of data files.
 
+    A module of no package imports from its own folder, unless it is installed among many others.
+
     A result is of the same code if these hashes agree. Neither comments nor docstrings nor other modules change them.
 
     Args:
@@ -24,12 +26,15 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
         data: files whose content matters, such as weights.
     """
     packages = frozenset({"cablebot_gym", *(name.partition(".")[0] for name in modules)})
+    folders = frozenset(path.parent for name in modules if (path := module_file(name)) is not None and "." not in name)
     files: dict[str, Path] = {}
     open_ = list(modules)
     while open_:
         name = open_.pop()
         path = module_file(name)
-        if name in files or path is None or name.partition(".")[0] not in packages:
+        if name in files or path is None:
+            continue
+        if name.partition(".")[0] not in packages and not _beside(name, folders):
             continue
         files[name] = path
         parent = name.rpartition(".")[0]
@@ -40,6 +45,15 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
     for path in sorted(data):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _beside(module: str, folders: frozenset[Path]) -> bool:
+    """Whether a module, or the package that it is of, lies in one of these folders."""
+    path = module_file(module.partition(".")[0])
+    if path is None:
+        return False
+    there = path.parent.parent if path.name == "__init__.py" else path.parent
+    return there in folders and there.name not in ("site-packages", "dist-packages")
 
 
 @cache

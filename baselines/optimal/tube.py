@@ -220,12 +220,13 @@ class Tube:
                 period=1 / task.control_frequency,
             )
         except Infeasible as error:
-            return f"no motion for {task.trajectory.name!r} was found ({error})"
+            _LOGGER.debug("no plan for %r: %s", task.trajectory.name, error)
+            return f"no motion along {task.trajectory.name!r} inside the limits was found"
         return plan if plan.payload > 0 else f"{task.trajectory.name!r} leaves no payload to plan for"
 
     def _fall_back(self, episodes: int, reason: str) -> Adaptive:
         self.fallbacks += episodes
-        _LOGGER.warning("%s: %d episodes follow the reference itself: %s", type(self).__name__, episodes, reason)
+        _LOGGER.warning("%d episodes follow the reference itself, without a plan: %s", episodes, reason)
         return self._reference_law
 
     def predict(

@@ -19,7 +19,7 @@ MARKDOWN, CSV, JSON = "leaderboard.md", "results.csv", "results.json"
 
 
 def benchmark(
-    suite: Annotated[str, typer.Option(help="smoke (a minute), standard (half an hour) or full (hours).")] = "smoke",
+    suite: Annotated[str, typer.Option(help="smoke (two minutes), standard (half an hour) or full (hours).")] = "smoke",
     policies: Annotated[
         str | None, typer.Option(help="Names as for `dlcc --policy`, separated by commas; all installed if not given.")
     ] = None,
@@ -41,7 +41,8 @@ def benchmark(
     """Every policy's payload as a share of the best found, on the paper's circle and on held-out motions.
 
     Finished cells stay in the folder, one file each: the same command goes on where it was interrupted, and computes
-    only what is missing, broken or of other code.
+    only what is missing, broken or of other code: this package's, or the policy's own package or folder.
+    The exit status is 1 if a cell failed.
 
     Examples:
 
@@ -55,7 +56,7 @@ def benchmark(
     from cablebot_gym.benchmark.run import run_cells
     from cablebot_gym.benchmark.store import Store
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
-    from cablebot_gym.benchmark.tables import csv_text, print_benchmark
+    from cablebot_gym.benchmark.tables import csv_text, failures, print_benchmark
     from cablebot_gym.files import write_whole
 
     compute_on = _backend(workers, ray)
@@ -91,6 +92,8 @@ def benchmark(
         print(text, end="")
     else:
         print_benchmark(records)
+    if failures(records):
+        raise typer.Exit(1)
 
 
 def _backend(workers: int | None, ray: str | None) -> Backend:

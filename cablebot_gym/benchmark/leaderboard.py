@@ -21,6 +21,7 @@ motors clip; position error ≤ {position:g} mm, rotation error ≤ {rotation:g}
 * `table6`, `sensors`: what else it does not know; a payload counts as carried if it is in at least {probability:.0%} of
   {draws} draws, the same ones for everybody. The share refers to the best found without uncertainty.
 * none: not even zero payload is carried, score 0. n/a: the policy does not declare `unclipped`. –: not asked.
+  failed: it raised, or returned no drive command, see the notes.
 * The paper's criterion (|a| ≤ 1 at every control instant, no bound of rotation) is a column and no rank.
 * Held-out motions are drawn from a seeded family, on which nothing was tuned.
 

@@ -55,7 +55,7 @@ SUITES = MappingProxyType(
         for suite in (
             Suite(
                 name="smoke",
-                summary="planar robot, circle and one held-out motion; a minute",
+                summary="planar robot, circle and one held-out motion; under two minutes",
                 env_ids=("CableBot-Planar-v0",),
                 blocks=(Block(), Block(loops=1)),
             ),

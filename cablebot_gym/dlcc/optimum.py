@@ -299,7 +299,10 @@ class _Case:
         """Which limits keep every motion out: each that alone, much wider, would let one through."""
         name = self.trajectory.name
         if best is not None and best.payload > 0:
-            return f"nothing limits the payload on {name!r}: {HEAVIEST:g} kg are carried; choose a faster motion"
+            return (
+                f"nothing limits the payload on {name!r}: {HEAVIEST:g} kg are carried; choose a faster motion or a "
+                f"position bound below {self.limits.position:g} m"
+            )
         cause = self._cause(intervals)
         if best is not None:
             most = self.robot.mass + best.payload
@@ -307,7 +310,8 @@ class _Case:
                 f"not even the empty platform of {self.robot.mass:g} kg can be moved along {name!r}, {most:.3g} kg at "
                 f"most: to blame is {cause}; choose a lighter platform, a slower motion or wider limits"
             )
-        return f"no motion along {name!r} was found inside the limits: to blame is {cause}; widen it, or move slower"
+        why = f"to blame is {cause}; choose wider limits or a slower motion"
+        return f"no motion along {name!r} was found inside the limits: {why}"
 
     def _cause(self, intervals: int) -> str:
         motors, limits = self.robot.motors, self.limits

@@ -143,7 +143,7 @@ def test_other_code_is_said_and_can_be_taken(benchmark, best):
 
 def test_policy_of_a_third_party_that_fails_costs_its_cells_alone(benchmark, best):
     ended = benchmark(policies="toy_command:raises,fl")
-    assert ended.status == 0
+    assert ended.status == 1
     assert scores(ended)[("toy_command:raises", "told")] is None
     assert scores(ended)[("fl", "told")] > 0.5
     assert "raised RuntimeError" in ended.out
@@ -153,7 +153,7 @@ def test_policy_of_a_third_party_that_fails_costs_its_cells_alone(benchmark, bes
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_policy_of_a_third_party_that_kills_its_process_costs_its_cells_alone(benchmark):
     ended = benchmark(policies="toy_command:deadly,fl", workers=2)
-    assert ended.status == 0
+    assert ended.status == 1
     assert "its process died 2 times" in ended.out
     assert "1.92" in ended.out
     assert len(list(ended.folder.glob("cells/*fl-*told*"))) == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import json
 import sys
 
@@ -45,6 +46,7 @@ def module(tmp_path, monkeypatch):
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text, encoding="utf-8")
+        importlib.invalidate_caches()
         here, there = (source.source_hash, source.module_file, source._meaning), policy_sources
         for cached in (*here, there.policy_source, there._data_files):
             cached.cache_clear()
@@ -199,6 +201,17 @@ def test_change_in_what_a_policy_imports_or_loads_makes_other_code(module):
         module(f"toy_package/{name}", "K = 3\n")
         seen.add(dataclasses.replace(FL, policy="toy_package.law:make").source)
     assert len(seen) == 4
+
+
+def test_code_of_a_module_of_no_package_is_what_it_imports_from_its_folder_too(module):
+    module("toy_flat.py", "import numpy\nimport toy_helper\nfrom toy_helpers.deep import K\ndef make(robot): ...\n")
+    module("toy_helpers/__init__.py", "")
+    seen = set()
+    for name in ("toy_helper.py", "toy_helpers/deep.py", "toy_helpers/__init__.py", "toy_other.py"):
+        for value in (1, 2):
+            module(name, f"K = {value}\n")
+            seen.add(dataclasses.replace(FL, policy="toy_flat:make").source)
+    assert len(seen) == 6  # the last does not count: nobody imports it
 
 
 def test_code_of_a_cell_does_not_lack_the_physics_or_the_law():
