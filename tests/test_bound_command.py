@@ -23,14 +23,11 @@ LINE = ("--trajectory", '{"name": "line-planar", "duration": 0.4}')
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of the test's own; two meshes and no certificate."""
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
+def quick(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache of the test's own; two meshes and no certificate."""
     monkeypatch.setattr(optimum, "REFINED", 1.0)
     upper = {"payload": 98.5, "total_mass": 99.5, "conditions": "none"}
     monkeypatch.setattr(optimum, "planar_certificate", lambda *_: SimpleNamespace(to_dict=lambda: upper))
-    return folder
 
 
 @pytest.fixture

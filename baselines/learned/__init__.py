@@ -1,1 +1,1 @@
-"""Learned policies: what trains them, what they are, and those that ship."""
+"""Learned policies: what trains them."""

@@ -11,8 +11,12 @@ from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
-import torch
-from torch import Tensor
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise ImportError("gradients need torch: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
 from baselines.classical.flexible import DIFFERENCE_STEP, Motion
 from baselines.classical.law import Array

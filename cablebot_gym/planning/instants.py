@@ -44,9 +44,11 @@ def _load_solver(casadi: Any) -> None:
     """
     before = os.environ.get(_THREADS)
     os.environ[_THREADS] = before or "1"
-    casadi.load_nlpsol("ipopt")
-    if before is None:
-        del os.environ[_THREADS]
+    try:
+        casadi.load_nlpsol("ipopt")
+    finally:
+        if before is None:
+            del os.environ[_THREADS]
 
 
 @lru_cache(maxsize=16)
@@ -83,12 +85,12 @@ def flexible_instant(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
     wound = spring / robot.pulley_radius
     torque = spring + robot.motor_inertia * w + robot.motor_damping * u
     still = np.zeros((1, n))
-    # A difference of speeds, in units of what the motors give up to it.
     at_rest = _balance(robot, mass[0], x, still, still, wound)
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
     return (
         _function(ca, "balance", numbers, _balance(robot, mass[0], x, v, a, tensions)),
         _function(ca, "limits", numbers, *_commands(robot, torque, u, w, period), tensions / TENSION, wound / TENSION),
+        # A difference of speeds, in units of what the motors give up to it.
         _function(ca, "start", ca.vertcat(xs, vs, bs, us, ms), at_rest, textbook.drive_command(robot, 0.0, u - speed)),
     )
 

@@ -22,18 +22,11 @@ from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("casadi")
+pytestmark = pytest.mark.usefixtures("cache")
 
 PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexPlanar-v0"
 LINE = {"name": "line-planar", "duration": 0.4}
 HANG = {"name": "hold-spatial", "duration": 0.1}
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of the test's own."""
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
-    return folder
 
 
 @pytest.fixture

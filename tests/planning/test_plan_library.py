@@ -18,17 +18,10 @@ from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import PointToPoint, find_trajectory
 
 pytest.importorskip("casadi")
+pytestmark = pytest.mark.usefixtures("cache")
 
 LINE = find_trajectory({"name": "line-planar", "duration": 0.4}, 2)
 TUBE = Limits(position=0.01)
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of the test's own."""
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
-    return folder
 
 
 @pytest.fixture
