@@ -58,7 +58,8 @@ EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")
 ]
 PolicyName = Annotated[
-    str, typer.Option("--policy", help="Installed name, SB3 file ending in .zip, or package.module:factory.")
+    str,
+    typer.Option("--policy", help="Installed name, bundle or SB3 file ending in .zip, or package.module:factory."),
 ]
 TrajectoryName = Annotated[
     str | None,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import json
 import logging
+import warnings
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -11,9 +14,12 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from cablebot_gym.robots import Robot
+from cablebot_gym.envs import ENV_ROBOTS
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import Task
 
 Array = NDArray[Any]
@@ -22,6 +28,9 @@ _LOGGER = logging.getLogger("cablebot_gym")
 
 ENTRY_POINT_GROUP = "cablebot_gym.policies"
 """A package adds policies by entry points in this group, each of which names a :class:`PolicyEntry`."""
+
+FILE_ENTRY_POINT_GROUP = "cablebot_gym.policy_files"
+"""A package adds kinds of policy files by entry points in this group, each of which names a :data:`FileLoader`."""
 
 
 @runtime_checkable
@@ -41,6 +50,11 @@ class Policy(Protocol):
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """Drive commands (m,) or (N, m), and the state to pass next time."""
+
+
+FileLoader = Callable[[Path, Robot], Policy | None]
+"""Makes a policy from a ``.zip`` and a nominal robot, or None if the file is not of its kind. It raises a ValueError in
+words if the file is of its kind, but damaged or made for another robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,18 +224,21 @@ def policy_entries() -> dict[str, PolicyEntry]:
 
 
 def load_policy(name: str, robot: Robot) -> Policy:
-    """A policy from an installed name, a Stable-Baselines3 ``.zip``, or ``package.module:factory``.
+    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
 
-    A factory is called with the nominal robot. An SB3 file is tried as PPO, SAC, TD3, A2C and DDPG.
+    A factory is called with the nominal robot. A file is offered to the loaders of :data:`FILE_ENTRY_POINT_GROUP`; one
+    that none of them takes is a Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG, or with sb3-contrib installed
+    of TQC, CrossQ, RecurrentPPO, TRPO or ARS.
 
     Raises:
-        ValueError: if the name is unknown, or what it names cannot be loaded; the message says what is valid.
+        ValueError: if the name is unknown, or what it names cannot be loaded or does not fit the robot; the message
+            says what is valid.
     """
     entries = policy_entries()
     if name in entries:
         return entries[name].factory(robot)
     if name.endswith(".zip"):
-        return _load_sb3(Path(name))
+        return _load_file(Path(name), robot)
     if ":" in name:
         factory = _load_factory(name)
         try:
@@ -233,7 +250,7 @@ def load_policy(name: str, robot: Robot) -> Policy:
         except TypeError as error:
             raise ValueError(f"policy {name!r} must be a function robot -> policy, but: {error}") from None
     raise ValueError(
-        f"unknown policy {name!r}; choose one of {', '.join(entries)}, an SB3 file ending in .zip, "
+        f"unknown policy {name!r}; choose one of {', '.join(entries)}, a learned bundle or an SB3 file ending in .zip, "
         "or package.module:factory"
     )
 
@@ -255,18 +272,122 @@ def _load_factory(name: str) -> Callable[[Robot], Any]:
     return made
 
 
-def _load_sb3(path: Path) -> Policy:
+def _load_file(path: Path, robot: Robot) -> Policy:
     if not path.is_file():
         raise ValueError(f"policy file {str(path)!r} does not exist")
+    _check_zip(path)
+    for point in entry_points(group=FILE_ENTRY_POINT_GROUP):
+        try:
+            loader: FileLoader = point.load()
+        except Exception as error:
+            _LOGGER.warning("policy files of kind %r are left out: %s raised %s", point.name, point.value, error)
+            continue
+        try:
+            policy = loader(path, robot)
+        except ValueError:
+            raise
+        except Exception as error:
+            reason = f"{point.value} raised {type(error).__name__}: {error}"
+            raise ValueError(f"policy file {str(path)!r} cannot be loaded: {reason}") from error
+        if policy is not None:
+            return policy
+    return _load_sb3(path, robot)
+
+
+def _check_zip(path: Path) -> None:
+    """Refuses what is no zip file, and one whose checksums do not hold."""
     try:
-        import stable_baselines3 as sb3
+        with zipfile.ZipFile(path) as file:
+            broken = file.testzip()
+    except Exception as error:  # besides zipfile's own those of the decompressors
+        reason = str(error) or type(error).__name__
+        raise ValueError(
+            f"policy file {str(path)!r} is no zip file, or damaged or cut short ({reason}): save or copy it again"
+        ) from error
+    if broken is not None:
+        raise ValueError(f"policy file {str(path)!r} is damaged (its part {broken!r}): save or copy it again")
+
+
+SB3_ALGORITHMS = ("PPO", "SAC", "TD3", "A2C", "DDPG")
+"""Of Stable-Baselines3, those with continuous actions."""
+
+CONTRIB_ALGORITHMS = ("TQC", "CrossQ", "RecurrentPPO", "TRPO", "ARS")
+"""Of sb3-contrib."""
+
+
+def _load_sb3(path: Path, robot: Robot) -> Policy:
+    failures = []
+    for algorithm in _algorithms(path):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what matters of a model that does not load follows as an error
+                model = algorithm.load(path, device="cpu")
+        except Exception as error:
+            failures.append(f"{algorithm.__name__}: {' '.join(str(error).split())[:200]}")
+            continue
+        _check_spaces(model, path, robot)
+        loaded: Policy = model
+        return loaded
+    raise ValueError(f"policy file {str(path)!r} is no SB3 model ({failures[0]}), nor a bundle of an installed package")
+
+
+def _algorithms(path: Path) -> list[Any]:
+    """Algorithms that a file may be of, likely ones first."""
+    try:
+        sb3 = importlib.import_module("stable_baselines3")
     except ImportError:
         raise ValueError("an SB3 policy needs the extra: pip install 'cablebot-gym[sb3]'") from None
-    failures = []
-    for algorithm in (sb3.PPO, sb3.SAC, sb3.TD3, sb3.A2C, sb3.DDPG):
-        try:
-            model: Policy = algorithm.load(path, device="cpu")
-            return model
-        except Exception as error:
-            failures.append(f"{algorithm.__name__}: {error}")
-    raise ValueError(f"policy file {str(path)!r} is no SB3 model ({failures[0]})")
+    own = [getattr(sb3, name) for name in SB3_ALGORITHMS]
+    needed = _policy_module(path).startswith("sb3_contrib")
+    try:
+        contrib = importlib.import_module("sb3_contrib")
+    except ImportError:
+        if needed:
+            raise ValueError(
+                f"policy file {str(path)!r} was saved by sb3-contrib: pip install 'cablebot-gym[sb3]'"
+            ) from None
+        return own
+    others = [getattr(contrib, name) for name in CONTRIB_ALGORITHMS if hasattr(contrib, name)]
+    return others + own if needed else own + others
+
+
+def _policy_module(path: Path) -> str:
+    """Where the class of an SB3 file's policy is defined; empty if it does not say."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            return str(json.loads(file.read("data"))["policy_class"]["__module__"])
+    except (KeyError, TypeError, ValueError):
+        return ""
+
+
+def _check_spaces(model: Any, path: Path, robot: Robot) -> None:
+    """Refuses a model that reads something else than this robot's observation, or gives something else than commands.
+
+    Raises:
+        ValueError: with both layouts.
+    """
+    reads, gives, layout = model.observation_space, model.action_space, observation_layout(robot)
+    if not _fits(model, robot):
+        other = next((f", as on {i}" for i, name in ENV_ROBOTS.items() if _fits(model, find_robot(name))), "")
+        difference = f"it reads {_described(reads)} and gives {_described(gives)}{other}"
+    elif len(set(reads.low)) == len(set(reads.high)) == 1:  # of a robot's own observation bounds differ
+        difference = f"it reads normalised components, all in [{reads.low[0]:g}, {reads.high[0]:g}]"
+    elif not (np.all(gives.low == -1) and np.all(gives.high == 1)):
+        difference = f"it gives rescaled commands in [{np.min(gives.low):g}, {np.max(gives.high):g}]"
+    else:
+        return
+    blocks = ", ".join(f"{block.name} {block.size}" for block in layout.blocks)
+    raise ValueError(
+        f"policy file {str(path)!r} does not fit robot {robot.name!r}: {difference}; the robot gives {layout.size} "
+        f"numbers ({blocks}) and takes {robot.cables} drive commands in [-1, 1]: evaluate a model on the environment "
+        "it was trained on, and export one trained inside wrappers as a bundle by `cablebot train`"
+    )
+
+
+def _fits(model: Any, robot: Robot) -> bool:
+    sizes = ((model.observation_space, observation_layout(robot).size), (model.action_space, robot.cables))
+    return all(isinstance(space, Box) and space.shape == (size,) for space, size in sizes)
+
+
+def _described(space: Any) -> str:
+    return f"{'×'.join(map(str, space.shape))} numbers" if isinstance(space, Box) else str(space)

@@ -5,13 +5,18 @@ from __future__ import annotations
 import sys
 import zipfile
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.spaces import Box, MultiBinary
 
 from baselines.classical import FL, FeedbackLinearization
 from cablebot_gym import ENV_IDS, policies
 from cablebot_gym.policies import (
+    CONTRIB_ALGORITHMS,
     ENTRY_POINT_GROUP,
+    FILE_ENTRY_POINT_GROUP,
+    SB3_ALGORITHMS,
     CallablePolicy,
     LaneError,
     Policy,
@@ -35,6 +40,8 @@ class Constant:
 
 class Point:
     """An entry point of another package."""
+
+    name, value = "other", "other:load"
 
     def __init__(self, entry):
         self.load = lambda: entry
@@ -110,7 +117,7 @@ def test_unknown_name_is_not_refused_without_the_valid_ones(name):
     text = one_sentence(caught.value)
     assert text.startswith(f"unknown policy {name!r}; choose one of ")
     assert "zzz" in text
-    assert text.endswith("an SB3 file ending in .zip, or package.module:factory")
+    assert text.endswith("a learned bundle or an SB3 file ending in .zip, or package.module:factory")
 
 
 # --- package.module:factory -------------------------------------------------------------------------------------------
@@ -190,7 +197,78 @@ def test_attribute_error_inside_a_module_is_not_blamed_on_the_factory(module):
         load_policy(f"{name}:make", PLANAR)
 
 
-# --- SB3 files --------------------------------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def loaders(monkeypatch):
+    """Sets what other packages load policy files with, in place of what is installed."""
+    installed, chosen = policies.entry_points, []
+
+    def with_chosen(*, group):
+        return [Point(item) for item in chosen] if group == FILE_ENTRY_POINT_GROUP else installed(group=group)
+
+    assert FILE_ENTRY_POINT_GROUP == "cablebot_gym.policy_files"
+    monkeypatch.setattr(policies, "entry_points", with_chosen)
+    return chosen
+
+
+@pytest.fixture
+def archive(tmp_path):
+    """A zip file of no known kind."""
+    path = tmp_path / "mine.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("readme.txt", "holds no model, " * 50)
+    return path
+
+
+def test_file_of_another_package_is_offered_to_its_loader_with_the_robot(loaders, archive):
+    asked = []
+
+    def other(path, robot):
+        asked.append((path, robot))
+
+    loaders += [other, lambda path, robot: Constant(robot), lambda path, robot: pytest.fail("not its turn")]
+    policy = load_policy(str(archive), SPATIAL)
+    assert isinstance(policy, Constant)
+    assert policy.robot is SPATIAL
+    assert asked == [(archive, SPATIAL)]
+
+
+def test_loader_is_not_asked_for_what_is_no_whole_file(loaders, archive):
+    loaders.append(lambda path, robot: pytest.fail("asked"))
+    load_policy("fl", PLANAR)
+    archive.write_bytes(archive.read_bytes()[:-10])
+    for name in (str(archive), str(archive.with_name("missing.zip"))):
+        with pytest.raises(ValueError, match=r"does not exist|is no zip file, or damaged or cut short"):
+            load_policy(name, PLANAR)
+
+
+def test_refusal_of_a_loader_is_passed_on_and_its_failure_named(loaders, archive):
+    def refuses(path, robot):
+        raise ValueError("made for another robot")
+
+    def fails(path, robot):
+        raise KeyError("weights")
+
+    loaders.append(refuses)
+    with pytest.raises(ValueError, match=r"^made for another robot$"):
+        load_policy(str(archive), PLANAR)
+    loaders[:] = [fails]
+    message = r"^policy file '.*mine\.zip' cannot be loaded: other:load raised KeyError: 'weights'$"
+    with pytest.raises(ValueError, match=message):
+        load_policy(str(archive), PLANAR)
+
+
+def test_loader_that_cannot_be_imported_does_not_stop_the_others(monkeypatch, archive, caplog):
+    class Broken(Point):
+        def __init__(self):
+            self.load = lambda: __import__("no_such_dependency")
+
+    points = [Broken(), Point(lambda path, robot: Constant(robot))]
+    monkeypatch.setattr(policies, "entry_points", lambda *, group: points if group == FILE_ENTRY_POINT_GROUP else [])
+    assert isinstance(load_policy(str(archive), PLANAR), Constant)
+    assert "policy files of kind 'other' are left out: other:load raised No module named" in caplog.text
 
 
 def test_file_that_does_not_exist_is_not_an_obscure_error(tmp_path):
@@ -199,46 +277,134 @@ def test_file_that_does_not_exist_is_not_an_obscure_error(tmp_path):
     one_sentence(caught.value)
 
 
-@pytest.mark.parametrize("content", ["text", "empty zip", "other zip"])
-def test_broken_file_is_not_an_obscure_error(tmp_path, content):
+# --- SB3 files --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("content", ["empty zip", "other zip", "data of another kind"])
+def test_other_file_is_not_an_obscure_error(tmp_path, content):
     pytest.importorskip("stable_baselines3")
     path = tmp_path / "broken.zip"
-    if content == "text":
-        path.write_text("no zip at all", encoding="utf-8")
-    else:
-        with zipfile.ZipFile(path, "w") as file:
-            if content == "other zip":
-                file.writestr("readme.txt", "holds no model")
+    with zipfile.ZipFile(path, "w") as file:
+        if content == "other zip":
+            file.writestr("readme.txt", "holds no model")
+        elif content == "data of another kind":
+            file.writestr("data", "[1, 2]")
     with pytest.raises(ValueError, match=r"policy file '.*broken\.zip' is no SB3 model \(") as caught:
         load_policy(str(path), PLANAR)
     one_sentence(caught.value)
 
 
-def test_missing_extra_is_not_named_without_its_command(tmp_path, monkeypatch):
-    path = tmp_path / "model.zip"
-    path.write_bytes(b"")
+def test_missing_extra_is_not_named_without_its_command(archive, monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(ValueError, match=r"pip install 'cablebot-gym\[sb3\]'"):
-        load_policy(str(path), PLANAR)
+        load_policy(str(archive), PLANAR)
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
-def test_model_of_another_algorithm_is_not_refused(tmp_path, algorithm):
-    sb3 = pytest.importorskip("stable_baselines3")
-    import gymnasium as gym
+class Spaces(gym.Env):
+    """Nothing but spaces."""
 
-    env = gym.make("CableBot-Planar-v0")
-    few = {"n_steps": 8, "batch_size": 8} if algorithm == "PPO" else {"buffer_size": 10}
-    model = getattr(sb3, algorithm)("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, seed=1, **few)
-    path = tmp_path / "model.zip"
-    model.save(path)
-    loaded = load_policy(str(path), PLANAR)
-    assert type(loaded).__name__ == algorithm
-    observation, _ = env.reset(seed=0)
-    batch = np.stack([observation, observation])
-    np.testing.assert_array_equal(
-        loaded.predict(batch, deterministic=True)[0], model.predict(batch, deterministic=True)[0]
+    def __init__(self, observation, action):
+        self.observation_space, self.action_space = observation, action
+
+    def reset(self, *, seed=None, options=None):
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, False, False, {}
+
+
+def spaces_of(env_id):
+    env = gym.make(env_id)
+    return env.observation_space, env.action_space
+
+
+def saved(path, observation, action, algorithm="PPO", package="stable_baselines3", **keywords):
+    """A file of an untrained model."""
+    few = {"PPO": {"n_steps": 8, "batch_size": 8}, "RecurrentPPO": {"n_steps": 8, "batch_size": 8}}
+    few |= {"A2C": {}, "ARS": {"n_delta": 1}, "TRPO": {"n_steps": 8, "batch_size": 8}}
+    made = getattr(pytest.importorskip(package), algorithm)
+    small = {"net_arch": [4]} | ({"lstm_hidden_size": 4} if algorithm == "RecurrentPPO" else {})
+    model = made(
+        "MlpLstmPolicy" if algorithm == "RecurrentPPO" else "MlpPolicy",
+        Spaces(observation, action),
+        policy_kwargs=small,
+        seed=1,
+        **few.get(algorithm, {"buffer_size": 10}),
+        **keywords,
     )
+    model.save(path)
+    return model
+
+
+CASES = [("stable_baselines3", name) for name in SB3_ALGORITHMS] + [
+    ("sb3_contrib", name) for name in CONTRIB_ALGORITHMS
+]
+
+
+@pytest.mark.parametrize(("package", "algorithm"), CASES)
+def test_model_of_another_algorithm_is_not_refused(tmp_path, package, algorithm):
+    path = tmp_path / "model.zip"
+    model = saved(path, *spaces_of("CableBot-Planar-v0"), algorithm, package)
+    loaded = load_policy(str(path), PLANAR)
+    if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):  # others' files look the same
+        assert type(loaded).__name__ == algorithm
+    observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
+    batch, state, expected_state = np.stack([observation, observation / 2]), None, None
+    for step in range(3):
+        start = np.array([step == 0, True])
+        action, state = loaded.predict(batch, state, start, deterministic=True)
+        expected, expected_state = model.predict(batch, expected_state, start, deterministic=True)
+        np.testing.assert_array_equal(action, expected)
+
+
+def test_model_of_a_missing_package_is_not_refused_without_its_command(tmp_path, monkeypatch):
+    path = tmp_path / "model.zip"
+    saved(path, *spaces_of("CableBot-Planar-v0"), "TQC", "sb3_contrib")
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    with pytest.raises(ValueError, match=r"was saved by sb3-contrib: pip install 'cablebot-gym\[sb3\]'") as caught:
+        load_policy(str(path), PLANAR)
+    one_sentence(caught.value)
+    saved(path, *spaces_of("CableBot-Planar-v0"))
+    assert type(load_policy(str(path), PLANAR)).__name__ == "PPO"
+
+
+REMEDY = "export one trained inside wrappers as a bundle by `cablebot train`"
+GIVES = (
+    r"; the robot gives 21 numbers \(pose 2, velocity 2, time_left 1, .*\) and takes 3 drive commands in \[-1, 1\]: "
+)
+
+
+@pytest.mark.parametrize(
+    ("observation", "action", "message"),
+    [
+        (57, 6, "it reads 57 numbers and gives 6 numbers, as on CableBot-Spatial-v0"),
+        (31, 3, "it reads 31 numbers and gives 3 numbers, as on CableBot-FlexPlanar-v0"),
+        (40, 3, "it reads 40 numbers and gives 3 numbers"),
+        (21, 2, "it reads 21 numbers and gives 2 numbers"),
+        (Box(-1.0, 1.0, (4, 21)), 3, "it reads 4×21 numbers and gives 3 numbers"),
+        (21, MultiBinary(3), r"it reads 21 numbers and gives MultiBinary\(3\)"),
+        (Box(-10.0, 10.0, (21,)), 3, r"it reads normalised components, all in \[-10, 10\]"),
+        (Box(-np.inf, np.inf, (21,)), 3, r"it reads normalised components, all in \[-inf, inf\]"),
+        (21, Box(-0.5, 0.5, (3,)), r"it gives rescaled commands in \[-0.5, 0.5\]"),
+    ],
+)
+def test_model_of_other_spaces_does_not_reach_an_evaluation(tmp_path, observation, action, message):
+    own, path = spaces_of("CableBot-Planar-v0"), tmp_path / "model.zip"
+    if isinstance(observation, int):
+        observation = own[0] if observation == 21 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
+    saved(path, observation, Box(-1.0, 1.0, (action,)) if isinstance(action, int) else action)
+    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}{GIVES}.*{REMEDY}$"
+    with pytest.raises(ValueError, match=match) as caught:
+        load_policy(str(path), PLANAR)
+    assert "\n" not in str(caught.value)
+
+
+def test_model_for_another_workspace_is_not_refused(tmp_path):
+    wide = PLANAR.replace(name="wide", base_anchors=1.5 * PLANAR.base)
+    env = gym.make("CableBot-Planar-v0", robot=wide)
+    assert env.observation_space != spaces_of("CableBot-Planar-v0")[0]
+    saved(tmp_path / "model.zip", env.observation_space, env.action_space)
+    assert load_policy(str(tmp_path / "model.zip"), PLANAR) is not None
 
 
 # --- as_policy --------------------------------------------------------------------------------------------------------

@@ -6,15 +6,19 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from cablebot_gym.policies import ENTRY_POINT_GROUP
+from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP
 from cablebot_gym.source import module_file
 
 
 @cache
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
-    """Modules and data files that a policy's name, as on the command line, stands for."""
+    """Modules and data files that a policy's name, as on the command line, stands for.
+
+    A file's are its content, and the code of all that could load it.
+    """
     if policy.endswith(".zip"):
-        return (), (Path(policy),)
+        loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
+        return tuple(sorted({point.module for point in loaders})), (Path(policy),)
     module = policy.partition(":")[0] if ":" in policy else ""
     for point in entry_points(group=ENTRY_POINT_GROUP, name=policy):
         module = point.module

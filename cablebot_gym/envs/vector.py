@@ -166,8 +166,13 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
         return [None if item is None else int(item) for item in seeds]
 
-    def step(self, actions: ArrayLike) -> VectorStep:
+    def step(self, actions: ArrayLike, *, past_end: bool = False) -> VectorStep:
         """One control period of every environment.
+
+        Args:
+            actions: drive commands (N, m).
+            past_end: with autoreset disabled, whether environments that have ended are stepped on, for a wrapper that
+                restarts them later; what they return means nothing.
 
         Raises:
             ResetNeeded: before the first reset, or with autoreset disabled for an environment that has ended.
@@ -176,7 +181,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         if not self._started:
             raise ResetNeeded("call reset() before step()")
         actions = check_action(actions, (self.num_envs, self._cables))
-        if self._autoreset is AutoresetMode.DISABLED and self._done.any():
+        if self._autoreset is AutoresetMode.DISABLED and self._done.any() and not past_end:
             raise ResetNeeded("an environment has ended: restart it by reset(options={'reset_mask': …})")
         simulation, ended = self._simulation, self._done
         simulation.step(actions)
@@ -187,6 +192,8 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         reward, terminated = simulation.reward.copy(), simulation.reason > 0
         truncated = self._steps >= self._limit if self._limit is not None else np.zeros_like(ended)
         self._done = terminated | truncated
+        if self._autoreset is AutoresetMode.DISABLED:
+            self._done |= ended
         final = {}
         if self._autoreset is AutoresetMode.SAME_STEP and self._done.any():
             final = self._final(self._done)

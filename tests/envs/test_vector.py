@@ -553,6 +553,38 @@ def test_disabled_autoreset_refuses_an_ended_lane_and_teaches_reset_mask():
     np.testing.assert_array_equal(env.step(rest)[4]["time"], [0.002, 0.002])  # the refused steps moved nothing
 
 
+def test_lanes_that_have_ended_are_stepped_on_if_asked_and_leave_the_others_alone():
+    keywords = {"autoreset_mode": AutoresetMode.DISABLED, "termination_radius": 0.03, "payload": [0.0, 0.5, 1.0]}
+    env, twin = make(**keywords), make(**keywords, max_episode_steps=10)
+    actions = np.full((30, 3, 3), 0.2)
+    actions[:10, 1] = [9.0, -9.0, 0.0]  # ends within these; afterwards it may come back
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    ended = np.zeros(3, bool)
+    for action in actions:
+        one, other = env.step(action, past_end=True), twin.step(action, past_end=True)
+        for mine, its in zip(one[:3], other[:3], strict=True):
+            np.testing.assert_array_equal(mine, its)
+        ended |= one[2]
+    assert ended.tolist() == [False, True, False]
+    assert other[3].all()
+    for _ in range(2):
+        with pytest.raises(ResetNeeded, match="reset_mask"):
+            env.step(actions[0])
+    env.reset(options={"reset_mask": ended})
+    assert not env.step(actions[-1])[2].any()
+    np.testing.assert_array_equal(env.step(actions[-1])[4]["time"], [0.064, 0.004, 0.064])
+
+
+def test_an_end_is_not_forgotten_while_a_lane_is_stepped_on():
+    env = make(count=2, autoreset_mode=AutoresetMode.DISABLED, slack_time=0.0)
+    env.reset(seed=0)
+    assert env.step(np.full((2, 3), -0.5))[2].all()
+    assert not [env.step(np.full((2, 3), 0.3), past_end=True)[2].any() for _ in range(20)][-1]
+    with pytest.raises(ResetNeeded, match="reset_mask"):
+        env.step(np.full((2, 3), 0.3))
+
+
 def test_step_before_reset_and_a_first_reset_of_some_lanes_say_what_to_do():
     env = make()
     with pytest.raises(ResetNeeded, match=r"reset\(\)"):
