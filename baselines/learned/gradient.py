@@ -40,9 +40,6 @@ from cablebot_gym.trajectories import Trajectory
 PAYLOAD_SCALE = 10.0
 """Of payloads in the objective [kg]."""
 
-TENSION_SCALE = 10.0
-"""Of tensions that are too low [N]; a demand's is 1."""
-
 VIOLATION_WEIGHT = 20.0
 """Of violations in the objective, with ρ."""
 
@@ -66,7 +63,7 @@ class GradientSettings:
 
     hidden: tuple[int, ...] = ()
     """Units of the network's layers; none for a linear one."""
-    rounds: tuple[float, ...] = (30.0, 300.0, 1000.0, 3000.0)
+    rounds: tuple[float, ...] = (30.0, 100.0, 300.0, 1000.0, 3000.0)
     """ρ of each round."""
     iterations: int = 250
     """Evaluations of the objective in each round, a few more or less. Where a kink ends a search, it starts anew."""
@@ -76,6 +73,8 @@ class GradientSettings:
     """Largest drive command; > 0. What is left is for feedback."""
     tension: float = 2.0
     """Least tension without payload and with it [N]."""
+    tension_scale: float = 20.0
+    """Of tensions that are too low [N]; a demand's is 1."""
     lighter: float = 0.0
     """By how much of itself the platform may be lighter than told."""
     decay: float = 1e-6
@@ -86,7 +85,7 @@ class GradientSettings:
     def __post_init__(self) -> None:
         if min(self.iterations, self.instants - 1, *self.hidden) < 1 or not self.rounds:
             raise ValueError("hidden and iterations must be at least 1, instants at least 2, rounds not empty")
-        for name in ("demand", "spread"):
+        for name in ("demand", "spread", "tension_scale"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be greater than 0, not {getattr(self, name)!r}")
         if not 0 <= self.lighter < 1:
@@ -230,7 +229,7 @@ class GradientTraining:
         )
         broken = [torch.relu(asks.demand.abs() - settings.demand)]
         if not robot.planar:  # least tensions of a planar robot keep the minimum by themselves
-            broken.append(torch.relu(settings.tension - asks.tensions) / TENSION_SCALE)
+            broken.append(torch.relu(settings.tension - asks.tensions) / settings.tension_scale)
         if self.way.lead:  # then nothing else keeps the motion in the tube
             away = (flat - self._motions.reference[inside])[:, 0] / self._bounds * self.way.share
             broken.append(torch.relu(torch.linalg.norm(away[:, :3], dim=1) - self.way.share))

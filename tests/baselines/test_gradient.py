@@ -102,7 +102,7 @@ def test_limits_are_those_of_the_plant_with_the_payload_and_without():
         demands.append(drive_command(robot, needed.torques, needed.speeds))
         tensions.append(needed.tensions)
     assert broken[0] == pytest.approx(np.maximum(np.abs(demands) - 0.5, 0).ravel(), abs=1e-9)
-    assert broken[1] == pytest.approx(np.maximum(20.0 - np.array(tensions), 0).ravel() / 10.0, abs=1e-9)
+    assert broken[1] == pytest.approx(np.maximum(20.0 - np.array(tensions), 0).ravel() / 20.0, abs=1e-9)
     assert broken[0].max() > 0
     assert broken[1].max() > 0
 
