@@ -119,7 +119,7 @@ def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
         ValueError: if the file cannot be read, or says nothing of this environment.
     """
     shipped = sorted(file.stem for file in HYPERPARAMS.glob("*.yaml"))
-    if not path.exists() and str(path) in shipped:
+    if str(path) in shipped:  # whatever a folder of that name holds
         path = HYPERPARAMS / f"{path}.yaml"
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))

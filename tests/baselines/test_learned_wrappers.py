@@ -359,6 +359,27 @@ def test_the_ceiling_rises_after_enough_heavy_payloads_were_carried_and_by_no_ot
     assert env.ceiling == 2.0  # never above the heaviest
 
 
+def test_the_ceiling_falls_where_too_few_heavy_payloads_are_carried_and_never_below_its_start():
+    ended = Ended(gym.make(PLANAR_ID))
+    env = PayloadCurriculum(ended, heaviest=2.0, start=1.5, step=0.25, success=0.75, window=4, setback=0.5, power=0.01)
+    env.reset(seed=0)
+
+    def play(carried):
+        """Four episodes, all heavy at this power, of which so many are carried."""
+        for episode in range(4):
+            ended.carried = episode < carried
+            env.reset()
+            env.step(np.full(3, 0.2))
+        return env.ceiling
+
+    assert play(4) == 2.0
+    assert play(2) == 2.0  # neither enough to rise nor too few
+    assert play(1) == 1.5
+    assert play(0) == 1.5
+    with pytest.raises(ValueError, match="setback"):
+        PayloadCurriculum(env.env, heaviest=2.0, success=0.5, setback=0.6)
+
+
 def test_lanes_share_a_ceiling_that_does_not_rise_where_payloads_are_dropped():
     """What the twin counts is what WithinLimits says, and once only for a lane that is stepped past its end."""
 

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 import baselines.learned.training as training
+from baselines.learned import checkpoint
 from baselines.learned.bundle import Bundle
 from baselines.learned.config import ALGORITHMS, HYPERPARAMS, STEERED, algorithm_class, make_config, read_config
 from baselines.learned.export import network_from_sb3
@@ -405,7 +407,7 @@ def test_damaged_checkpoint_is_not_resumed_and_nothing_is_overwritten(stopped, t
 def test_checkpoint_of_other_code_is_not_resumed(stopped, tmp_path, monkeypatch):
     folder = damaged(stopped, tmp_path / "run", "kept")
     before = contents(folder)
-    monkeypatch.delattr("baselines.learned.wrappers.SteeredVector")
+    monkeypatch.delattr("baselines.learned.wrappers.steered.SteeredVector")
     with pytest.raises(ValueError, match="of other versions of the packages"):
         training.train(PLANAR, out=folder, resume=True)
     assert contents(folder) == before
@@ -487,16 +489,16 @@ def test_run_that_is_done_is_not_trained_on_unless_it_is_asked(config, tmp_path)
 def test_views_of_an_array_do_not_become_copies():
     whole = np.arange(12.0).reshape(3, 4)
     parts = [whole, whole[1], whole[:, ::-2], whole.T[2:]]
-    whole_, row, columns, turned = training.pickle.loads(training._pickled(parts))
+    whole_, row, columns, turned = pickle.loads(checkpoint.pickled(parts))
     assert all(np.array_equal(one, other) for one, other in zip(parts, (whole_, row, columns, turned), strict=True))
     whole_[:] = -1
     assert all(np.all(view == -1) for view in (row, columns, turned))
 
 
 def test_compiled_function_does_not_become_a_copy():
-    pickled = training._pickled(kernel.advance_spatial)
+    pickled = checkpoint.pickled(kernel.advance_spatial)
     assert len(pickled) < 200
-    assert training.pickle.loads(pickled) is kernel.advance_spatial
+    assert pickle.loads(pickled) is kernel.advance_spatial
 
 
 # --------------------------------------------------------------------------------------------------------- the command
