@@ -190,7 +190,8 @@ class Steering:
         features: what a learner sees, see :mod:`baselines.learned.features`.
 
     Raises:
-        ValueError: if the law is not made for such robots, or a feature is unknown, or a residual's is of a shift.
+        ValueError: if the law is not made for such robots, a feature is unknown, or a residual does not fit
+            its features or the law.
     """
 
     def __init__(self, robot: Robot, *, base: Base, way: Shift | Residual, features: Sequence[str]) -> None:
@@ -198,6 +199,11 @@ class Steering:
         self.features = check_features(features, robot)
         if isinstance(way, Residual) and (odd := [name for name in self.features if name in OF_SHIFTS]):
             raise ValueError(f"feature {odd[0]!r} is of a shifted reference, and a residual shifts none: leave it out")
+        if isinstance(way, Residual) and base.weighs and not robot.flexible:
+            raise ValueError(
+                "a law that weighs its payload by its own torques takes a residual for mass: leave weighs out of the "
+                "base, or steer by shift"
+            )
         self.law = base.made(robot)
         self.actions = way.actions(robot)
         """Size of an action."""

@@ -48,7 +48,11 @@ CASES: dict[str, dict[str, Any]] = {
     "shift": {
         "env_id": PLANAR_ID,
         "heaviest": 4.0,
-        "steered": {"base": "fl", "steering": {"kind": "shift", "hold": 0.02, "share": 0.5}, "features": SHIFTED},
+        "steered": {
+            "base": {"law": "fl", "weighs": True},
+            "steering": {"kind": "shift", "hold": 0.02, "share": 0.5},
+            "features": SHIFTED,
+        },
     },
     "lead": {
         "env_id": FLEX_ID,
@@ -61,8 +65,8 @@ CASES: dict[str, dict[str, Any]] = {
     },
     "residual": {
         "env_id": SPATIAL_ID,
-        "heaviest": 9.0,
-        "steered": {"base": {"law": "fl", "weighs": True}, "steering": "residual", "features": SEEN},
+        "heaviest": 4.0,
+        "steered": {"base": "fl", "steering": "residual", "features": SEEN},
     },
 }
 LIMIT = 56
@@ -237,7 +241,7 @@ def test_a_law_is_not_asked_about_a_plant_that_has_ended(monkeypatch):
 def test_all_arguments_are_plain_data_and_recorded_in_the_spec():
     env = single("shift")
     recorded = [wrapper.kwargs for wrapper in env.spec.additional_wrappers]
-    assert json.loads(json.dumps(recorded))[-1]["base"] == "fl"
+    assert json.loads(json.dumps(recorded))[-1]["base"] == {"law": "fl", "weighs": True}
     assert [made.vector for made, _ in stack("shift")] == [WithinLimitsVector, PayloadCurriculumVector, SteeredVector]
     assert isinstance(gym.make(env.spec), Steered)
 
@@ -763,3 +767,25 @@ def test_twins_exist_for_every_id():
         env = make_steered_vec(env_id, 2, wrappers=[(Steered, steered)], seed=0)
         observation, *_ = env.step(np.zeros(env.action_space.shape))
         assert env.observation_space.contains(observation)
+
+
+def test_a_law_that_would_weigh_the_residual_for_payload_is_refused():
+    with pytest.raises(ValueError, match="takes a residual for mass"):
+        Steered(gym.make(SPATIAL_ID), base={"law": "fl", "weighs": True}, steering="residual", features=SEEN)
+
+
+def test_effort_costs_the_mean_square_of_what_counts_of_an_action_in_both_twins():
+    arguments = CASES["shift"]["steered"]
+    action = np.array([0.5, 7.0])  # cut to 1
+    rewards = []
+    for effort in (0.0, 0.4):
+        one = Steered(gym.make(PLANAR_ID), **arguments, effort=effort)
+        two = make_steered_vec(PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3)
+        one.reset(seed=3)
+        two.reset(seed=3)
+        rewards.append((one.step(action)[1], two.step(np.stack([action, 0 * action]))[1]))
+    (single, batch), (dear, dear_batch) = rewards
+    assert single - dear == pytest.approx(0.4 * 0.625)
+    assert batch - dear_batch == pytest.approx([0.4 * 0.625, 0.0])
+    with pytest.raises(ValueError, match="effort must be a number of at least 0"):
+        Steered(gym.make(PLANAR_ID), **arguments, effort=-1.0)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from baselines.classical.law import Array
 from baselines.learned.base import Base, find_base
 from baselines.learned.steering import Memory, Residual, Shift, Steering, find_way
-from baselines.learned.wrappers.layers import STEERED, Many, Single, SingleStep, restarted
+from baselines.learned.wrappers.layers import STEERED, Many, Single, SingleStep, check_number, restarted
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
 
@@ -52,6 +52,12 @@ def _checked(action: ArrayLike, shape: tuple[int, ...]) -> Array:
     return checked
 
 
+def _mean_square(actions: Array) -> Array:
+    """Of what counts of each action, (...)."""
+    square: Array = np.mean(np.clip(actions, -1.0, 1.0) ** 2, axis=-1)
+    return square
+
+
 class SteeredVector(Many):
     """N :class:`Steered` with same-step autoreset; arguments as there.
 
@@ -73,8 +79,11 @@ class SteeredVector(Many):
         base: Base | str | Mapping[str, Any],
         steering: Shift | Residual | str | Mapping[str, Any],
         features: Sequence[str],
+        effort: float = 0.0,
     ) -> None:
         super().__init__(env)
+        check_number("effort", effort, 0.0)
+        self._effort = float(effort)
         self.steering, seen, action = _steering(self._plant, base, steering, features)
         """What the actions steer."""
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -125,7 +134,7 @@ class SteeredVector(Many):
             raise ResetNeeded("call reset() before step()")
         actions = _checked(actions, (self.num_envs, self.steering.actions))
         steering, memory, part, start = self.steering, self._memory, self._part, self._start
-        total = np.zeros(self.num_envs)
+        total = -self._effort * _mean_square(actions)
         terminated, truncated, ended = (np.zeros(self.num_envs, np.bool_) for _ in range(3))
         last = _Last()
         for _ in range(steering.periods):
@@ -201,6 +210,9 @@ class Steered(Single):
         base: the law, as its name, ``{"law": …, "gains": …}`` or a :class:`Base`.
         steering: ``"shift"``, ``"residual"``, ``{"kind": "shift", "hold": 0.04, …}``, or what these make.
         features: names, in the order of the observation.
+        effort: penalty on the mean square of each action; ≥ 0. Where an action has no consequence, at the end of an
+            episode, nothing else keeps it from the edge of its range, where a learner that is cut off there sees no
+            slope and does not come back.
 
     Raises:
         TypeError: if the environment is none of this package's.
@@ -218,8 +230,11 @@ class Steered(Single):
         base: Base | str | Mapping[str, Any],
         steering: Shift | Residual | str | Mapping[str, Any],
         features: Sequence[str],
+        effort: float = 0.0,
     ) -> None:
-        super().__init__(env, base=base, steering=steering, features=features)
+        super().__init__(env, base=base, steering=steering, features=features, effort=effort)
+        check_number("effort", effort, 0.0)
+        self._effort = float(effort)
         self.steering, self.observation_space, self.action_space = _steering(self._plant, base, steering, features)
         """What the actions steer."""
         self._memory: Memory | None = None
@@ -250,7 +265,8 @@ class Steered(Single):
         if self._memory is None:
             raise ResetNeeded("call reset() before step(): no episode runs")
         action = _checked(action, (self.steering.actions,))
-        steering, memory, part, total = self.steering, self._memory, self._part, 0.0
+        steering, memory, part = self.steering, self._memory, self._part
+        total = -self._effort * float(_mean_square(action))
         for _ in range(steering.periods):
             command, memory = steering.respond(part, action, memory)
             observation, reward, terminated, truncated, info = self.env.step(command)

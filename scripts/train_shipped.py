@@ -1,0 +1,356 @@
+"""The learned policies that ship: trains each with several seeds, judges them, writes weights, cards and their page.
+
+    python scripts/train_shipped.py --policy curve --id CableBot-Spatial-v0
+
+Runs stay in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in ``judged`` beside them: the same command goes
+on where it was interrupted. ``--page`` takes the best found as the leaderboard has it now into the cards that there
+are, and renders docs/learned.md and docs/learned.png. Extras ``sb3`` and ``plot``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import sys
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from baselines.learned.bundle import Bundle
+from baselines.learned.cards import (
+    DRAWS,
+    HELD_OUT,
+    LEAST_SEEDS,
+    Evaluate,
+    card_markdown,
+    draw_curves,
+    make_card,
+    read_bests,
+    read_cards,
+    with_bests,
+)
+from baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, find_shipped, stem
+from cablebot_gym.benchmark.cells import Cell, Record
+from cablebot_gym.benchmark.run import local, run_cells
+from cablebot_gym.benchmark.store import Store
+from cablebot_gym.dlcc.figures import DPI, import_matplotlib
+from cablebot_gym.files import usable_folder, write_whole
+from cablebot_gym.terminal import counting, notes_console
+from cablebot_gym.workers import check_workers
+from cablebot_gym.workers import run as run_tasks
+
+ROOT = Path(__file__).resolve().parents[1]
+
+RESULTS = ROOT / "docs" / "leaderboard" / "results.json"
+"""The leaderboard's."""
+
+JUDGED = "judged"
+"""Folder of finished evaluations, among the runs."""
+
+LARGEST = 500_000
+"""Of a file that ships [bytes]."""
+
+PAGE, FIGURE = "learned.md", "learned.png"
+
+_OF_THE_MOMENT = ("_last_obs", "_last_original_obs", "_last_episode_starts", "ep_info_buffer", "ep_success_buffer")
+"""Of a model: where its training stood, of no use without its environments."""
+
+_errors = notes_console()
+
+
+def main() -> None:
+    """Reads the arguments; what is wrong with them ends with status 2, an interrupt with 130."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser.add_argument("--policy", help=f"{', '.join(SHIPPED)}; all if not given")
+    parser.add_argument("--id", dest="env_id", help="environment, such as CableBot-Spatial-v0; all if not given")
+    parser.add_argument("--seeds", type=int, default=LEAST_SEEDS, help="training seeds, 0 and on (%(default)s)")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs (%(default)s)")
+    parser.add_argument("--draws", type=int, default=DRAWS, help="episodes at each payload (%(default)s)")
+    parser.add_argument("--held-out", type=int, default=HELD_OUT, help="held-out motions (%(default)s)")
+    parser.add_argument("--jobs", type=int, default=1, help="trainings, or evaluations, at a time (%(default)s)")
+    parser.add_argument("--page", action="store_true", help="only render page and figure anew")
+    given = parser.parse_args()
+    try:
+        import_matplotlib()
+        if not given.page:
+            chosen = [find_shipped(given.policy)] if given.policy else list(SHIPPED.values())
+            ship_all(
+                wanted(chosen, given.env_id),
+                seeds=given.seeds,
+                runs=given.runs,
+                draws=given.draws,
+                held_out=given.held_out,
+                jobs=given.jobs,
+            )
+        write_page(WEIGHTS, ROOT / "docs")
+    except (ValueError, ImportError, OSError, RuntimeError) as error:
+        _errors.print(f"error: {error}")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        _errors.print("stopped; what is finished is kept, and the same command goes on from there")
+        sys.exit(130)
+
+
+def wanted(chosen: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
+    """Policies and environments.
+
+    Raises:
+        ValueError: if none of these policies ships for the environment.
+    """
+    pairs = [(one, other) for one in chosen for other in one.env_ids if env_id in (None, other)]
+    if not pairs:
+        there = "; ".join(f"{one.name} for {', '.join(one.env_ids)}" for one in chosen)
+        raise ValueError(f"--id {env_id} has no policy that ships among these: {there}")
+    return pairs
+
+
+def ship_all(
+    pairs: Sequence[tuple[Shipped, str]],
+    *,
+    seeds: int,
+    runs: Path,
+    draws: int = DRAWS,
+    held_out: int = HELD_OUT,
+    jobs: int = 1,
+    weights: Path = WEIGHTS,
+    results: Path = RESULTS,
+) -> None:
+    """Trains what is missing of all, then judges and writes one after the other.
+
+    Args:
+        pairs: policies and environments.
+        seeds: number of training seeds.
+        runs: folder of the runs.
+        draws: episodes at each payload under an uncertainty.
+        held_out: number of held-out motions.
+        jobs: trainings, or evaluations, at the same time.
+        weights: folder to write to.
+        results: the leaderboard's, for the best found.
+
+    Raises:
+        ValueError: if a number is too small, or a run is not of this policy and its present configuration.
+        RuntimeError: if an evaluation failed.
+    """
+    if seeds < LEAST_SEEDS:
+        raise ValueError(f"--seeds must be at least {LEAST_SEEDS}, not {seeds}: an interval of fewer says nothing")
+    if draws < 1 or held_out < 1:
+        raise ValueError(f"--draws and --held-out must be at least 1, not {draws} and {held_out}")
+    check_workers(jobs)
+    usable_folder(runs / JUDGED)
+    usable_folder(weights)
+    bests = read_bests(results)
+    train_missing(pairs, seeds=seeds, runs=runs, jobs=jobs)
+    for shipped, env_id in pairs:
+        name = stem(shipped.name, env_id)
+        command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
+        command += f" --seeds {seeds} --draws {draws} --held-out {held_out}"
+        card, best = make_card(
+            shipped,
+            env_id,
+            [run_folder(runs, shipped, env_id, seed) for seed in range(seeds)],
+            evaluate=_judge(name, runs, jobs),
+            bests=bests,
+            command=command,
+            draws=draws,
+            held_out=held_out,
+        )
+        sb3 = weights / f"{name}-sb3.zip"
+        model = sb3_model(best)
+        if model is not None and len(model) > LARGEST:
+            _errors.print(f"{name}: its SB3 model is left out, {len(model)} bytes are more than {LARGEST}")
+            model = None
+        if model is None:
+            sb3.unlink(missing_ok=True)
+        else:
+            _write_bytes(sb3, model)
+        _write_bytes(weights / f"{name}.zip", best.read_bytes())
+        replace(card, sb3=model is not None).save(weights)
+        _errors.print(f"{name}: seed {card.shipped_seed} of {seeds} ships, {card.shipped.payloads[0] or 0:.2f} kg")
+
+
+def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
+    """Of a training."""
+    return runs / f"{stem(shipped.name, env_id)}-{seed}"
+
+
+# ------------------------------------------------------------------------------------------------------------- training
+
+
+def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Path, jobs: int) -> None:
+    """Trains what is not finished; a run that was interrupted goes on from its checkpoint.
+
+    Raises:
+        ValueError: if a finished run was trained with another configuration, seed or environment than is wanted now.
+    """
+    tasks = {}
+    for shipped, env_id in pairs:
+        for seed in range(seeds):
+            folder = run_folder(runs, shipped, env_id, seed)
+            if is_finished(folder):
+                check_run(folder, shipped, env_id, seed)
+            else:
+                tasks[folder.name] = partial(_train, shipped.name, env_id, seed, folder, jobs > 1)
+    _errors.print(f"trainings: {len(pairs) * seeds - len(tasks)} are finished, {len(tasks)} are to be done")
+    for done, (key, text) in enumerate(run_tasks(tasks, workers=jobs, kind=_env_id, say=_errors.print), 1):
+        _errors.print(f"trained {done} of {len(tasks)}: {key}: {text}")
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a training has ended."""
+    from baselines.learned.runs import BEST, LAST
+
+    return (folder / LAST).is_file() and (folder / BEST).is_file()
+
+
+def check_run(folder: Path, shipped: Shipped, env_id: str, seed: int) -> None:
+    """Refuses a finished run of something else than would be trained now.
+
+    Raises:
+        ValueError: saying what to do.
+    """
+    from baselines.learned.config import read_yaml
+    from baselines.learned.runs import LAST
+
+    card = Bundle.load(folder / LAST).card
+    config = read_yaml(env_id, Path(shipped.config or shipped.algorithm))
+    expected = {
+        "env_id": env_id,
+        "algorithm": shipped.algorithm,
+        "seed": seed,
+        "config": json.loads(json.dumps(config)),
+    }
+    for name, value in expected.items():
+        if card.get(name) != value:
+            raise ValueError(
+                f"the finished run {str(folder)!r} has another {name} than {shipped.name} has now: remove the folder, "
+                "or choose another --runs"
+            )
+
+
+def _env_id(task: partial[str]) -> str:
+    return str(task.args[1])
+
+
+def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
+    """One training, as `cablebot train` does it, to its end; says what came of it."""
+    from baselines.learned import gradient_run, training
+    from baselines.learned.runs import CHECKPOINT, Interrupted
+
+    shipped = SHIPPED[name]
+    common: dict[str, Any] = {"out": folder, "seed": seed, "resume": (folder / CHECKPOINT).is_file()}
+    common["config"] = None if shipped.config is None else Path(shipped.config)
+    with counting(_errors, "steps") as bar:
+        task = bar.add_task(folder.name, total=1, visible=not quiet)
+
+        def step(text: str, done: int, total: int) -> None:
+            bar.update(task, description=f"{folder.name}: {text}", completed=done, total=total)
+
+        try:
+            if shipped.algorithm == gradient_run.ALGORITHM:
+                return str(gradient_run.train_gradient(env_id, progress=step, **common))
+            say = None if quiet else _errors.print
+            return str(training.train(env_id, algorithm=shipped.algorithm, progress=step, say=say, **common))
+        except ValueError as error:
+            raise ValueError(f"{error}; here that is {str(folder)!r}: remove it, or choose another --runs") from error
+        except Interrupted:
+            if quiet:  # a worker, whose end is nobody's concern
+                sys.exit(1)
+            raise
+
+
+# -------------------------------------------------------------------------------------------------------------- judging
+
+
+def _judge(name: str, runs: Path, jobs: int) -> Evaluate:
+    """Computes cells, and keeps each as it comes."""
+    store = Store(runs / JUDGED, say=_errors.print)
+
+    def evaluate(cells: Mapping[str, Cell]) -> list[Record]:
+        with counting(_errors, "evaluations") as bar:
+            task, said = bar.add_task(name, total=len(cells)), [-1]
+
+            def step(done: int, total: int) -> None:
+                bar.update(task, completed=done)
+                if not _errors.is_terminal and 10 * done // total > said[0]:
+                    said[0] = 10 * done // total
+                    _errors.print(f"{name}: {done} of {total} evaluations")
+
+            return run_cells(cells, store, local(jobs), progress=step, say=_errors.print)
+
+    return evaluate
+
+
+# -------------------------------------------------------------------------------------------------------------- writing
+
+
+def sb3_model(best: Path) -> bytes | None:
+    """The model in the checkpoint beside a run's best bundle, with the bundle's actor and without its environments.
+
+    The checkpoint is of the end of the run, the bundle of its best evaluation: critic and optimiser are those of the
+    end. None if the run has no model of PPO.
+    """
+    from baselines.learned.runs import CHECKPOINT
+
+    path = best.parent / CHECKPOINT
+    if Bundle.load(best).card.get("algorithm") != "ppo" or not path.is_file():
+        return None
+    import torch
+    from stable_baselines3 import PPO
+    from torch import nn
+
+    with zipfile.ZipFile(path) as file:
+        model = PPO.load(io.BytesIO(file.read("model.zip")), device="cpu")
+    policy: Any = model.policy
+    layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
+    network = Bundle.load(best).network
+    with torch.no_grad():
+        for layer, weight, bias in zip([*layers, policy.action_net], network.weights, network.biases, strict=True):
+            layer.weight.copy_(torch.as_tensor(weight))
+            layer.bias.copy_(torch.as_tensor(bias))
+    saved, small = io.BytesIO(), io.BytesIO()
+    model.save(saved, exclude=list(_OF_THE_MOMENT))
+    with zipfile.ZipFile(saved) as file, zipfile.ZipFile(small, "w", zipfile.ZIP_DEFLATED) as out:
+        for name in file.namelist():
+            if name != "system_info.txt":  # of the machine that trained
+                out.writestr(zipfile.ZipInfo(name), file.read(name), zipfile.ZIP_DEFLATED)
+    return small.getvalue()
+
+
+def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
+    """Renders all cards that there are, with the best found of now.
+
+    Raises:
+        ValueError: if there are none, or one is damaged.
+        ImportError: without matplotlib.
+    """
+    cards = read_cards(weights)
+    if not cards:
+        raise ValueError(f"there is no card in {weights.name}: make one, python scripts/train_shipped.py")
+    bests = read_bests(results)
+    for place, card in enumerate(cards):
+        cards[place] = with_bests(card, bests)
+        if cards[place] != card:
+            cards[place].save(weights)
+    text, figure = card_markdown(cards), draw_curves(cards)
+    write_whole(docs / PAGE, lambda path: _write_text(path, text))
+    write_whole(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
+    _errors.print(f"wrote {PAGE} and {FIGURE}, of {len(cards)} cards")
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data)
+
+    write_whole(path, write)
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
