@@ -1,0 +1,30 @@
+"""Cards of the learned policies that ship: what every training seed carries, with intervals, and how it was trained.
+
+A policy is trained with several seeds. What they carry is summed up by the interquartile mean and a stratified
+bootstrap interval, as rliable has them (Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical
+Precipice*, 2021). The seed with the median payload ships. Making a card needs torch; reading and rendering does not.
+"""
+
+from baselines.learned.cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, read_cards
+from baselines.learned.cards.figure import draw_curves
+from baselines.learned.cards.making import Evaluate, base_text, make_card, read_bests, with_bests
+from baselines.learned.cards.page import card_markdown
+from baselines.learned.cards.statistics import iqm, iqm_interval, typical
+
+__all__ = [
+    "DRAWS",
+    "HELD_OUT",
+    "LEAST_SEEDS",
+    "Card",
+    "Evaluate",
+    "base_text",
+    "card_markdown",
+    "draw_curves",
+    "iqm",
+    "iqm_interval",
+    "make_card",
+    "read_bests",
+    "read_cards",
+    "typical",
+    "with_bests",
+]

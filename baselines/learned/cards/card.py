@@ -1,0 +1,219 @@
+"""Everything known about a policy that ships, as it is kept beside its weights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from baselines.learned.cards.statistics import iqm, iqm_interval, scores
+from baselines.learned.shipped import SHIPPED, WEIGHTS, Condition, stem
+from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.files import write_whole
+
+LEAST_SEEDS = 5
+"""Training seeds of a card."""
+
+DRAWS = 256
+"""Episodes at each payload under an uncertainty."""
+
+PROBABILITY = 0.95
+"""Share of the draws that has to carry a payload."""
+
+HELD_OUT = 20
+"""Held-out motions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedRun:
+    """A training with one seed."""
+
+    seed: int
+    command: str
+    """What to type for the same training, but for ``--out``."""
+    timesteps: int
+    """Of PPO actions over all environments, of training by gradients evaluations of the objective."""
+    wall_s: float
+    """[s]"""
+    threads: int
+    """Of torch."""
+    versions: Mapping[str, str]
+    """Of Python and of the packages that trained."""
+    payloads: tuple[float | None, ...]
+    """Of the run's best policy under each of the card's conditions [kg]; None where not even zero is carried."""
+    curve: tuple[Mapping[str, Any], ...]
+    """Evaluations while training: ``timesteps``, ``wall_s`` [s], ``payload_kg``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """A motion that no training saw, under the card's first condition."""
+
+    seed: int
+    """Of the motion."""
+    payload: float | None
+    """Of the policy that ships [kg]; None where not even zero is carried."""
+    law_payload: float | None
+    """Of the card's reference law [kg]."""
+    best_found: float | None
+    """[kg]; None if the leaderboard does not know it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """A policy that ships, in one environment. JSON-able.
+
+    Raises:
+        ValueError: if its parts do not fit each other.
+    """
+
+    policy: str
+    env_id: str
+    algorithm: str
+    config: str | None
+    """Name of the file of hyperparameters; None for the one that the algorithm reads anyway."""
+    command: str
+    """Makes weights and card."""
+    base: Mapping[str, Any]
+    """The law that is steered, fields of :class:`~baselines.learned.base.Base`."""
+    base_text: str
+    """The same in words, with its gains."""
+    steering: Mapping[str, Any]
+    """How the network's actions steer it."""
+    features: tuple[str, ...]
+    """What the network reads."""
+    parameters: int
+    """Of the network."""
+    motions: Any
+    """Trained on: ``paper``, ``{"loops": N}`` for the training seeds 0 to N − 1, or an environment's ``trajectory``."""
+    evaluation: Mapping[str, Any]
+    """Conditions of the evaluations while training, keywords of :func:`cablebot_gym.dlcc.evaluate_dlcc`."""
+    planner_output_used: bool
+    """Whether a planner's motions went into the training."""
+    conditions: tuple[Condition, ...]
+    draws: int
+    """Episodes at each payload under an uncertainty."""
+    probability: float
+    """Share of the draws that has to carry a payload."""
+    shipped_seed: int
+    """The one with the median payload under the first condition."""
+    sha256: str
+    """Of the bundle that ships."""
+    base_payloads: tuple[float | None, ...]
+    """Of the base law alone, the network saying zero, under each condition [kg]."""
+    law: str
+    """A classical law to compare with, as on the command line."""
+    law_payloads: tuple[float | None, ...]
+    """Of it under each condition [kg]."""
+    best_found: float | None
+    """On the paper's circle without uncertainty [kg]; None if the leaderboard does not know it."""
+    seeds: tuple[SeedRun, ...]
+    held_out: tuple[HeldOut, ...]
+    sb3: bool = False
+    """Whether ``NAME-KIND-sb3.zip`` ships too: the model of Stable-Baselines3 with this policy's actor."""
+
+    def __post_init__(self) -> None:
+        numbers = [len(self.base_payloads), len(self.law_payloads), *(len(run.payloads) for run in self.seeds)]
+        if not self.conditions or set(numbers) != {len(self.conditions)}:
+            raise ValueError("a card needs a payload for each of its conditions")
+        seeds = [run.seed for run in self.seeds]
+        if len({*seeds}) != len(seeds) or self.shipped_seed not in seeds:
+            raise ValueError(f"a card needs different seeds and the one that ships among them, not {seeds}")
+
+    @property
+    def stem(self) -> str:
+        """Name of its files."""
+        return stem(self.policy, self.env_id)
+
+    @property
+    def shipped(self) -> SeedRun:
+        """The training whose policy ships."""
+        return next(run for run in self.seeds if run.seed == self.shipped_seed)
+
+    def carried(self, place: int) -> list[float]:
+        """Payloads of all seeds under a condition [kg], 0 where not even zero is carried."""
+        return scores([run.payloads[place] for run in self.seeds])
+
+    def summary(self, place: int) -> Summary:
+        """The payloads of all seeds under a condition."""
+        payloads = self.carried(place)
+        low, high = iqm_interval([payloads])
+        return Summary(iqm=float(iqm(payloads)), low=low, high=high, median=median(payloads))
+
+    def to_json(self) -> str:
+        """The card; for its readers with ``summaries``, which follow from the rest."""
+        summaries = [asdict(self.summary(place)) for place in range(len(self.conditions))]
+        lines = []
+        for name, value in (asdict(self) | {"summaries": summaries}).items():
+            text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+            if isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
+                rows = (json.dumps(row, ensure_ascii=False, allow_nan=False) for row in value)
+                text = "[\n  " + ",\n  ".join(rows) + "\n ]"
+            lines.append(f" {json.dumps(name)}: {text}")
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Card:
+        """What :meth:`to_json` wrote.
+
+        Raises:
+            ValueError: if it is no card's.
+        """
+        try:
+            data = {name: value for name, value in json.loads(text).items() if name != "summaries"}
+            runs = [
+                SeedRun(**{**run, "payloads": tuple(run["payloads"]), "curve": tuple(run["curve"])})
+                for run in data.pop("seeds")
+            ]
+            for name in ("features", "base_payloads", "law_payloads"):
+                data[name] = tuple(data[name])
+            conditions = tuple(Condition(**condition) for condition in data.pop("conditions"))
+            held_out = tuple(HeldOut(**motion) for motion in data.pop("held_out"))
+            return cls(seeds=tuple(runs), conditions=conditions, held_out=held_out, **data)
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"this is no card of a policy ({type(error).__name__}: {error})") from error
+
+    def save(self, folder: Path) -> Path:
+        """Writes ``NAME-KIND.json``, whole or not at all."""
+        path, text = folder / f"{self.stem}.json", self.to_json()
+        write_whole(path, lambda temporary: _write(temporary, text))
+        return path
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Payloads over training seeds [kg]."""
+
+    iqm: float
+    """Interquartile mean."""
+    low: float
+    """Lower end of its interval."""
+    high: float
+    """Upper end."""
+    median: float
+
+
+def read_cards(folder: Path = WEIGHTS) -> list[Card]:
+    """All cards of a folder, in the order of :data:`~baselines.learned.shipped.SHIPPED` and of the environments.
+
+    Raises:
+        ValueError: if one is damaged, naming its file.
+    """
+    cards = []
+    for name in SHIPPED:
+        for path in (folder / f"{stem(name, env_id)}.json" for env_id in ENV_IDS):
+            if not path.is_file():
+                continue
+            try:
+                cards.append(Card.from_json(path.read_text(encoding="utf-8")))
+            except ValueError as error:
+                again = f"python scripts/train_shipped.py --policy {name}"
+                raise ValueError(f"card {str(path)!r} cannot be read ({error}): make it anew, {again}") from error
+    return cards
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

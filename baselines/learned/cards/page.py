@@ -1,0 +1,176 @@
+"""docs/learned.md, from the cards."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from baselines.learned.cards.card import Card
+from baselines.learned.cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, rank
+from baselines.learned.shipped import SHIPPED, Condition
+from cablebot_gym.benchmark.score import Column
+from cablebot_gym.benchmark.tables import heading
+from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
+
+_HEAD = """# Learned policies
+
+What ships in `baselines/learned/weights/`, each under a name for `cablebot dlcc --policy NAME` and for
+`cablebot benchmark`: plain arrays, which run without torch and are never unpickled. `python scripts/train_shipped.py`
+trains, judges and writes all of it, this page too.
+
+A learned policy steers a classical law: its network shifts the law's reference, or adds to its commands. Each was
+trained with several seeds, all of which count here. The one that ships has the median payload under the first
+condition: it is typical, not the luckiest.
+
+* Payloads in kg, the largest that is carried on the paper's circle by the task criterion, as on the
+  [leaderboard](../LEADERBOARD.md){drawn}. None, where not even zero is carried, counts as 0.
+* IQM: interquartile mean over the training seeds; in brackets its {confidence:.0%} interval from {resamples} resamples
+  of a stratified bootstrap, whose strata are environments.
+* base alone: the law underneath, while the network says zero. law: one of the laws of `baselines/classical/`.
+* best found: the leaderboard's, without uncertainty; a lower bound of what is possible.
+* held-out: motions with seeds from {held_out} on, which no training and no choice of a policy has seen. On how many the
+  policy that ships carries more than the law, both under the first condition; and its median share of the best found,
+  where the leaderboard knows that.
+* training: wall time of one seed, the median.
+
+"""
+
+_COLUMNS = (
+    *("policy", "id", "condition", "seeds", "IQM", "median", "base alone", "law", "IQM of best found"),
+    *("held-out: above law", "held-out: of best found", "training"),
+)
+
+
+def card_markdown(cards: Sequence[Card]) -> str:
+    """The page: one table of all, then each policy's command, base law, versions and seeds.
+
+    Args:
+        cards: in the order of the page, at least one.
+    """
+    draws = sorted({card.draws for card in cards if any(one.uncertainty for one in card.conditions)})
+    drawn = ""
+    if draws:
+        several = " or ".join(map(str, draws))
+        drawn = f"; `table6` and `sensors` with {several} draws, {cards[0].probability:.0%} of which have to carry"
+    text = _HEAD.format(drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED)
+    text += _table([_COLUMNS, *(row for card in cards for row in _rows(card))], left=3)
+    text += "\n![Payload against wall time while training](learned.png)\n"
+    for name in dict.fromkeys(card.policy for card in cards):
+        text += _section([card for card in cards if card.policy == name])
+    return text
+
+
+def _rows(card: Card) -> list[list[str]]:
+    rows = []
+    for place, condition in enumerate(card.conditions):
+        summary = card.summary(place)
+        rows.append(
+            [
+                f"`{card.policy}`" if place == 0 else "",
+                short_id(card.env_id) if place == 0 else "",
+                _title(condition),
+                str(len(card.seeds)),
+                f"{summary.iqm:.2f} [{summary.low:.2f}, {summary.high:.2f}]",
+                f"{summary.median:.2f}",
+                _kg(card.base_payloads[place]),
+                f"`{card.law}` {_kg(card.law_payloads[place])}",
+                "–" if not card.best_found else f"{summary.iqm / card.best_found:.0%} of {card.best_found:.2f}",
+                *(_held_out_cells(card) if place == 0 else ("", "")),
+                _time(median(run.wall_s for run in card.seeds)) if place == 0 else "",
+            ]
+        )
+    return rows
+
+
+def _held_out_cells(card: Card) -> tuple[str, str]:
+    above = sum(rank(motion.payload) > rank(motion.law_payload) for motion in card.held_out)
+    shares = [(motion.payload or 0.0) / motion.best_found for motion in card.held_out if motion.best_found]
+    share = f"{median(shares):.0%} on {len(shares)}" if shares else "–"
+    return f"{above} of {len(card.held_out)}", share
+
+
+def _section(cards: Sequence[Card]) -> str:
+    first = cards[0]
+    text = f"\n## `{first.policy}`\n\n{_sentence(SHIPPED[first.policy].summary)}.\n\n```sh\n"
+    text += "".join(f"{card.command}\n" for card in cards) + "```\n"
+    known = [(card, card.best_found) for card in cards if card.best_found]
+    if len(known) > 1 and len(known) == len(cards):
+        shares = [np.array(card.carried(0)) / best for card, best in known]
+        low, high = iqm_interval(shares)
+        mean = float(iqm(np.concatenate(shares)))
+        condition = _title(first.conditions[0])
+        text += f"\nOver its {len(cards)} environments, {condition}, the IQM of the shares of the best found is "
+        text += f"{mean:.1%} [{low:.1%}, {high:.1%}].\n"
+    return text + "".join(_details(card) for card in cards)
+
+
+def _details(card: Card) -> str:
+    versions = "; ".join(
+        dict.fromkeys(", ".join(f"{name} {number}" for name, number in run.versions.items()) for run in card.seeds)
+    )
+    planner = "A planner's output was used in training." if card.planner_output_used else "No planner was used."
+    text = f"\n### {short_id(card.env_id)}\n\n"
+    text += f"* Base: {card.base_text}.\n"
+    text += f"* Steering: {_steering(card.steering)}. Network: {card.parameters} parameters, reads "
+    text += f"{', '.join(card.features)}.\n"
+    text += f"* Trained on {_trained_on(card.motions)}. {planner}\n"
+    text += f"* What ships, seed {card.shipped_seed}: `{card.shipped.command}`\n"
+    if card.sb3:
+        text += (
+            f"* `{card.stem}-sb3.zip` is the same actor as a model of Stable-Baselines3, to go on training with. It "
+        )
+        text += "reads the features as the bundle's `mean` and `scale` normalise them, cut at ±10.\n"
+    text += f"* {versions}\n\n"
+    rows = [["seed", "steps", "wall time", *map(_title, card.conditions), ""]]
+    for run in card.seeds:
+        ships = "ships" if run.seed == card.shipped_seed else ""
+        rows.append([str(run.seed), str(run.timesteps), _time(run.wall_s), *map(_kg, run.payloads), ships])
+    return text + _table(rows, left=0)
+
+
+def _steering(way: Mapping[str, Any]) -> str:
+    numbers = {name: value for name, value in way.items() if name != "kind" and (value or name != "lead")}
+    units = {"hold": " s", "lead": " s"}
+    return f"{way['kind']}, " + ", ".join(f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items())
+
+
+def _trained_on(motions: Any) -> str:
+    if motions == "paper":
+        return "the paper's circle"
+    if isinstance(motions, Mapping) and "loops" in motions:
+        return f"random loops, training seeds 0 to {motions['loops'] - 1}"
+    return f"`{json.dumps(motions)}`"
+
+
+def _title(condition: Condition) -> str:
+    information = "told" if condition.told else "untold"
+    return heading(
+        Column(information=information, uncertainty=condition.uncertainty, criterion="task", draws=1),
+    )
+
+
+def short_id(env_id: str) -> str:
+    """An environment's id without what all ids share."""
+    return env_id.removeprefix("CableBot-").removesuffix("-v0")
+
+
+def _kg(payload: float | None) -> str:
+    return "none" if payload is None else f"{payload:.2f}"
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def _table(rows: Sequence[Sequence[str]], *, left: int) -> str:
+    """Markdown; the first ``left`` columns begin at the left, the others end at the right."""
+    rule = ["---" if place < left else "---:" for place in range(len(rows[0]))]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (rows[0], rule, *rows[1:]))

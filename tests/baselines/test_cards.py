@@ -1,0 +1,222 @@
+"""Cards of the learned policies that ship: statistics, how a card comes about, page and figure."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import trim_mean
+from shipping import CURVE, PLANAR_ID, SPATIAL_ID, save_run, ship
+
+from baselines.learned.base import find_base
+from baselines.learned.bundle import Bundle
+from baselines.learned.cards import (
+    Card,
+    base_text,
+    card_markdown,
+    draw_curves,
+    iqm,
+    iqm_interval,
+    make_card,
+    read_cards,
+    typical,
+)
+from baselines.learned.runs import BEST
+from baselines.learned.shipped import SHIPPED
+from cablebot_gym import ENV_IDS
+
+# ---------------------------------------------------------------------------------------------------------- statistics
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([4.0], 4.0),
+        ([1.0, 2.0, 9.0], 4.0),
+        ([100.0, 2.0, 1.0, 3.0], 2.5),
+        ([3.0, -50.0, 1.0, 2.0, 100.0], 2.0),
+        ([0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 9.0, 9.0], 2.5),
+    ],
+)
+def test_a_quarter_of_the_values_is_left_out_at_either_end(values, expected):
+    assert iqm(values) == pytest.approx(expected)
+    assert trim_mean(values, 0.25) == pytest.approx(expected)
+
+
+def test_many_means_at_once_are_those_one_by_one():
+    values = np.random.default_rng(3).normal(size=(4, 3, 11))
+    assert iqm(values) == pytest.approx(trim_mean(values, 0.25, axis=-1))
+
+
+def test_interval_is_that_of_all_resamples_there_are():
+    values = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
+    every = np.sort([iqm(values[list(places)]) for places in itertools.product(range(5), repeat=5)])
+    for confidence in (0.5, 0.8, 0.95):
+        low, high = iqm_interval([values], confidence=confidence)
+        for end, share in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
+            # As exact as so many resamples are: four of their standard deviations in the share.
+            near = [share - 4 * 0.5 / 100, share + 4 * 0.5 / 100]
+            assert np.quantile(every, max(near[0], 0)) <= end <= np.quantile(every, min(near[1], 1))
+
+
+def test_two_seeds_by_hand():
+    """Resamples of (0, 1): mean 0 in a quarter of them, 1/2 in a half, 1 in a quarter."""
+    assert iqm_interval([[0.0, 1.0]], confidence=0.95) == (0.0, 1.0)
+    assert iqm_interval([[0.0, 1.0]], confidence=0.4) == (0.5, 0.5)
+
+
+def test_resamples_stay_within_their_strata():
+    """Each stratum is constant, so that nothing can differ; without strata it would."""
+    strata = [[0.0] * 5, [1.0] * 5, [7.0] * 5]
+    assert iqm_interval(strata) == (iqm(np.concatenate(strata)),) * 2
+    assert np.ptp(iqm_interval([np.concatenate(strata)])) > 1
+
+
+def test_strata_are_drawn_independently_and_may_differ_in_size():
+    """(0, 1) twice: were the draws the same, the mean 1/2 would come up half of the time, not 3/8 of it."""
+    twice = [[0.0, 1.0], [0.0, 1.0]]
+    # 4 values, the middle two: 0, 1/2 or 1, with 5/16, 6/16 and 5/16.
+    assert iqm_interval(twice, confidence=0.30) == (0.5, 0.5)
+    assert iqm_interval(twice, confidence=0.44) == (0.0, 1.0)
+    assert iqm_interval([[1.0, 1.0], [1.0]]) == (1.0, 1.0)
+
+
+def test_interval_is_the_same_each_time_and_another_with_another_seed():
+    values = [np.random.default_rng(1).normal(size=7)]
+    assert iqm_interval(values) == iqm_interval(values)
+    assert iqm_interval(values, resamples=200, seed=1) != iqm_interval(values, resamples=200, seed=2)
+
+
+@pytest.mark.parametrize(
+    ("payloads", "expected"),
+    [
+        ({0: 1.0, 1: 5.0, 2: 3.0, 3: 2.0, 4: 4.0}, 2),
+        ({0: 4.0, 1: 1.0, 2: 3.0, 3: 2.0}, 3),
+        ({0: None, 1: 0.0, 2: 0.5}, 1),
+        ({3: 1.0, 1: 1.0, 2: 1.0}, 2),
+        ({7: None}, 7),
+    ],
+)
+def test_typical_seed_has_the_median_payload(payloads, expected):
+    assert typical(payloads) == expected
+
+
+# -------------------------------------------------------------------------------------------------- how a card is made
+
+
+def test_card_says_what_every_seed_carries_and_the_typical_one_ships(runs, computed, tmp_path):
+    weights = tmp_path / "weights"
+    card = ship(runs, weights)
+    assert [run.payloads for run in card.seeds] == [
+        (2.0, 1.0),
+        (None, None),
+        (2.8, 2.8 - 1.0),
+        (2.4, 1.4),
+        (2.6, 1.6),
+    ]
+    assert card.shipped_seed == 3
+    assert (weights / "curve-planar.zip").read_bytes() == (runs / "curve-planar-3" / BEST).read_bytes()
+    assert card.sha256 == hashlib.sha256((weights / "curve-planar.zip").read_bytes()).hexdigest()
+    assert (card.base_payloads, card.law, card.law_payloads) == ((1.5, 0.5), "fl", (1.9, 1.9 - 1.0))
+    summary = card.summary(0)
+    assert summary.iqm == pytest.approx((2.0 + 2.4 + 2.6) / 3)  # none counts as 0, and is the smallest
+    assert summary.median == 2.4
+    assert summary.low < summary.iqm < summary.high
+    assert card.best_found == pytest.approx(2.875, abs=2e-3)
+    found = [(one.seed, one.payload, one.law_payload) for one in card.held_out]
+    assert found == [(10_000 + place, 2.4 + (1.0 if place % 2 else -1.0), 2.0) for place in range(4)]
+    assert card.held_out[0].best_found == pytest.approx(4.486, abs=2e-3)
+    assert [one.best_found is None for one in card.held_out] == [False, False, False, True]
+    assert [(run.seed, run.wall_s, run.timesteps) for run in card.seeds][4] == (4, 64.0, 704)
+    assert not card.planner_output_used
+    assert card.base["gains"] == [2500.0, 100.0]
+    assert card.base_text.startswith("`fl` with K_P = 2500 1/s², K_D = 100 1/s, tensions of at least 2 N")
+    base = Bundle.load(runs / "curve-planar-base.zip").network
+    assert not any(np.any(array) for array in (*base.weights, *base.biases))
+
+
+def test_cards_are_read_as_they_were_written(runs, computed, tmp_path):
+    card = ship(runs, tmp_path / "weights")
+    text = (tmp_path / "weights" / "curve-planar.json").read_text(encoding="utf-8")
+    assert Card.from_json(text).to_json() == text == card.to_json()
+    assert json.loads(text)["summaries"][0]["median"] == 2.4
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "no JSON", '{"seeds": [], "conditions": [], "held_out": []}'])
+def test_broken_card_is_named(tmp_path, text):
+    (tmp_path / "preview-planar.json").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"preview-planar.json' cannot be read .*train_shipped.py --policy preview"):
+        read_cards(tmp_path)
+
+
+def test_runs_of_different_policies_make_no_card(runs):
+    folders = [save_run(runs / "a", 0), save_run(runs / "b", 0)]
+
+    def make(policy, env_id):
+        return make_card(policy, env_id, folders, evaluate=lambda cells: [], bests={}, command="")
+
+    with pytest.raises(ValueError, match="different seeds"):
+        make(CURVE, PLANAR_ID)
+    save_run(runs / "b", 1, config={})
+    with pytest.raises(ValueError, match="different configurations"):
+        make(CURVE, PLANAR_ID)
+    with pytest.raises(ValueError, match="is of CableBot-Planar-v0 by gradient, not of CableBot-Spatial-v0 by ppo"):
+        make(SHIPPED["ppo"], SPATIAL_ID)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "base", "words"),
+    [
+        (SPATIAL_ID, {}, "`fl` with K_P = 30 1/s², K_D = 20 1/s"),
+        (SPATIAL_ID, {"weighs": True, "allocates": True}, "estimate of the payload (prior 0.01 s), sharing out"),
+        (ENV_IDS[3], {"law": "motor-pd"}, "`motor-pd` with ω = 200 rad/s, ζ = 0.7"),
+        (ENV_IDS[2], {"law": "motor-pd", "frequency": 90}, "ω = 90 rad/s, ζ = 0.7, tensions of at least 5 N"),
+        (ENV_IDS[3], {"law": "fl4"}, "`fl4` with poles -15, -15, -60, -60 1/s"),
+        (ENV_IDS[3], {"law": "composite"}, "K_P = 30 1/s², K_D = 20 1/s, K_v ≤ 1 √(K J′)"),
+    ],
+)
+def test_base_laws_gains_are_in_words(env_id, base, words):
+    assert words in base_text(find_base({"law": "fl", **base}), env_id)
+
+
+# --------------------------------------------------------------------------------------------- the page and the figure
+
+
+def test_page_holds_the_numbers(runs, computed, tmp_path):
+    card = ship(runs, tmp_path / "weights")
+    other = replace(card, env_id=ENV_IDS[2], law="composite-tuned", sb3=True)
+    page = card_markdown([card, other])
+    row = next(line for line in page.splitlines() if line.startswith("| `curve` | Planar"))
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    low, high = card.summary(0).low, card.summary(0).high
+    assert cells[2:4] == ["told", "5"]
+    assert cells[4:8] == [f"2.33 [{low:.2f}, {high:.2f}]", "2.40", "1.50", "`fl` 1.90"]
+    assert cells[8:] == ["81% of 2.87", "2 of 4", f"{1.4 / 4.4857:.0%} on 3", "62 s"]
+    assert "| 1 | 701 | 61 s | none | none |  |" in page
+    assert "| 3 | 703 | 63 s | 2.40 | 1.40 | ships |" in page
+    assert "`cablebot train CableBot-Planar-v0 --algo gradient --config gradient --seed 3 --threads 1`" in page
+    assert "python 3.11, torch 2" in page
+    assert "No planner was used." in page
+    assert "python scripts/train_shipped.py --policy curve --id CableBot-Planar-v0 --seeds 5 --draws 256" in page
+    shares = [np.array([2.0, 0.0, 2.8, 2.4, 2.6]) / card.best_found] * 2
+    low, high = iqm_interval(shares)
+    interval = f"{iqm(np.concatenate(shares)):.1%} [{low:.1%}, {high:.1%}]"
+    assert f"Over its 2 environments, told, the IQM of the shares of the best found is {interval}." in page
+    assert page.count("curve-flexplanar-sb3.zip") == 1
+    assert "curve-planar-sb3.zip" not in page
+
+
+def test_figure_has_a_panel_for_each_card_and_lines_of_every_seed(runs, computed, tmp_path):
+    card = ship(runs, tmp_path / "weights")
+    loops = replace(card, policy="preview", motions={"loops": 9})
+    circle, other, *empty = draw_curves([card, loops, card, card]).axes[:6]
+    assert len(empty) == 4
+    assert len(circle.lines) == 5 + 3
+    assert len(other.lines) == 5  # what is carried on the circle says nothing of loops
+    assert list(circle.lines[0].get_xdata()) == [30.0, 60.0]
+    assert list(circle.lines[0].get_ydata()) == [0.0, 2.0]
+    assert other.get_title() == "preview, Planar: loops, mean"
