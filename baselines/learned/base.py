@@ -46,7 +46,7 @@ class Base:
                 raise ValueError(f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}")
         if self.gains is not None:
             gains = tuple(self.gains) if isinstance(self.gains, Sequence) else ()
-            if len(gains) != 2 or not all(_is_number(gain) and gain > 0 for gain in gains):
+            if len(gains) != 2 or not all(is_number(gain) and gain > 0 for gain in gains):
                 raise ValueError(f"gains must be two positive numbers (K_P, K_D), not {self.gains!r}")
             object.__setattr__(self, "gains", (float(gains[0]), float(gains[1])))
         for name in ("weighs", "allocates"):
@@ -54,10 +54,10 @@ class Base:
                 raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
         if self.allocates and not self.weighs:
             raise ValueError("only a law that weighs shares out what the motors can give: set weighs too")
-        if not _is_number(self.minimum_tension) or self.minimum_tension < 0:
+        if not is_number(self.minimum_tension) or self.minimum_tension < 0:
             raise ValueError(f"minimum_tension must be at least 0 N, not {self.minimum_tension!r}")
         for name, unit in (("prior", "s"), *([("frequency", "rad/s")] if self.frequency is not None else [])):
-            if not _is_number(getattr(self, name)) or getattr(self, name) <= 0:
+            if not is_number(getattr(self, name)) or getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be greater than 0 {unit}, not {getattr(self, name)!r}")
         for name in ("minimum_tension", "prior"):
             object.__setattr__(self, name, float(getattr(self, name)))
@@ -89,7 +89,8 @@ def find_base(base: Base | str | Mapping[str, Any]) -> Base:
     return Base(**data)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite real number, and no truth value."""
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 

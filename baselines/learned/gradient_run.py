@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shlex
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -202,7 +203,8 @@ def train_gradient(
     asked = {"seed": 0 if seed is None else seed, "threads": 1 if threads is None else threads}
     if asked["seed"] < 0 or asked["threads"] < 1:
         raise ValueError(f"--seed must be at least 0 and --threads at least 1, not {seed} and {threads}")
-    settings: dict[str, Any] = {"env_id": env_id, **asked, "config": dict(plain)}
+    file = None if config is None else config.name
+    settings: dict[str, Any] = {"env_id": env_id, **asked, "config": dict(plain), "config_file": file}
     arrays: dict[str, Any] = {}
     if resume:
         standing, arrays = _Standing.load(out / CHECKPOINT)
@@ -215,9 +217,8 @@ def train_gradient(
         check_new(out)
         standing = _Standing(settings=settings, rounds=0, evaluated=0, wall_s=0.0, base_payload_kg=None, evaluations=[])
     made = make_gradient_config(env_id, plain)
-    file = None if config is None else config.name
     with torch_threads(standing.settings["threads"]):
-        run = _Run(made, standing, out, file, progress or (lambda text, done, total: None))
+        run = _Run(made, standing, out, progress or (lambda text, done, total: None))
         try:
             return run.finish(arrays)
         except KeyboardInterrupt as stop:
@@ -232,10 +233,9 @@ class _Run:
         config: GradientConfig,
         standing: _Standing,
         out: Path,
-        file: str | None,
         progress: Callable[[str, int, int], None],
     ) -> None:
-        self.config, self.standing, self.out, self.file, self._progress = config, standing, out, file, progress
+        self.config, self.standing, self.out, self._progress = config, standing, out, progress
         self.robot = find_robot(env_robot(config.env_id))
         self._started, self._wall = time.monotonic(), standing.wall_s
         self._total = config.settings.iterations * len(config.settings.rounds)
@@ -321,11 +321,11 @@ class _Run:
     def _card(self, training: GradientTraining) -> dict[str, Any]:
         standing, settings = self.standing, self.standing.settings
         words = ["cablebot", "train", self.config.env_id, "--algo", ALGORITHM]
-        words += [] if self.file is None else ["--config", self.file]
+        words += [] if settings["config_file"] is None else ["--config", settings["config_file"]]
         words += ["--seed", str(settings["seed"]), "--threads", str(settings["threads"])]
         rows = standing.evaluations
         return {
-            "command": " ".join(words),
+            "command": shlex.join(words),
             "env_id": self.config.env_id,
             "algorithm": ALGORITHM,
             "config": dict(self.config.plain),

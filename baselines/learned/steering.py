@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from baselines.classical.law import Array, first_steps
-from baselines.learned.base import Base
+from baselines.learned.base import Base, is_number
 from baselines.learned.features import OF_SHIFTS, check_features, feature_values
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
 from cablebot_gym.robots import Robot
@@ -62,7 +62,7 @@ class Shift:
         _check_hold_and_share(self)
         if not isinstance(self.degree, Integral) or self.degree not in (2, 3, 4, 5):
             raise ValueError(f"degree must be 2, 3, 4 or 5, not {self.degree!r}")
-        if not _is_number(self.lead) or self.lead not in (0.0, *PREVIEWS):
+        if not is_number(self.lead) or self.lead not in (0.0, *PREVIEWS):
             raise ValueError(f"lead must be 0 or a preview, {', '.join(map(str, PREVIEWS))} s, not {self.lead!r}")
         object.__setattr__(self, "degree", int(self.degree))
         object.__setattr__(self, "lead", float(self.lead))
@@ -126,16 +126,12 @@ class Residual:
 
 
 def _check_hold_and_share(way: Shift | Residual) -> None:
-    if not _is_number(way.hold) or not 0 < way.hold <= LONGEST_HOLD:
+    if not is_number(way.hold) or not 0 < way.hold <= LONGEST_HOLD:
         raise ValueError(f"hold must be a time above 0 s and at most {LONGEST_HOLD:g} s, not {way.hold!r}")
-    if not _is_number(way.share) or not 0 < way.share <= 1:
+    if not is_number(way.share) or not 0 < way.share <= 1:
         raise ValueError(f"share must be above 0 and at most 1, not {way.share!r}")
     for name in ("hold", "share"):
         object.__setattr__(way, name, float(getattr(way, name)))  # of numpy's numbers too, JSON knows only these
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 _KINDS: dict[str, type[Shift] | type[Residual]] = {"shift": Shift, "residual": Residual}

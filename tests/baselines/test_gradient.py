@@ -29,7 +29,7 @@ from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED, find_trajectory
 PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 
 
-def made(env_id, way, *, features=("bells",), motions=None, law="fl", **settings):
+def made(env_id, way, *, features=("bells",), motions=None, **settings):
     robot = find_robot(env_robot(env_id))
     paper = "paper-planar" if robot.planar else "paper-spatial"
     trajectories = [find_trajectory(name, robot.coordinates) for name in motions or [paper]]
@@ -172,6 +172,8 @@ def test_an_interrupted_run_goes_on_to_the_same_weights_and_another_seed_to_othe
         train_gradient(PLANAR, out=tmp_path / "cut", config=config)
     resumed = train_gradient(PLANAR, out=tmp_path / "cut", resume=True)
     assert len(resumed.evaluations) == 2
+    commands = [Bundle.load(tmp_path / name / LAST).card["command"] for name in ("cut", "whole")]
+    assert commands[0] == commands[1], "which configuration it was is not forgotten"
     assert same(tmp_path / "cut", tmp_path / "whole")
     assert not same(tmp_path / "other", tmp_path / "whole")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from numbers import Real
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -14,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.classical.law import Array
+from baselines.learned.base import is_number
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.envs.vector import CableBotVectorEnv
 
@@ -112,8 +112,7 @@ def check_number(name: str, value: Any, low: float, high: float = math.inf, *, a
     Raises:
         ValueError: naming the bounds.
     """
-    number = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not low <= value <= high or (above and value == low):
+    if not is_number(value) or not low <= value <= high or (above and value == low):
         least = f"greater than {low:g}" if above else f"of at least {low:g}"
         most = f" and at most {high:g}" if high < math.inf else ""
         raise ValueError(f"{name} must be a number {least}{most}, not {value!r}")

@@ -30,9 +30,7 @@ def _steering(
 ) -> tuple[Steering, Box, Box]:
     """The law at work, and the spaces of a learner's observations and actions."""
     made = Steering(plant.settings.robot, base=find_base(base), way=find_way(steering), features=features)
-    part = made.split(np.zeros(plant.layout.size))
-    seen = made.seen(part, made.remembered(part, None, None))
-    return made, Box(-np.inf, np.inf, seen.shape, np.float32), Box(-1.0, 1.0, (made.actions,), np.float32)
+    return made, Box(-np.inf, np.inf, (made.inputs,), np.float32), Box(-1.0, 1.0, (made.actions,), np.float32)
 
 
 def _checked(action: ArrayLike, shape: tuple[int, ...]) -> Array:
