@@ -108,7 +108,12 @@ def find_shipped(name: str) -> Shipped:
 
 def stem(name: str, env_id: str) -> str:
     """Name of a policy's files without their suffix, such as ``curve-flexspatial``."""
-    return f"{name}-{env_id.removeprefix('CableBot-').removesuffix('-v0').lower()}"
+    return f"{name}-{short_id(env_id).lower()}"
+
+
+def short_id(env_id: str) -> str:
+    """An environment's id without what all ids share."""
+    return env_id.removeprefix("CableBot-").removesuffix("-v0")
 
 
 def env_id_of(robot: Robot) -> str:

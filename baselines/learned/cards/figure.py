@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from baselines.learned.cards.card import Card
-from baselines.learned.cards.page import short_id
 from baselines.learned.cards.statistics import scores
-from baselines.learned.shipped import Condition
+from baselines.learned.shipped import Condition, short_id
 from cablebot_gym.dlcc.figures import BLUE, GREY, VERMILLION, add_legend, entitle, new_figure
 
 if TYPE_CHECKING:

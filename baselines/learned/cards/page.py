@@ -11,7 +11,7 @@ import numpy as np
 
 from baselines.learned.cards.card import Card
 from baselines.learned.cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, rank
-from baselines.learned.shipped import SHIPPED, Condition
+from baselines.learned.shipped import SHIPPED, Condition, short_id
 from cablebot_gym.benchmark.score import Column
 from cablebot_gym.benchmark.tables import heading
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
@@ -151,11 +151,6 @@ def _title(condition: Condition) -> str:
     return heading(
         Column(information=information, uncertainty=condition.uncertainty, criterion="task", draws=1),
     )
-
-
-def short_id(env_id: str) -> str:
-    """An environment's id without what all ids share."""
-    return env_id.removeprefix("CableBot-").removesuffix("-v0")
 
 
 def _kg(payload: float | None) -> str:
