@@ -73,6 +73,8 @@ class PolicyEntry:
     """One line."""
     slow: bool = False
     """Whether an evaluation takes minutes: then most parts of a benchmark do without."""
+    files: tuple[Path, ...] | None = None
+    """The data that it reads, such as weights: a benchmark's result is of these. None for all beside its module."""
 
 
 class PolicyError(RuntimeError):

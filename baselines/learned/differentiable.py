@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -34,7 +35,9 @@ class Asked:
     """Drive commands; the motors can do what is within ±1."""
 
 
-def asked(robot: Robot, motion: Sequence[Tensor], mass: Tensor, *, minimum: float = 0.0) -> Asked:
+def asked(
+    robot: Robot, motion: Sequence[Tensor], mass: Tensor, *, minimum: float = 0.0, softness: float = 0.0
+) -> Asked:
     """What a motion asks with a mass.
 
     Args:
@@ -42,15 +45,17 @@ def asked(robot: Robot, motion: Sequence[Tensor], mass: Tensor, *, minimum: floa
         motion: X and its derivatives, each a float64 tensor (B, n): to the second, with joint springs to the fourth.
         mass: of platform and payload [kg], (B,).
         minimum: least tension of a planar robot [N].
+        softness: of these tensions [N], see :func:`~cablebot_gym.physics.textbook.soft_tensions`; 0 for the least.
     """
-    tensions, torque = _pulled(robot, motion[:3], mass, minimum)
+    pulled = partial(_pulled, robot, mass=mass, minimum=minimum, softness=softness)
+    tensions, torque = pulled(motion[:3])
     pose, velocity, acceleration = (_objects(value) for value in motion[:3])
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
     if robot.flexible:
         names = [item.name for item in fields(Motion)]
         series, step = Motion(**cast(Any, dict(zip(names, motion, strict=True)))), DIFFERENCE_STEP
         winding = _tensor(textbook.pulley_acceleration(robot, pose, velocity, acceleration))
-        before, after = (_pulled(robot, cast(Any, series.after(time)), mass, minimum)[1] for time in (-step, step))
+        before, after = (pulled(cast(Any, series.after(time)))[1] for time in (-step, step))
         stiffness, inertia, damping = (
             torch.tensor(value) for value in (robot.stiffness, robot.motor_inertia, robot.motor_damping)
         )
@@ -61,12 +66,17 @@ def asked(robot: Robot, motion: Sequence[Tensor], mass: Tensor, *, minimum: floa
     return Asked(tensions=tensions, demand=demand)
 
 
-def _pulled(robot: Robot, motion: Sequence[Tensor], mass: Tensor, minimum: float) -> tuple[Tensor, Tensor]:
+def _pulled(
+    robot: Robot, motion: Sequence[Tensor], mass: Tensor, minimum: float, softness: float
+) -> tuple[Tensor, Tensor]:
     """T, by ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and r T + J β̈ + c β̇: torques, or κ of joint springs."""
     pose, velocity, acceleration = (_objects(value) for value in motion)
-    structure = _tensor(textbook.jacobian(robot, pose))
+    lines = textbook.jacobian(robot, pose)
+    structure = _tensor(lines)
     load = _tensor(textbook.load(robot, _objects(mass[:, None])[:, 0], pose, velocity, acceleration))
     tensions = _least(structure, load, minimum) if robot.planar else torch.linalg.solve(-structure.mT, load)
+    if softness:
+        tensions = _tensor(textbook.soft_tensions(lines, _objects(tensions), minimum, softness))
     return tensions, _tensor(textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration))
 
 

@@ -143,6 +143,8 @@ class GradientTraining:
     """Bounds that the shift stays in."""
     minimum_tension: float = 5.0
     """T_min of the base law of a planar robot [N]."""
+    softness: float = 0.0
+    """Of its tensions [N]."""
     payload: float = 1.0
     """Of each motion, at first [kg]."""
 
@@ -226,6 +228,7 @@ class GradientTraining:
             [level.repeat(2, 1) for level in flat.unbind(1)],
             torch.cat([light, robot.mass + payloads]),
             minimum=self.minimum_tension,
+            softness=self.softness,
         )
         broken = [torch.relu(asks.demand.abs() - settings.demand)]
         if not robot.planar:  # least tensions of a planar robot keep the minimum by themselves

@@ -252,6 +252,7 @@ class _Run:
             seed=standing.settings["seed"],
             settings=config.settings,
             minimum_tension=config.base.minimum_tension,
+            softness=config.base.softness,
         )
         self.out.mkdir(parents=True, exist_ok=True)
         if arrays:

@@ -111,6 +111,11 @@ def stem(name: str, env_id: str) -> str:
     return f"{name}-{short_id(env_id).lower()}"
 
 
+def weights_file(name: str, env_id: str, folder: Path = WEIGHTS) -> Path:
+    """Of a policy's bundle."""
+    return folder / f"{stem(name, env_id)}.zip"
+
+
 def short_id(env_id: str) -> str:
     """An environment's id without what all ids share."""
     return env_id.removeprefix("CableBot-").removesuffix("-v0")
@@ -141,7 +146,7 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
     from baselines.learned.policy import LearnedPolicy
 
     shipped, env_id = find_shipped(name), env_id_of(robot)
-    path = folder / f"{stem(name, env_id)}.zip"
+    path = weights_file(name, env_id, folder)
     if env_id not in shipped.env_ids:
         others = ", ".join(other.name for other in SHIPPED.values() if env_id in other.env_ids)
         raise ValueError(
@@ -149,8 +154,8 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
             f"with `cablebot train {env_id} --algo {shipped.algorithm} --out FOLDER` and name FOLDER/best.zip"
         )
     if not path.is_file():
-        names = [f"{stem(name, one)}.zip" for one in shipped.env_ids]
-        there = ", ".join(one for one in names if (folder / one).is_file()) or "none"
+        files = [weights_file(name, one, folder) for one in shipped.env_ids]
+        there = ", ".join(one.name for one in files if one.is_file()) or "none"
         raise ValueError(
             f"policy {name!r} has no weights for {env_id}: of its files {path.name} is missing (there: {there}); "
             f"install the package anew, or make them: python scripts/train_shipped.py --policy {name} --id {env_id}"
@@ -166,6 +171,7 @@ def _entry(name: str) -> PolicyEntry:
         env_ids=shipped.env_ids,
         factory=partial(load_shipped, name),
         summary=shipped.summary,
+        files=tuple(path for env_id in shipped.env_ids if (path := weights_file(name, env_id)).is_file()),
     )
 
 

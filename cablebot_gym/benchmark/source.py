@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP
+from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, policy_entries
 from cablebot_gym.source import module_file
 
 
@@ -24,6 +24,9 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
         module = point.module
     if not module:
         return (), ()
+    entry = policy_entries().get(policy)
+    if entry is not None and entry.files is not None:
+        return (module,), entry.files
     path = module_file(module)
     beside = path.parent if path is not None and "." in module else None  # a package's own folder
     return (module,), _data_files(beside) if beside is not None else ()

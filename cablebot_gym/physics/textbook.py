@@ -192,6 +192,27 @@ def least_tensions(structure: Array, load: Array, minimum: float, *, strict: boo
     return minimum + np.maximum(best, 0.0)
 
 
+def soft_tensions(structure: Array, least: Array, minimum: float, softness: float) -> Array:
+    """Tensions of three planar cables that pass smoothly where the least ones of :func:`least_tensions` have a kink.
+
+    With the null vector N > 0 of Sᵀ whose sum is 1, ``T + α N`` balances the same force; of the α that lift one cable
+    each to the minimum, the largest makes the least tensions, and ``softness · log Σ exp(α_i/softness)`` these.
+    None is below the minimum, and where two cables compete, their sum is at most ``softness · log 3`` more.
+
+    Args:
+        structure: S, (..., 3, 2).
+        least: T, (..., 3) [N].
+        minimum: of the least tensions [N].
+        softness: of α [N], greater than 0.
+    """
+    (ax, ay), (bx, by), (cx, cy) = (np.moveaxis(structure[..., k, :], -1, 0) for k in range(3))
+    null = np.stack([bx * cy - cx * by, cx * ay - ax * cy, ax * by - bx * ay], axis=-1)
+    null = null / null.sum(axis=-1, keepdims=True)
+    more = softness * np.log(np.exp((minimum - least) / null / softness).sum(axis=-1, keepdims=True))
+    soft: Array = least + more * null
+    return soft
+
+
 def required_torques(
     robot: Robot,
     tensions: ArrayLike,

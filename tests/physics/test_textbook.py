@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.linalg import null_space
 from scipy.optimize import linprog
+from scipy.special import logsumexp
 
 from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
@@ -75,6 +77,21 @@ def test_three_cables_exclude_any_tension_below_the_least_ones(x, y, fx, fy, min
         least = least_by_linear_program(structure, load, minimum, np.eye(3)[cable])
         assert found[cable] == pytest.approx(least.fun, rel=1e-7, abs=1e-7)
     assert found.min() == pytest.approx(minimum, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(coordinate, coordinate, force, force, st.sampled_from([0.5, 5.0]))
+def test_soft_tensions_exclude_another_force_and_a_kink(x, y, fx, fy, softness):
+    """By another way: least-norm tensions, and a soft maximum of what each cable needs of the null space."""
+    structure, load, minimum = textbook.jacobian(PLANAR, [x, y]), np.array([fx, fy]), 5.0
+    assume(least_by_linear_program(structure, load, minimum, np.ones(3)).status == 0)
+    null = null_space(structure.T)[:, 0]
+    null = null / null.sum()
+    norm = -np.linalg.pinv(structure.T) @ load
+    expected = norm + softness * logsumexp((minimum - norm) / null / softness) * null
+    found = textbook.soft_tensions(structure, textbook.least_tensions(structure, load, minimum), minimum, softness)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+    assert found.min() >= minimum
 
 
 def test_a_force_along_a_cable_excludes_a_least_tension_lost_to_rounding():
