@@ -161,11 +161,6 @@ class MotorPD(FlexibleLaw):
         frequency: ω of the motor loop [rad/s]; K_P = J′ω², K_D = 2 ζ J′ ω.
         damping_ratio: ζ.
         minimum_tension: T_min of a planar robot [N].
-        softness: of the tensions of a planar robot [N], see :func:`~cablebot_gym.physics.textbook.soft_tensions`; 0
-            for the least ones, whose kinks are jumps of κ̇, which set the springs swinging.
-
-    Raises:
-        ValueError: if a number is out of its range, or a softness is given for other than three planar cables.
     """
 
     def __init__(
@@ -175,16 +170,10 @@ class MotorPD(FlexibleLaw):
         frequency: float = 200.0,
         damping_ratio: float = 0.7,
         minimum_tension: float = MINIMUM_TENSION,
-        softness: float = 0.0,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         if not (0 < frequency < math.inf and 0 < damping_ratio < math.inf):
             raise ValueError("frequency and damping_ratio must be greater than 0")
-        if not 0 <= softness < math.inf:
-            raise ValueError(f"softness must be at least 0 N, not {softness}")
-        if softness and not (robot.planar and robot.cables == 3):
-            raise ValueError(f"softness is for three planar cables, which {robot.name!r} has not: leave it out")
-        self._softness = softness
         self._stiffness = robot.motor_inertia * frequency**2
         self._damping = 2 * damping_ratio * robot.motor_inertia * frequency
 
@@ -199,14 +188,6 @@ class MotorPD(FlexibleLaw):
         feed_forward = spring + robot.motor_inertia * winding + robot.motor_damping * speed
         correction = self._stiffness * (angle - part["motor_angle"]) + self._damping * (speed - part["motor_speed"])
         return feed_forward + correction
-
-    def _spring(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
-        needed = self._inverse_dynamics(mass, pose, velocity, acceleration)
-        if not self._softness:
-            return needed.torques
-        structure = textbook.jacobian(self.robot, pose)
-        soft = textbook.soft_tensions(structure, needed.tensions, self.minimum_tension, self._softness)
-        return needed.torques + self.robot.pulley_radius * (soft - needed.tensions)
 
 
 class FourthOrder(FlexibleLaw):

@@ -31,8 +31,6 @@ class Base:
     """Of the motor loop of ``motor-pd`` [rad/s]; None for its own."""
     minimum_tension: float = 5.0
     """T_min of a planar robot [N]."""
-    softness: float = 0.0
-    """Of the tensions of a planar robot under ``motor-pd`` [N], see :class:`~baselines.classical.MotorPD`."""
     weighs: bool = False
     """Whether the law runs on its own estimate of the payload, see :class:`~baselines.classical.Adaptive`."""
     prior: float = 0.01
@@ -56,15 +54,12 @@ class Base:
                 raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
         if self.allocates and not self.weighs:
             raise ValueError("only a law that weighs shares out what the motors can give: set weighs too")
-        for name in ("minimum_tension", "softness"):
-            if not is_number(getattr(self, name)) or getattr(self, name) < 0:
-                raise ValueError(f"{name} must be at least 0 N, not {getattr(self, name)!r}")
-        if self.softness and self.law != "motor-pd":
-            raise ValueError(f"base law {self.law!r} has no softness: leave it out, or choose motor-pd")
+        if not is_number(self.minimum_tension) or self.minimum_tension < 0:
+            raise ValueError(f"minimum_tension must be at least 0 N, not {self.minimum_tension!r}")
         for name, unit in (("prior", "s"), *([("frequency", "rad/s")] if self.frequency is not None else [])):
             if not is_number(getattr(self, name)) or getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be greater than 0 {unit}, not {getattr(self, name)!r}")
-        for name in ("minimum_tension", "softness", "prior"):
+        for name in ("minimum_tension", "prior"):
             object.__setattr__(self, name, float(getattr(self, name)))
 
     def made(self, robot: Robot) -> ClassicalLaw:
@@ -101,7 +96,7 @@ def is_number(value: Any) -> bool:
 
 def _motor_pd(robot: Robot, base: Base) -> MotorPD:
     frequency = {} if base.frequency is None else {"frequency": base.frequency}
-    return MotorPD(robot, minimum_tension=base.minimum_tension, softness=base.softness, **frequency)
+    return MotorPD(robot, minimum_tension=base.minimum_tension, **frequency)
 
 
 _LAWS: dict[str, Callable[[Robot, Base], ClassicalLaw]] = {

@@ -65,6 +65,9 @@ class GradientSettings:
     """Units of the network's layers; none for a linear one."""
     rounds: tuple[float, ...] = (30.0, 100.0, 300.0, 1000.0, 3000.0)
     """ρ of each round."""
+    softness: tuple[float, ...] = ()
+    """Of a planar robot's tensions in each round [N], see :func:`~baselines.learned.differentiable.asked`; none for the
+    least ones that the laws have: with joint springs their kinks are jumps of a demand, where no search gets past."""
     iterations: int = 250
     """Evaluations of the objective in each round, a few more or less. Where a kink ends a search, it starts anew."""
     instants: int = 3
@@ -85,6 +88,10 @@ class GradientSettings:
     def __post_init__(self) -> None:
         if min(self.iterations, self.instants - 1, *self.hidden) < 1 or not self.rounds:
             raise ValueError("hidden and iterations must be at least 1, instants at least 2, rounds not empty")
+        if self.softness and len(self.softness) != len(self.rounds):
+            raise ValueError(f"softness must have a number for each of the {len(self.rounds)} rounds, or none")
+        if not all(0 <= value < math.inf for value in self.softness):
+            raise ValueError(f"softness must be at least 0, not {self.softness}")
         for name in ("demand", "spread", "tension_scale"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be greater than 0, not {getattr(self, name)!r}")
@@ -143,8 +150,6 @@ class GradientTraining:
     """Bounds that the shift stays in."""
     minimum_tension: float = 5.0
     """T_min of the base law of a planar robot [N]."""
-    softness: float = 0.0
-    """Of its tensions [N]."""
     payload: float = 1.0
     """Of each motion, at first [kg]."""
 
@@ -172,6 +177,7 @@ class GradientTraining:
         self._payloads = torch.full((len(self.trajectories),), self.payload, dtype=torch.float64, requires_grad=True)
         self.evaluations = 0
         """Of the objective, in the present round."""
+        self._softness = 0.0
 
     def _tabulated(self) -> _Motions:
         hold, degree, n = self.way.hold, self.way.degree, self.robot.coordinates
@@ -228,7 +234,7 @@ class GradientTraining:
             [level.repeat(2, 1) for level in flat.unbind(1)],
             torch.cat([light, robot.mass + payloads]),
             minimum=self.minimum_tension,
-            softness=self.softness,
+            softness=self._softness,
         )
         broken = [torch.relu(asks.demand.abs() - settings.demand)]
         if not robot.planar:  # least tensions of a planar robot keep the minimum by themselves
@@ -247,7 +253,7 @@ class GradientTraining:
     def round(self, number: int, report: Callable[[Progress], None] = lambda _: None) -> None:
         """One round, from 0 on. It depends on weights and payloads alone, so that a run can go on between two."""
         variables, weight = [*self._variables, self._payloads], self.settings.rounds[number]
-        self.evaluations = 0
+        self.evaluations, self._softness = 0, (*self.settings.softness, 0.0)[number if self.settings.softness else -1]
 
         def objective() -> Tensor:
             for variable in variables:

@@ -91,7 +91,7 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
     if not isinstance(way, Shift):
         raise ValueError("gradients go through a shifted reference: steering must be of kind shift, not residual")
     settings = {name: value for name, value in plain.items() if name not in _OWN}
-    settings |= {name: tuple(settings[name]) for name in ("hidden", "rounds") if name in settings}
+    settings |= {name: tuple(settings[name]) for name in ("hidden", "rounds", "softness") if name in settings}
     trajectories, judged = _motions(plain.get("motions", "paper"), robot)
     return GradientConfig(
         env_id=env_id,
@@ -252,7 +252,6 @@ class _Run:
             seed=standing.settings["seed"],
             settings=config.settings,
             minimum_tension=config.base.minimum_tension,
-            softness=config.base.softness,
         )
         self.out.mkdir(parents=True, exist_ok=True)
         if arrays:

@@ -62,7 +62,7 @@ SHIPPED = MappingProxyType(
                 name="curve",
                 algorithm="gradient",
                 config="gradient",
-                env_ids=ENV_IDS,
+                env_ids=("CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"),
                 summary="by gradients: a shift of the paper's circle that knows the time alone",
                 conditions=(TOLD, UNTOLD),
             ),

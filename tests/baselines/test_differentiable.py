@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cablebot_gym  # noqa: F401  # registers the ids
-from baselines.classical.flexible import Motion, MotorPD
+from baselines.classical.flexible import Motion
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
@@ -17,7 +17,6 @@ from baselines.learned.differentiable import asked  # noqa: E402  # needs torch
 
 COUNT = 40
 MINIMUM = 5.0
-NAMES = ("pose", "velocity", "acceleration", "jerk", "snap")
 SIZES = {"position": 0.05, "velocity": 0.4, "acceleration": 3.0, "jerk": 30.0, "snap": 600.0}
 
 
@@ -85,23 +84,16 @@ def test_gradients_are_not_those_of_another_function(robot: Robot) -> None:
     assert torch.autograd.gradcheck(both, first, eps=1e-6, atol=1e-3 if robot.flexible else 1e-5, rtol=1e-4)
 
 
-def test_softness_is_not_another_one_in_the_law_than_in_its_gradients() -> None:
-    """On the reference the motor's law says its feed-forward alone."""
-    softness, x, mass = 10.0, motion(FLEX_PLANAR), masses(FLEX_PLANAR)
-    law = MotorPD(FLEX_PLANAR, minimum_tension=MINIMUM, softness=softness)
-    first = tensors(FLEX_PLANAR, x)
-    told = asked(FLEX_PLANAR, first, torch.tensor(mass), minimum=MINIMUM, softness=softness)
-    spring, rate, _ = law._spring_rates(mass, x)
-    part = {f"reference_{name}": value for name, value in zip(NAMES, vars(x).values(), strict=True)}
-    part["motor_angle"] = textbook.pulley_angle(FLEX_PLANAR, x.position) + spring / FLEX_PLANAR.stiffness
-    part["motor_speed"] = law.pulley_speed(x.position, x.velocity) + rate / FLEX_PLANAR.stiffness
-    command = textbook.drive_command(FLEX_PLANAR, *law.torques(part, mass))
-    np.testing.assert_allclose(told.demand.numpy(), command, rtol=0, atol=1e-6)
-    hard = asked(FLEX_PLANAR, first, torch.tensor(mass), minimum=MINIMUM)
-    assert (told.tensions - hard.tensions).min() > 0
-    few = [value[:3].clone().requires_grad_(True) for value in first]
+def test_soft_tensions_do_not_keep_the_kinks_that_springs_feel() -> None:
+    x, mass = motion(FLEX_PLANAR), masses(FLEX_PLANAR)
+    soft = asked(FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0)
+    needed = inverse_dynamics(FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
+    structure = textbook.jacobian(FLEX_PLANAR, x.position)
+    expected = textbook.soft_tensions(structure, needed.tensions, MINIMUM, 10.0)
+    np.testing.assert_allclose(soft.tensions.numpy(), expected, rtol=0, atol=1e-8)
+    few = [value[:3].clone().requires_grad_(True) for value in tensors(FLEX_PLANAR, x)]
     assert torch.autograd.gradcheck(
-        lambda *motion: asked(FLEX_PLANAR, motion, torch.tensor(mass[:3]), minimum=MINIMUM, softness=softness).demand,
+        lambda *motion: asked(FLEX_PLANAR, motion, torch.tensor(mass[:3]), minimum=MINIMUM, softness=10.0).demand,
         few,
         eps=1e-6,
         atol=1e-3,

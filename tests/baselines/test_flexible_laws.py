@@ -166,19 +166,6 @@ def test_planar_motor_pd_does_not_let_go_of_the_minimum_tension() -> None:
 
 
 @pytest.mark.parametrize(
-    ("robot", "softness", "words"),
-    [
-        (FLEX_PLANAR, -1.0, "softness must be at least 0 N, not -1"),
-        (FLEX_PLANAR, np.nan, "softness must be at least 0 N"),
-        (FLEX_SPATIAL, 1.0, "softness is for three planar cables"),
-    ],
-)
-def test_softness_is_not_taken_where_it_means_nothing(robot: Robot, softness: float, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        MotorPD(robot, softness=softness)
-
-
-@pytest.mark.parametrize(
     ("robot", "env_id", "told", "untold"),
     [(FLEX_SPATIAL, FLEX_SPATIAL_ID, 4.58, 1.61), (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 2.01, 0.25)],
     ids=lambda value: getattr(value, "name", None),

@@ -112,8 +112,33 @@ def test_a_feature_of_what_the_policy_does_is_refused():
         made(PLANAR, Shift(), features=("bells", "shift"))
 
 
+def test_kinks_of_the_least_tensions_do_not_end_the_search():
+    """On springs that have to follow them; a softness of another round, or of none."""
+    carried = {}
+    for softness in ((), (20.0, 3.0)):
+        training = made(
+            "CableBot-FlexPlanar-v0",
+            Shift(hold=0.02, share=0.9, degree=4),
+            features=("reference_acceleration", "elapsed"),
+            motions=[{"name": "loop-planar", "seed": seed} for seed in (0, 5)],
+            spread=0.01,
+            rounds=(30.0, 300.0),
+            iterations=40,
+            softness=softness,
+        )
+        used = []
+        training.run(lambda _, training=training, used=used: used.append(training._softness))
+        assert list(dict.fromkeys(used)) == list(softness or (0.0,))
+        carried[softness] = training.payloads.mean()
+    assert carried[20.0, 3.0] > 1.2 * carried[()]
+
+
 @pytest.mark.parametrize(
-    "wrong", [{"iterations": 0}, {"instants": 1}, {"demand": 0.0}, {"lighter": 1.0}, {"rounds": ()}]
+    "wrong",
+    [
+        *({"iterations": 0}, {"instants": 1}, {"demand": 0.0}, {"lighter": 1.0}, {"rounds": ()}),
+        *({"softness": (1.0,)}, {"softness": (1.0, 1.0, 1.0, 1.0, -1.0)}),
+    ],
 )
 def test_settings_out_of_range_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -724,8 +724,6 @@ def test_failed_save_does_not_leave_half_a_bundle(saved, monkeypatch):
         (Base, {"law": "fl4", "gains": (1.0, 1.0)}, "base law 'fl4' has no gains: leave it out, or choose fl or compo"),
         (Base, {"frequency": 100.0}, "base law 'fl' has no frequency: leave it out, or choose motor-pd"),
         *[(Base, {"law": "motor-pd", "frequency": value}, "frequency must be") for value in (0, -1, np.nan, "200")],
-        (Base, {"softness": 1.0}, "base law 'fl' has no softness: leave it out, or choose motor-pd"),
-        (Base, {"law": "motor-pd", "softness": -1}, "softness must be at least 0 N, not -1"),
         *[(Base, {"minimum_tension": value}, "minimum_tension must be") for value in (-1, np.nan, "5", None)],
         *[(Base, {"prior": value}, "prior must be") for value in (0, -1, np.inf, "1", None)],
         (Base, {"weighs": "no"}, "weighs must be True or False, not 'no'"),

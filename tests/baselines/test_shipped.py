@@ -206,14 +206,14 @@ def test_listing_and_reading_needs_no_torch():
 def test_kind_of_robot_chooses_the_weights(tmp_path, robot, env_id):
     for one in ENV_IDS:
         save_run(tmp_path / one, env_id=one)
-        (tmp_path / one / BEST).rename(tmp_path / f"{stem('curve', one)}.zip")
+        (tmp_path / one / BEST).rename(tmp_path / f"{stem('preview', one)}.zip")
     own = robot.replace(name="own", mass=1.1 * robot.mass)
     assert env_id_of(own) == env_id
-    assert load_shipped("curve", own, tmp_path).bundle.env_id == env_id
+    assert load_shipped("preview", own, tmp_path).bundle.env_id == env_id
     if robot is FLEX_PLANAR:
         anchors = (*robot.base_anchors, (0.0, -0.6))
         with pytest.raises(ValueError, match="evaluate it on the environment that it was trained on"):
-            load_shipped("curve", robot.replace(name="four", base_anchors=anchors), tmp_path)
+            load_shipped("preview", robot.replace(name="four", base_anchors=anchors), tmp_path)
 
 
 def test_what_is_missing_is_said_in_words(tmp_path):
