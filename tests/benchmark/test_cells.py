@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import json
 import sys
+from importlib.metadata import EntryPoint
 
 import gymnasium as gym
 import pytest
@@ -15,7 +16,7 @@ from cablebot_gym.benchmark import source as policy_sources
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell, cell_from, compute
 from cablebot_gym.benchmark.source import policy_source
 from cablebot_gym.dlcc import DLCCMonitor, evaluate_dlcc
-from cablebot_gym.policies import load_policy
+from cablebot_gym.policies import PolicyEntry, load_policy
 from cablebot_gym.robots import PLANAR
 from cablebot_gym.source import source_hash
 
@@ -201,6 +202,21 @@ def test_change_in_what_a_policy_imports_or_loads_makes_other_code(module):
         module(f"toy_package/{name}", "K = 3\n")
         seen.add(dataclasses.replace(FL, policy="toy_package.law:make").source)
     assert len(seen) == 4
+
+
+def test_data_that_an_entry_does_not_name_does_not_make_other_code(module, monkeypatch):
+    for name, text in (("__init__.py", ""), ("law.py", "K = 1\n"), ("own.bin", "1"), ("card.json", "1")):
+        path = module(f"toy_package/{name}", text)
+    files = (path.parent / "own.bin",)
+    entry = PolicyEntry(name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files)
+    point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
+    monkeypatch.setattr(policy_sources, "entry_points", lambda **_: [point])
+    monkeypatch.setattr(policy_sources, "policy_entries", lambda: {"toy": entry})
+    cell, seen = dataclasses.replace(FL, policy="toy"), []
+    for name, text in (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2")):
+        module(f"toy_package/{name}", text)
+        seen.append(cell.source)
+    assert seen[0] == seen[1] != seen[2]
 
 
 def test_code_of_a_module_of_no_package_is_what_it_imports_from_its_folder_too(module):
