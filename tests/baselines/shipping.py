@@ -26,6 +26,9 @@ CURVE = SHIPPED["curve"]
 CARRIED = {0: 2.0, 1: None, 2: 2.8, 3: 2.4, 4: 2.6}
 """What seeds are made to carry where the payload is told; 1 kg less where it is not."""
 
+IN_TRAINING = {0: 2.0, 1: None, 2: 2.9, 3: 2.7, 4: 2.5}
+"""What their runs say that they carried in training: its median is another seed's."""
+
 
 def _imported(path):
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -56,7 +59,11 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "versions": {"python": "3.11", "torch": "2"},
         "evaluation": {"criterion": "task", "resolution": 0.05},
         "planner_output_used": False,
-        "curve": [{"timesteps": 350, "wall_s": 30.0, "payload_kg": None}, {"wall_s": 60.0, "payload_kg": 2.0}],
+        "curve": [
+            {"timesteps": 350, "wall_s": 30.0, "payload_kg": None},
+            {"wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)},
+        ],
+        "base_payload_kg": 1.4,
         **changes,
     }
     bundle = Bundle(env_id=env_id, base=made.base, way=made.way, features=made.features, network=network, card=card)

@@ -118,17 +118,19 @@ def test_card_says_what_every_seed_carries_and_the_typical_one_ships(runs, compu
         (2.4, 1.4),
         (2.6, 1.6),
     ]
-    assert card.shipped_seed == 3
-    assert (weights / "curve-planar.zip").read_bytes() == (runs / "curve-planar-3" / BEST).read_bytes()
+    assert [run.in_training for run in card.seeds] == [2.0, None, 2.9, 2.7, 2.5]
+    assert card.shipped_seed == 4
+    assert (weights / "curve-planar.zip").read_bytes() == (runs / "curve-planar-4" / BEST).read_bytes()
     assert card.sha256 == hashlib.sha256((weights / "curve-planar.zip").read_bytes()).hexdigest()
     assert (card.base_payloads, card.law, card.law_payloads) == ((1.5, 0.5), "fl", (1.9, 1.9 - 1.0))
+    assert card.base_in_training == 1.4
     summary = card.summary(0)
     assert summary.iqm == pytest.approx((2.0 + 2.4 + 2.6) / 3)  # none counts as 0, and is the smallest
     assert summary.median == 2.4
     assert summary.low < summary.iqm < summary.high
     assert card.best_found == pytest.approx(2.875, abs=2e-3)
     found = [(one.seed, one.payload, one.law_payload) for one in card.held_out]
-    assert found == [(10_000 + place, 2.4 + (1.0 if place % 2 else -1.0), 2.0) for place in range(4)]
+    assert found == [(10_000 + place, 2.6 + (1.0 if place % 2 else -1.0), 2.0) for place in range(4)]
     assert card.held_out[0].best_found == pytest.approx(4.486, abs=2e-3)
     assert [one.best_found is None for one in card.held_out] == [False, False, False, True]
     assert [(run.seed, run.wall_s, run.timesteps) for run in card.seeds][4] == (4, 64.0, 704)
@@ -195,10 +197,10 @@ def test_page_holds_the_numbers(runs, computed, tmp_path):
     low, high = card.summary(0).low, card.summary(0).high
     assert cells[2:4] == ["told", "5"]
     assert cells[4:8] == [f"2.33 [{low:.2f}, {high:.2f}]", "2.40", "1.50", "`fl` 1.90"]
-    assert cells[8:] == ["81% of 2.87", "2 of 4", f"{1.4 / 4.4857:.0%} on 3", "62 s"]
-    assert "| 1 | 701 | 61 s | none | none |  |" in page
-    assert "| 3 | 703 | 63 s | 2.40 | 1.40 | ships |" in page
-    assert "`cablebot train CableBot-Planar-v0 --algo gradient --config gradient --seed 3 --threads 1`" in page
+    assert cells[8:] == ["81% of 2.87", "2 of 4", f"{1.6 / 4.4857:.0%} on 3", "62 s"]
+    assert "| 1 | 701 | 61 s | none | none | none |  |" in page
+    assert "| 4 | 704 | 64 s | 2.50 | 2.60 | 1.60 | ships |" in page
+    assert "`cablebot train CableBot-Planar-v0 --algo gradient --config gradient --seed 4 --threads 1`" in page
     assert "python 3.11, torch 2" in page
     assert "No planner was used." in page
     assert "python scripts/train_shipped.py --policy curve --id CableBot-Planar-v0 --seeds 5 --draws 256" in page
@@ -208,6 +210,10 @@ def test_page_holds_the_numbers(runs, computed, tmp_path):
     assert f"Over its 2 environments, told, the IQM of the shares of the best found is {interval}." in page
     assert page.count("curve-flexplanar-sb3.zip") == 1
     assert "curve-planar-sb3.zip" not in page
+    first, second, *_ = card_markdown([replace(card, motions={"loops": 9})]).split("| --- ")[-1].splitlines()[1:]
+    assert first.startswith("| `curve` | Planar | told, in training | 5 | 2.40 [")
+    assert first.split("|")[6:10] == [" 2.50 ", " 1.40 ", " – ", " – "]
+    assert second.startswith("|  |  | told | 5 | 2.33 [")
 
 
 def test_figure_has_a_panel_for_each_card_and_lines_of_every_seed(runs, computed, tmp_path):

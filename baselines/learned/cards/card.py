@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from baselines.learned.cards.statistics import iqm, iqm_interval, scores
+from baselines.learned.cards.statistics import iqm, iqm_interval, rank, scores
 from baselines.learned.shipped import SHIPPED, WEIGHTS, Condition, stem
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.files import write_whole
@@ -46,6 +46,11 @@ class SeedRun:
     """Of the run's best policy under each of the card's conditions [kg]; None where not even zero is carried."""
     curve: tuple[Mapping[str, Any], ...]
     """Evaluations while training: ``timesteps``, ``wall_s`` [s], ``payload_kg``."""
+
+    @property
+    def in_training(self) -> float | None:
+        """What the run's best policy carried in these evaluations, a mean over their motions [kg]."""
+        return max((one["payload_kg"] for one in self.curve), key=rank, default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,9 +104,11 @@ class Card:
     probability: float
     """Share of the draws that has to carry a payload."""
     shipped_seed: int
-    """The one with the median payload under the first condition."""
+    """The one with the median payload in training."""
     sha256: str
     """Of the bundle that ships."""
+    base_in_training: float | None
+    """What the base law alone carried in the evaluations while training [kg]."""
     base_payloads: tuple[float | None, ...]
     """Of the base law alone, the network saying zero, under each condition [kg]."""
     law: str
@@ -139,9 +146,7 @@ class Card:
 
     def summary(self, place: int) -> Summary:
         """The payloads of all seeds under a condition."""
-        payloads = self.carried(place)
-        low, high = iqm_interval([payloads])
-        return Summary(iqm=float(iqm(payloads)), low=low, high=high, median=median(payloads))
+        return summed_up(self.carried(place))
 
     def to_json(self) -> str:
         """The card; for its readers with ``summaries``, which follow from the rest."""
@@ -194,6 +199,12 @@ class Summary:
     high: float
     """Upper end."""
     median: float
+
+
+def summed_up(payloads: Sequence[float]) -> Summary:
+    """Payloads over training seeds [kg]."""
+    low, high = iqm_interval([payloads])
+    return Summary(iqm=float(iqm(payloads)), low=low, high=high, median=median(payloads))
 
 
 def read_cards(folder: Path = WEIGHTS) -> list[Card]:

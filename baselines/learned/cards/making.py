@@ -95,7 +95,8 @@ def make_card(
     payloads = _payloads([cell for policy in policies for cell in asked(policy)], evaluate)
     many = len(shipped.conditions)
     rows = [tuple(payloads[many * place : many * (place + 1)]) for place in range(len(policies))]
-    chosen = typical({seed: row[0] for seed, row in zip(seeds, rows, strict=False)})
+    trainings = tuple(_seed_run(card, row) for card, row in zip(trained, rows, strict=False))
+    chosen = typical({run.seed: run.in_training for run in trainings})
     place = seeds.index(chosen)
     best = runs[place] / BEST
     card = Card(
@@ -117,11 +118,12 @@ def make_card(
         probability=probability,
         shipped_seed=chosen,
         sha256=hashlib.sha256(best.read_bytes()).hexdigest(),
+        base_in_training=trained[0]["base_payload_kg"],
         base_payloads=rows[-2],
         law=law,
         law_payloads=rows[-1],
         best_found=None,
-        seeds=tuple(_seed_run(card, row) for card, row in zip(trained, rows, strict=False)),
+        seeds=trainings,
         held_out=_held_out(str(best), law, env_id, shipped.conditions[0].told, held_out, evaluate),
     )
     return with_bests(card, bests), best
