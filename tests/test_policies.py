@@ -112,7 +112,7 @@ def test_policy_of_another_package_is_not_overlooked():
 @pytest.mark.usefixtures("third_party")
 @pytest.mark.parametrize("name", ["FL", "", "lqr", "fl ", "constant.py"])
 def test_unknown_name_is_not_refused_without_the_valid_ones(name):
-    with pytest.raises(ValueError, match="constant, fl, ") as caught:
+    with pytest.raises(ValueError, match="constant, curve, ") as caught:
         load_policy(name, PLANAR)
     text = one_sentence(caught.value)
     assert text.startswith(f"unknown policy {name!r}; choose one of ")

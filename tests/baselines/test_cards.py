@@ -222,7 +222,7 @@ def test_figure_has_a_panel_for_each_card_and_lines_of_every_seed(runs, computed
     circle, other, *empty = draw_curves([card, loops, card, card]).axes[:6]
     assert len(empty) == 4
     assert len(circle.lines) == 5 + 3
-    assert len(other.lines) == 5  # what is carried on the circle says nothing of loops
+    assert len(other.lines) == 5 + 1  # what is carried on the circle says nothing of loops
     assert list(circle.lines[0].get_xdata()) == [30.0, 60.0]
     assert list(circle.lines[0].get_ydata()) == [0.0, 2.0]
     assert other.get_title() == "preview, Planar: loops, mean"

@@ -56,13 +56,14 @@ def _curves(axes: Axes, card: Card) -> None:
             axes.axhline(card.best_found, color="black", linestyle="--", linewidth=1.0, label="best found")
         known, uncertainty = card.evaluation.get("payload_known", True), card.evaluation.get("uncertainty")
         if (same := Condition(told=known, uncertainty=uncertainty)) in card.conditions:
-            place = card.conditions.index(same)
-            law, base = scores([card.law_payloads[place], card.base_payloads[place]])
+            (law,) = scores([card.law_payloads[card.conditions.index(same)]])
             axes.axhline(law, color=GREY, linestyle="-.", linewidth=1.0, label="classical law")
-            axes.axhline(base, color=GREY, linestyle=":", linewidth=1.0, label="base alone")
     else:
         where = "loops, mean"
+    (base,) = scores([card.base_in_training])
+    axes.axhline(base, color=GREY, linestyle=":", linewidth=1.0, label="base alone")
     axes.set_title(f"{card.policy}, {short_id(card.env_id)}: {where}", fontsize=10)
+    axes.margins(y=0.08)
     axes.set_ylim(bottom=0)
     axes.set_xlim(left=0)
     axes.set(xlabel="wall time [s]", ylabel="payload [kg]")
