@@ -132,7 +132,8 @@ class GradientTraining:
     """A network that shifts references so that the most is carried along them.
 
     Raises:
-        ValueError: if a feature depends on what the policy does: then decisions would not be known at once.
+        ValueError: if a feature depends on what the policy does: then decisions would not be known at once; or a
+            softness is given for a spatial robot.
     """
 
     robot: Robot
@@ -157,6 +158,8 @@ class GradientTraining:
         own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
         if wrong := [name for name in self.features if name in (*own, "told_payload", "payload_known")]:
             raise ValueError(f"gradients go through the reference alone: feature {wrong[0]!r} says more, leave it out")
+        if self.settings.softness and not self.robot.planar:
+            raise ValueError(f"softness is for planar cables, and {self.robot.name!r} is spatial: leave it out")
         torch.manual_seed(self.seed)
         n = self.robot.coordinates
         self._order = 4 if self.robot.flexible else 2
@@ -253,7 +256,8 @@ class GradientTraining:
     def round(self, number: int, report: Callable[[Progress], None] = lambda _: None) -> None:
         """One round, from 0 on. It depends on weights and payloads alone, so that a run can go on between two."""
         variables, weight = [*self._variables, self._payloads], self.settings.rounds[number]
-        self.evaluations, self._softness = 0, (*self.settings.softness, 0.0)[number if self.settings.softness else -1]
+        self.evaluations = 0
+        self._softness = self.settings.softness[number] if self.settings.softness else 0.0
 
         def objective() -> Tensor:
             for variable in variables:

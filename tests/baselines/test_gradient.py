@@ -133,6 +133,11 @@ def test_kinks_of_the_least_tensions_do_not_end_the_search():
     assert carried[20.0, 3.0] > 1.2 * carried[()]
 
 
+def test_softness_of_spatial_tensions_is_refused():
+    with pytest.raises(ValueError, match="softness is for planar cables, and 'spatial' is spatial"):
+        made(SPATIAL, Shift(), softness=(1.0,) * 5)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -23,8 +23,8 @@ What ships in `baselines/learned/weights/`, each under a name for `cablebot dlcc
 trains, judges and writes all of it, this page too.
 
 A learned policy steers a classical law: its network shifts the law's reference, or adds to its commands. Each was
-trained with several seeds, all of which count here. The one that ships has the median payload in
-training: it is typical, not the luckiest.
+trained with several seeds, all of which count here. The one that ships has the median payload in training: it
+is typical, not the luckiest.
 
 * Payloads in kg, the largest that is carried on the paper's circle by the task criterion, as on the
   [leaderboard](../LEADERBOARD.md){drawn}. None, where not even zero is carried, counts as 0.
@@ -32,9 +32,9 @@ training: it is typical, not the luckiest.
   of a stratified bootstrap, whose strata are environments.
 * base alone: the law underneath, while the network says zero. law: one of the laws of `baselines/classical/`.
 * best found: the leaderboard's, without uncertainty; a lower bound of what is possible.
-* held-out: motions with seeds from {held_out} on, which no training and no choice of a policy has seen. On how many the
-  policy that ships carries more than the law, both under the first condition; and its median share of the best found,
-  where the leaderboard knows that. What was trained on the circle alone is not made for them.
+* held-out: motions with seeds from {held_out} on, which no training and no choice of a seed or a round has seen. On how
+  many the policy that ships carries more than the law, both under the first condition; and its median share of the
+  best found, where the leaderboard knows that. What was trained on the circle alone is not made for them.
 * in training: for what was trained on random loops, the mean payload on loops that chose the best of each run, and that
   no network was trained on.
 * training: wall time of one seed, the median.
