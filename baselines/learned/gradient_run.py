@@ -42,7 +42,7 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.files import usable_folder, write_whole
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.trajectories import TRAINING_SEEDS, Trajectory, find_trajectory
+from cablebot_gym.trajectories import TRAINING_SEEDS, RandomLoop, Trajectory, find_trajectory
 
 ALGORITHM = "gradient"
 """Of ``cablebot train --algo``."""
@@ -75,8 +75,9 @@ class GradientConfig:
 def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfig:
     """Checks what a file says.
 
-    Its keys are ``motions`` (``paper``, or ``{loops: N}`` for training seeds 0 to N − 1 of the random loops), ``base``,
-    ``steering``, ``features``, ``evaluation``, and the fields of :class:`GradientSettings`.
+    Its keys are ``motions``, ``base``, ``steering``, ``features``, ``evaluation``, and the fields of
+    :class:`GradientSettings`. Motions are ``paper``, or a mapping with ``loops``, N for training seeds 0 to N − 1 of
+    the random loops, or ``named``, a list for :func:`cablebot_gym.trajectories.find_trajectory`, or both.
 
     Raises:
         ValueError: if a key is unknown, or a value is not valid; the message says what is.
@@ -109,13 +110,19 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
 def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
     """Motions to train on, and those that choose the best."""
     if value == "paper":
-        paper = (find_trajectory(default_trajectory(robot), robot.coordinates),)
-        return paper, paper
+        value = {"named": [default_trajectory(robot)]}
+    if not isinstance(value, Mapping) or not value or not {"loops", "named"} >= {*value}:
+        raise ValueError(f"motions must be 'paper', {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}")
     most = len(TRAINING_SEEDS) - len(VALIDATION)
-    count = value.get("loops") if isinstance(value, Mapping) and len(value) == 1 else None
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= most:
-        raise ValueError(f"motions must be 'paper' or {{loops: N}} with N from 1 to {most}, not {value!r}")
-    return _loops(TRAINING_SEEDS[:count], robot), _loops(VALIDATION, robot)
+    count, named = value.get("loops", 0), value.get("named", [])
+    if isinstance(count, bool) or not isinstance(count, int) or not ("loops" not in value or 1 <= count <= most):
+        raise ValueError(f"motions: loops must be a number from 1 to {most}, not {count!r}")
+    if not isinstance(named, (list, tuple)) or ("named" in value and not named):
+        raise ValueError(f"motions: named must be a list of trajectories, such as [paper-spatial], not {named!r}")
+    others = tuple(find_trajectory(one, robot.coordinates) for one in named)
+    if held_out := [one for one in others if isinstance(one, RandomLoop) and one.seed not in TRAINING_SEEDS[:most]]:
+        raise ValueError(f"motions: seed {held_out[0].seed} is kept for judging: train with seeds from 0 to {most - 1}")
+    return (*_loops(TRAINING_SEEDS[:count], robot), *others), _loops(VALIDATION, robot) if count else others
 
 
 def _loops(seeds: Sequence[int], robot: Robot) -> tuple[Trajectory, ...]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import trim_mean
-from shipping import CURVE, PLANAR_ID, SPATIAL_ID, save_run, ship
+from shipping import CURVE, PLANAR_ID, SPATIAL_ID, save_run, script, ship
 
 from baselines.learned.base import find_base
 from baselines.learned.bundle import Bundle
@@ -22,12 +22,15 @@ from baselines.learned.cards import (
     iqm,
     iqm_interval,
     make_card,
+    read_bests,
     read_cards,
     typical,
+    with_bests,
 )
 from baselines.learned.runs import BEST
 from baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS
+from cablebot_gym.benchmark.cells import BestCell, Record
 
 # ---------------------------------------------------------------------------------------------------------- statistics
 
@@ -139,6 +142,46 @@ def test_card_says_what_every_seed_carries_and_the_typical_one_ships(runs, compu
     assert card.base_text.startswith("`fl` with K_P = 2500 1/s², K_D = 100 1/s, tensions of at least 2 N")
     base = Bundle.load(runs / "curve-planar-base.zip").network
     assert not any(np.any(array) for array in (*base.weights, *base.biases))
+
+
+def judged(best):
+    """An evaluation in which policies carry 1 kg, `fl` 3 kg, and ``best`` is what a search for the best found says."""
+    cells = []
+
+    def evaluate(asked):
+        cells.extend(asked.values())
+        results = [
+            best(cell) if isinstance(cell, BestCell) else {"payload": 3.0 if cell.policy == "fl" else 1.0}
+            for cell in asked.values()
+        ]
+        return [
+            Record(cell=cell, source="", versions={}, result=result, seconds=0.0, final="found" in result)
+            for cell, result in zip(asked.values(), results, strict=True)
+        ]
+
+    return evaluate, cells
+
+
+def test_of_what_was_trained_on_loops_the_best_found_is_searched_for_on_every_held_out_motion(runs):
+    folders = [save_run(runs / f"loops-{seed}", seed, config={"motions": {"loops": 2}}) for seed in range(5)]
+    bests = read_bests(script.RESULTS)
+    found = {10_003: (2.0, True), 10_004: (5.0, True), 10_005: (6.0, False)}
+
+    def best(cell):
+        payload, verified = found[cell.trajectory["seed"]]
+        return {"payload": payload, "verified": verified, "found": True}
+
+    evaluate, cells = judged(best)
+    card, _ = make_card(CURVE, PLANAR_ID, folders, evaluate=evaluate, bests=bests, command="", held_out=6)
+    assert [cell.trajectory["seed"] for cell in cells if isinstance(cell, BestCell)] == [10_003, 10_004, 10_005]
+    assert [one.best_found for one in card.held_out[3:]] == [3.0, 5.0, None]  # `fl` carries 3 kg: that is possible
+    assert card.held_out[0].best_found == pytest.approx(4.486, abs=2e-3)
+    assert with_bests(card, bests) == card
+    assert "0 of 6 | 20% on 5 |" in card_markdown([card])
+
+    evaluate, _ = judged(lambda cell: {"error": "no casadi"})
+    with pytest.raises(RuntimeError, match="best found on CableBot-Planar-v0 could not be searched for: no casadi"):
+        make_card(CURVE, PLANAR_ID, folders, evaluate=evaluate, bests=bests, command="", held_out=6)
 
 
 def test_cards_are_read_as_they_were_written(runs, computed, tmp_path):

@@ -227,14 +227,30 @@ def test_a_damaged_checkpoint_and_another_configuration_are_refused_before_anyth
     [
         ({"tensoin": 3.0}, "unknown key 'tensoin'"),
         ({"steering": {"kind": "residual"}}, "kind shift"),
-        ({"motions": {"loops": 10_000}}, "N from 1 to 9992"),
-        ({"motions": "circle"}, "'paper' or {loops: N}"),
+        ({"motions": {"loops": 10_000}}, "from 1 to 9992, not 10000"),
+        ({"motions": {"loops": 0}}, "from 1 to 9992, not 0"),
+        ({"motions": "circle"}, "'paper', {loops: N}"),
+        ({"motions": {"loop": 3}}, "'paper', {loops: N}"),
+        ({"motions": {}}, "'paper', {loops: N}"),
+        ({"motions": {"named": "paper-planar"}}, "such as"),
+        ({"motions": {"named": ["paper-spatial"]}}, "not for 2 coordinates"),
+        ({"motions": {"named": [{"name": "loop-planar", "seed": 10_000}]}}, "seed 10000 is kept for judging"),
         ({"features": ["nonsense"]}, "unknown feature"),
     ],
 )
 def test_a_wrong_configuration_says_what_is_valid(change, words):
     with pytest.raises(ValueError, match=words):
         make_gradient_config(PLANAR, SMALL | change)
+
+
+def test_motions_are_loops_and_named_ones_and_unseen_loops_judge():
+    lines = {"name": "line-planar", "duration": 2.0}
+    both = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", lines]}})
+    assert [one.name for one in both.trajectories] == ["loop-planar", "loop-planar", "paper-planar", "line-planar"]
+    assert both.trajectories[-1].duration == 2.0
+    assert [one.seed for one in both.judged] == list(VALIDATION)
+    own = make_gradient_config(PLANAR, SMALL | {"motions": {"named": [lines]}})
+    assert [one.name for one in own.trajectories] == [one.name for one in own.judged] == ["line-planar"]
 
 
 @pytest.mark.parametrize("name", ["gradient", "gradient-safe", "gradient-preview"])

@@ -262,7 +262,7 @@ def test_training_and_validation_seeds_are_apart_from_the_held_out_ones():
     assert max(TRAINING_SEEDS) < FIRST_HELD_OUT_SEED
     assert {*VALIDATION} <= {*TRAINING_SEEDS}
     plain = {"base": "fl", "steering": "shift", "features": ["bells"]}
-    with pytest.raises(ValueError, match="motions must be"):
+    with pytest.raises(ValueError, match="loops must be"):
         make_gradient_config(PLANAR_ID, {**plain, "motions": {"loops": VALIDATION[0] + 1}})
 
 

@@ -64,7 +64,7 @@ class HeldOut:
     law_payload: float | None
     """Of the card's reference law [kg]."""
     best_found: float | None
-    """[kg]; None if the leaderboard does not know it."""
+    """[kg]; None if it was not searched for, or in vain."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,8 @@ class Card:
     parameters: int
     """Of the network."""
     motions: Any
-    """Trained on: ``paper``, ``{"loops": N}`` for the training seeds 0 to N − 1, or an environment's ``trajectory``."""
+    """Trained on: ``motions`` of :func:`~baselines.learned.gradient_run.make_gradient_config`, or an environment's
+    ``trajectory``."""
     evaluation: Mapping[str, Any]
     """Conditions of the evaluations while training, keywords of :func:`cablebot_gym.dlcc.evaluate_dlcc`."""
     planner_output_used: bool
@@ -186,6 +187,11 @@ class Card:
         path, text = folder / f"{self.stem}.json", self.to_json()
         write_whole(path, lambda temporary: _write(temporary, text))
         return path
+
+
+def has_loops(motions: Any) -> bool:
+    """Whether random loops are among the ``motions`` of a card."""
+    return isinstance(motions, Mapping) and "loops" in motions
 
 
 @dataclass(frozen=True, kw_only=True)

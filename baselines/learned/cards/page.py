@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.learned.cards.card import Card, Summary, summed_up
+from baselines.learned.cards.card import Card, Summary, has_loops, summed_up
 from baselines.learned.cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, rank, scores
 from baselines.learned.shipped import SHIPPED, Condition, short_id
 from cablebot_gym.benchmark.score import Column
@@ -34,7 +34,8 @@ is typical, not the luckiest.
 * best found: the leaderboard's, without uncertainty; a lower bound of what is possible.
 * held-out: motions with seeds from {held_out} on, which no training and no choice of a seed or a round has seen. On how
   many the policy that ships carries more than the law, both under the first condition; and its median share of the
-  best found, where the leaderboard knows that. What was trained on the circle alone is not made for them.
+  best found: on all of them for what was trained on random loops, on those of the leaderboard for what was trained on
+  the circle alone, which is not made for them.
 * in training: for what was trained on random loops, the mean payload on loops that chose the best of each run, and that
   no network was trained on.
 * training: wall time of one seed, the median.
@@ -68,7 +69,7 @@ def card_markdown(cards: Sequence[Card]) -> str:
 
 def _rows(card: Card) -> list[list[str]]:
     seeds, rows = str(len(card.seeds)), []
-    if _loops(card.motions):
+    if has_loops(card.motions):
         summary = summed_up(scores([run.in_training for run in card.seeds]))
         rows.append(["told, in training", seeds, *_spread(summary), _kg(card.base_in_training), "–", "–"])
     for place, condition in enumerate(card.conditions):
@@ -149,13 +150,10 @@ def _steering(way: Mapping[str, Any]) -> str:
 def _trained_on(motions: Any) -> str:
     if motions == "paper":
         return "the paper's circle"
-    if _loops(motions):
-        return f"random loops, training seeds 0 to {motions['loops'] - 1}"
+    if has_loops(motions):
+        named = [one if isinstance(one, str) else json.dumps(one) for one in motions.get("named", [])]
+        return ", ".join([f"random loops, training seeds 0 to {motions['loops'] - 1}", *(f"`{one}`" for one in named)])
     return f"`{json.dumps(motions)}`"
-
-
-def _loops(motions: Any) -> bool:
-    return isinstance(motions, Mapping) and "loops" in motions
 
 
 def _title(condition: Condition) -> str:
