@@ -71,6 +71,9 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs (%(default)s)")
     parser.add_argument("--draws", type=int, default=DRAWS, help="episodes at each payload (%(default)s)")
     parser.add_argument("--held-out", type=int, default=HELD_OUT, help="held-out motions (%(default)s)")
+    parser.add_argument(
+        "--searched", type=int, default=HELD_OUT, help="on how many of these to search the best found (%(default)s)"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="trainings, or evaluations, at a time (%(default)s)")
     parser.add_argument("--page", action="store_true", help="only render page and figure anew")
     given = parser.parse_args()
@@ -84,6 +87,7 @@ def main() -> None:
                 runs=given.runs,
                 draws=given.draws,
                 held_out=given.held_out,
+                searched=given.searched,
                 jobs=given.jobs,
             )
         write_page(WEIGHTS, ROOT / "docs")
@@ -115,6 +119,7 @@ def ship_all(
     runs: Path,
     draws: int = DRAWS,
     held_out: int = HELD_OUT,
+    searched: int = HELD_OUT,
     jobs: int = 1,
     weights: Path = WEIGHTS,
     results: Path = RESULTS,
@@ -127,6 +132,7 @@ def ship_all(
         runs: folder of the runs.
         draws: episodes at each payload under an uncertainty.
         held_out: number of held-out motions.
+        searched: on how many of these the best found is searched for, if random loops were trained on.
         jobs: trainings, or evaluations, at the same time.
         weights: folder to write to.
         results: the leaderboard's, for the best found.
@@ -137,8 +143,9 @@ def ship_all(
     """
     if seeds < LEAST_SEEDS:
         raise ValueError(f"--seeds must be at least {LEAST_SEEDS}, not {seeds}: an interval of fewer says nothing")
-    if draws < 1 or held_out < 1:
-        raise ValueError(f"--draws and --held-out must be at least 1, not {draws} and {held_out}")
+    if draws < 1 or held_out < 1 or searched < 0:
+        text = "--draws and --held-out must be at least 1, --searched at least 0"
+        raise ValueError(f"{text}, not {draws}, {held_out} and {searched}")
     check_workers(jobs)
     usable_folder(runs / JUDGED)
     usable_folder(weights)
@@ -148,6 +155,7 @@ def ship_all(
         name = stem(shipped.name, env_id)
         command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
         command += f" --seeds {seeds} --draws {draws} --held-out {held_out}"
+        command += "" if searched == HELD_OUT else f" --searched {searched}"
         card, best = make_card(
             shipped,
             env_id,
@@ -157,6 +165,7 @@ def ship_all(
             command=command,
             draws=draws,
             held_out=held_out,
+            searched=searched,
         )
         sb3 = weights / f"{name}-sb3.zip"
         model = sb3_model(best)

@@ -179,6 +179,10 @@ def test_of_what_was_trained_on_loops_the_best_found_is_searched_for_on_every_he
     assert with_bests(card, bests) == card
     assert "0 of 6 | 20% on 5 |" in card_markdown([card])
 
+    evaluate, cells = judged(best)
+    make_card(CURVE, PLANAR_ID, folders, evaluate=evaluate, bests=bests, command="", held_out=6, searched=4)
+    assert [cell.trajectory["seed"] for cell in cells if isinstance(cell, BestCell)] == [10_003]
+
     evaluate, _ = judged(lambda cell: {"error": "no casadi"})
     with pytest.raises(RuntimeError, match="best found on CableBot-Planar-v0 could not be searched for: no casadi"):
         make_card(CURVE, PLANAR_ID, folders, evaluate=evaluate, bests=bests, command="", held_out=6)

@@ -97,6 +97,7 @@ def test_finished_run_of_something_else_is_refused(runs, computed, tmp_path, cha
     [
         ({"seeds": 4}, "--seeds must be at least 5"),
         ({"draws": 0}, "--draws"),
+        ({"searched": -1}, "--searched at least 0, not 256, 20 and -1"),
         ({"jobs": 0}, "workers must be at least 1"),
     ],
 )

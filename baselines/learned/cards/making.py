@@ -56,12 +56,13 @@ def make_card(
     draws: int = DRAWS,
     probability: float = PROBABILITY,
     held_out: int = HELD_OUT,
+    searched: int = HELD_OUT,
 ) -> tuple[Card, Path]:
     """Judges the policies of finished runs, one for each training seed.
 
     The base law alone is put into ``NAME-KIND-base.zip`` beside the runs, to be judged as they are. Where random loops
-    were trained on, the best found is searched for on every held-out motion on which ``bests`` has none, which needs
-    the extra ``optimal``.
+    were trained on, the best found is searched for on held-out motions on which ``bests`` has none, which needs the
+    extra ``optimal``.
 
     Args:
         shipped: what they are runs of.
@@ -73,6 +74,7 @@ def make_card(
         draws: episodes at each payload under an uncertainty.
         probability: share of the draws that has to carry a payload.
         held_out: number of held-out motions.
+        searched: on how many of these the best found is searched for, if random loops were trained on.
 
     Returns:
         The card, and the bundle that is to ship.
@@ -131,8 +133,8 @@ def make_card(
         seeds=trainings,
         held_out=_held_out(str(best), law, env_id, shipped.conditions[0].told, held_out, evaluate),
     )
-    if has_loops(card.motions):
-        bests = {**_searched(env_id, held_out, bests, evaluate), **bests}
+    if searched and has_loops(card.motions):
+        bests = {**_searched(env_id, min(searched, held_out), bests, evaluate), **bests}
     return with_bests(card, bests), best
 
 

@@ -34,8 +34,7 @@ is typical, not the luckiest.
 * best found: the leaderboard's, without uncertainty; a lower bound of what is possible.
 * held-out: motions with seeds from {held_out} on, which no training and no choice of a seed or a round has seen. On how
   many the policy that ships carries more than the law, both under the first condition; and its median share of the
-  best found: on all of them for what was trained on random loops, on those of the leaderboard for what was trained on
-  the circle alone, which is not made for them.
+  best found, on as many of them as it was searched for. What was trained on the circle alone is not made for them.
 * in training: for what was trained on random loops, the mean payload on loops that chose the best of each run, and that
   no network was trained on.
 * training: wall time of one seed, the median.
