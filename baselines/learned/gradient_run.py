@@ -115,7 +115,7 @@ def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Tr
         raise ValueError(f"motions must be 'paper', {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}")
     most = len(TRAINING_SEEDS) - len(VALIDATION)
     count, named = value.get("loops", 0), value.get("named", [])
-    if isinstance(count, bool) or not isinstance(count, int) or not ("loops" not in value or 1 <= count <= most):
+    if isinstance(count, bool) or not isinstance(count, int) or ("loops" in value and not 1 <= count <= most):
         raise ValueError(f"motions: loops must be a number from 1 to {most}, not {count!r}")
     if not isinstance(named, (list, tuple)) or ("named" in value and not named):
         raise ValueError(f"motions: named must be a list of trajectories, such as [paper-spatial], not {named!r}")
