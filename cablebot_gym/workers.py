@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -92,8 +93,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")  # threads of BLAS do not survive a fork
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _interrupts_held():  # the process inherits it: interrupts are the parent's from its first moment
-            self.process.start()
+        self.process.start()
         theirs.close()  # so that the end of the process is the end of the pipe
         self.key: str | None = None
 
@@ -126,7 +126,8 @@ class _Crew:
 
         try:
             for _ in range(self._size):
-                self._workers.append(_Worker())
+                with _interrupts_held():
+                    self._workers.append(_Worker())
                 occupy(self._workers[-1])
             while busy := {worker.pipe: worker for worker in self._workers if worker.key is not None}:
                 for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
@@ -161,22 +162,29 @@ class _Crew:
         return (content, None) if what == "error" else (None, content)
 
     def _replaced(self, dead: _Worker) -> _Worker:
-        fresh = _Worker()
-        self._workers[self._workers.index(dead)] = fresh
+        with _interrupts_held():
+            fresh = self._workers[self._workers.index(dead)] = _Worker()
         return fresh
 
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Interrupts wait; whatever process is started meanwhile never gets any."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Interrupts wait until the end, whichever thread they reach; a process started meanwhile never gets any."""
+    came: list[int] = []
+    handler = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+    if handler is not None:  # it runs in this thread, even for what the mask let through to another
+        signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    masks = hasattr(signal, "pthread_sigmask")  # which processes inherit
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if handler is not None:
+            signal.signal(signal.SIGINT, handler)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _serve(pipe: Connection) -> None:

@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -138,6 +139,33 @@ def test_no_process_is_left_behind_by_an_interrupt(tmp_path):
     assert len(multiprocessing.active_children()) == 2
     with pytest.raises(KeyboardInterrupt):
         results.throw(KeyboardInterrupt())
+    assert multiprocessing.active_children() == []
+
+
+def test_interrupt_does_not_cut_the_start_of_a_process_off_when_another_thread_gets_it(monkeypatch):
+    """Whatever thread gets it, Python raises it in the main one: between a process and what it is told to do."""
+    go, gone, started = threading.Event(), threading.Event(), []
+
+    def interrupt():
+        go.wait()
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        gone.set()
+
+    thread = threading.Thread(target=interrupt)  # begun before any interrupt is held: threads inherit what is blocked
+    thread.start()
+    start = multiprocessing.context.SpawnProcess.start
+
+    def slow_start(process):
+        go.set()
+        gone.wait()
+        start(process)
+        started.append(process)
+
+    monkeypatch.setattr(multiprocessing.context.SpawnProcess, "start", slow_start)
+    with pytest.raises(KeyboardInterrupt):
+        done({"a": partial(square, 1), "b": partial(square, 2)})
+    thread.join()
+    assert len(started) == 1
     assert multiprocessing.active_children() == []
 
 
