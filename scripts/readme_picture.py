@@ -15,10 +15,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.evaluator import evaluate_dlcc
-from cablebot_gym.dlcc.figures import BLUE, SHADE, VERMILLION, demanded_torque, torque_limits
+from cablebot_gym.dlcc.figures import demanded_torque, torque_limits
 from cablebot_gym.dlcc.result import DLCCResult
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import cable_vectors
+from cablebot_gym.palette import BLUE, GREEN, SHADE, VERMILLION
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,6 @@ ENV_ID = "CableBot-Spatial-v0"
 MOTOR = 1
 """The one that saturates first, from 0: motor 2."""
 
-GREEN = "#009E73"
 AZIMUTH, ELEVATION = np.radians(22), np.radians(38)
 """Where the drawing looks from."""
 

@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cablebot_gym.dlcc.comparison import Comparison
-from cablebot_gym.dlcc.figures import DPI, GREY, add_legend, entitle, new_figure
+from cablebot_gym.dlcc.figures import DPI, add_legend, entitle, new_figure
 from cablebot_gym.envs import described
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLACK, BLUE, DEEP_SKY, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Of Okabe and Ito, for policies in order."""
+COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, DEEP_SKY, BLACK)
+"""Of policies in order."""
 
 STYLES = ("-", "--", "-.", ":")
 """Lines differ by more than their colour."""

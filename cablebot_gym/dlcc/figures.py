@@ -21,14 +21,12 @@ from cablebot_gym.dlcc.result import DLCCResult
 from cablebot_gym.envs import described
 from cablebot_gym.files import write_whole
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLUE, GREY, SHADE, SKY, VERMILLION
 from cablebot_gym.trajectories import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
-
-BLUE, VERMILLION, SKY, GREY, SHADE = "#0072B2", "#D55E00", "#CFE8F7", "#767676", "#E8E8E8"
-"""Colours of Okabe and Ito, the sky blue paler, and greys."""
 
 DPI = 150
 """Of saved figures, dots per inch."""

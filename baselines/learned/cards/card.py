@@ -46,6 +46,8 @@ class SeedRun:
     """Of the run's best policy under each of the card's conditions [kg]; None where not even zero is carried."""
     curve: tuple[Mapping[str, Any], ...]
     """Evaluations while training: ``timesteps``, ``wall_s`` [s], ``payload_kg``."""
+    held_out: tuple[float | None, ...] = ()
+    """Of the run's best policy on the card's held-out motions [kg]; empty if it was not judged on them."""
 
     @property
     def in_training(self) -> float | None:
@@ -59,8 +61,6 @@ class HeldOut:
 
     seed: int
     """Of the motion."""
-    payload: float | None
-    """Of the policy that ships [kg]; None where not even zero is carried."""
     law_payload: float | None
     """Of the card's reference law [kg]."""
     best_found: float | None
@@ -131,6 +131,10 @@ class Card:
         if len({*seeds}) != len(seeds) or self.shipped_seed not in seeds:
             raise ValueError(f"a card needs different seeds and the one that ships among them, not {seeds}")
 
+        places = {len(run.held_out) for run in self.seeds if run.held_out or run is self.shipped}
+        if places != {len(self.held_out)}:
+            raise ValueError("a card needs a payload on each held-out motion, of the run that ships at least")
+
     @property
     def stem(self) -> str:
         """Name of its files."""
@@ -140,6 +144,21 @@ class Card:
     def shipped(self) -> SeedRun:
         """The training whose policy ships."""
         return next(run for run in self.seeds if run.seed == self.shipped_seed)
+
+    @property
+    def judged(self) -> list[SeedRun]:
+        """The trainings whose policies met the held-out motions."""
+        return [run for run in self.seeds if run.held_out]
+
+    def above_law(self, run: SeedRun) -> int:
+        """On how many held-out motions the policy of a training carries more than the law."""
+        pairs = zip(run.held_out, self.held_out, strict=True)
+        return sum(rank(payload) > rank(motion.law_payload) for payload, motion in pairs)
+
+    def shares(self, run: SeedRun) -> list[float]:
+        """Of the best found, on the held-out motions where it is known."""
+        pairs = zip(run.held_out, self.held_out, strict=True)
+        return [(payload or 0.0) / motion.best_found for payload, motion in pairs if motion.best_found]
 
     def carried(self, place: int) -> list[float]:
         """Payloads of all seeds under a condition [kg], 0 where not even zero is carried."""
@@ -171,7 +190,7 @@ class Card:
         try:
             data = {name: value for name, value in json.loads(text).items() if name != "summaries"}
             runs = [
-                SeedRun(**{**run, "payloads": tuple(run["payloads"]), "curve": tuple(run["curve"])})
+                SeedRun(**{**run, **{name: tuple(run[name]) for name in ("payloads", "curve", "held_out")}})
                 for run in data.pop("seeds")
             ]
             for name in ("features", "base_payloads", "law_payloads"):

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from baselines.learned.cards.card import Card
 from baselines.learned.cards.statistics import scores
 from baselines.learned.shipped import Condition, short_id
-from cablebot_gym.dlcc.figures import BLUE, GREY, VERMILLION, add_legend, entitle, new_figure
+from cablebot_gym.dlcc.figures import add_legend, entitle, new_figure
+from cablebot_gym.palette import BLUE, GREY, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -90,6 +90,7 @@ def make_card(
     trained = [Bundle.load(run / LAST).card for run in runs]
     _check_runs(shipped, env_id, runs, trained)
     first, seeds = bundles[0], [int(card["seed"]) for card in trained]
+    motions = _motions(trained[0]["config"])
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
     silent = silent_network(first.network.inputs, first.network.outputs)
     replace(first, network=silent, card={"note": "the base law alone"}).save(base)
@@ -105,6 +106,9 @@ def make_card(
     trainings = tuple(_seed_run(card, row) for card, row in zip(trained, rows, strict=False))
     chosen = typical({run.seed: run.in_training for run in trainings})
     place = seeds.index(chosen)
+    judged = seeds if has_loops(motions) else [chosen]  # what knows one motion alone is not made for others
+    names = {seed: str(run / BEST) for seed, run in zip(seeds, runs, strict=True) if seed in judged}
+    unseen, motions_held_out = _held_out(names, law, env_id, shipped.conditions[0].told, held_out, evaluate)
     best = runs[place] / BEST
     card = Card(
         policy=shipped.name,
@@ -117,7 +121,7 @@ def make_card(
         steering=way_to_plain(first.way),
         features=first.features,
         parameters=sum(array.size for array in (*first.network.weights, *first.network.biases)),
-        motions=_motions(trained[0]["config"]),
+        motions=motions,
         evaluation=trained[0]["evaluation"],
         planner_output_used=any(card["planner_output_used"] for card in trained),
         conditions=shipped.conditions,
@@ -130,8 +134,8 @@ def make_card(
         law=law,
         law_payloads=rows[-1],
         best_found=None,
-        seeds=trainings,
-        held_out=_held_out(str(best), law, env_id, shipped.conditions[0].told, held_out, evaluate),
+        seeds=tuple(replace(run, held_out=unseen.get(run.seed, ())) for run in trainings),
+        held_out=motions_held_out,
     )
     if searched and has_loops(card.motions):
         bests = {**_searched(env_id, min(searched, held_out), bests, evaluate), **bests}
@@ -145,11 +149,12 @@ def with_bests(card: Card, bests: Mapping[str, float]) -> Card:
     """
     law, env_id = card.law, card.env_id
 
-    def best(one: HeldOut) -> float | None:
+    def best(place: int, one: HeldOut) -> float | None:
         known = bests.get(motion_key(BestCell(env_id=env_id, trajectory=_loop(env_id, one.seed))), one.best_found)
-        return None if known is None else max(known, one.payload or 0.0, one.law_payload or 0.0)
+        carried = [one.law_payload, *(run.held_out[place] for run in card.judged)]
+        return None if known is None else max(known, *(payload or 0.0 for payload in carried))
 
-    held_out = tuple(replace(one, best_found=best(one)) for one in card.held_out)
+    held_out = tuple(replace(one, best_found=best(place, one)) for place, one in enumerate(card.held_out))
     return replace(card, best_found=bests.get(motion_key(_cell(law, env_id, TOLD))), held_out=held_out)
 
 
@@ -180,12 +185,19 @@ def _seed_run(card: Mapping[str, Any], payloads: tuple[float | None, ...]) -> Se
     return SeedRun(payloads=payloads, curve=tuple(card["curve"]), **{name: card[name] for name in names})
 
 
-def _held_out(policy: str, law: str, env_id: str, told: bool, count: int, evaluate: Evaluate) -> tuple[HeldOut, ...]:
+def _held_out(
+    policies: Mapping[int, str], law: str, env_id: str, told: bool, count: int, evaluate: Evaluate
+) -> tuple[dict[int, tuple[float | None, ...]], tuple[HeldOut, ...]]:
+    """What each of the ``policies``, by training seed, carries on held-out motions; and the law."""
     seeds, condition = held_out_seeds(count), Condition(told=told)
-    cells = [_cell(name, env_id, condition, motion=_loop(env_id, seed)) for name in (policy, law) for seed in seeds]
+    names = [*policies.values(), law]
+    cells = [_cell(name, env_id, condition, motion=_loop(env_id, seed)) for name in names for seed in seeds]
     payloads = _payloads(cells, evaluate)
-    pairs = zip(seeds, payloads[:count], payloads[count:], strict=True)
-    return tuple(HeldOut(seed=seed, payload=own, law_payload=other, best_found=None) for seed, own, other in pairs)
+    rows = [tuple(payloads[count * place : count * (place + 1)]) for place in range(len(names))]
+    motions = (
+        HeldOut(seed=seed, law_payload=other, best_found=None) for seed, other in zip(seeds, rows[-1], strict=True)
+    )
+    return dict(zip(policies, rows, strict=False)), tuple(motions)
 
 
 def _loop(env_id: str, seed: int) -> dict[str, Any]:

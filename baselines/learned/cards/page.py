@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from baselines.learned.cards.card import Card, Summary, has_loops, summed_up
-from baselines.learned.cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, rank, scores
+from baselines.learned.cards.card import Card, SeedRun, Summary, has_loops, summed_up
+from baselines.learned.cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, scores
 from baselines.learned.shipped import SHIPPED, Condition, short_id
 from cablebot_gym.benchmark.score import Column
 from cablebot_gym.benchmark.tables import heading
@@ -33,8 +33,9 @@ is typical, not the luckiest.
 * base alone: the law underneath, while the network says zero. law: one of the laws of `baselines/classical/`.
 * best found: the leaderboard's, without uncertainty; a lower bound of what is possible.
 * held-out: motions with seeds from {held_out} on, which no training and no choice of a seed or a round has seen. On how
-  many the policy that ships carries more than the law, both under the first condition; and its median share of the
-  best found, on as many of them as it was searched for. What was trained on the circle alone is not made for them.
+  many the policy carries more than the law, both under the first condition; and its median share of the best found, on
+  as many of them as it was searched for. What was trained on random loops is judged with every training seed, and the
+  median counts; what was trained on the circle alone is not made for them, and only what ships is judged.
 * in training: for what was trained on random loops, the mean payload on loops that chose the best of each run, and that
   no network was trained on.
 * training: wall time of one seed, the median.
@@ -93,10 +94,20 @@ def _spread(summary: Summary) -> tuple[str, str]:
 
 
 def _held_out_cells(card: Card) -> tuple[str, str]:
-    above = sum(rank(motion.payload) > rank(motion.law_payload) for motion in card.held_out)
-    shares = [(motion.payload or 0.0) / motion.best_found for motion in card.held_out if motion.best_found]
-    share = f"{median(shares):.0%} on {len(shares)}" if shares else "–"
-    return f"{above} of {len(card.held_out)}", share
+    shares = [card.shares(run) for run in card.judged]
+    share = f"{median(map(median, shares)):.0%} on {len(shares[0])}" if shares[0] else "–"
+    return _above(card, *card.judged), share
+
+
+def _above(card: Card, *runs: SeedRun) -> str:
+    return f"{median(map(card.above_law, runs)):g} of {len(card.held_out)}"
+
+
+def _held_out(card: Card, run: SeedRun) -> str:
+    if run not in card.judged:
+        return "–"
+    shares = card.shares(run)
+    return _above(card, run) + (f", {median(shares):.0%}" if shares else "")
 
 
 def _section(cards: Sequence[Card]) -> str:
@@ -131,12 +142,11 @@ def _details(card: Card) -> str:
         )
         text += "reads the features as the bundle's `mean` and `scale` normalise them, cut at ±10.\n"
     text += f"* {versions}\n\n"
-    rows = [["seed", "steps", "wall time", "in training", *map(_title, card.conditions), ""]]
+    rows = [["seed", "steps", "wall time", "in training", *map(_title, card.conditions), "held-out", ""]]
     for run in card.seeds:
+        numbers = [_kg(run.in_training), *map(_kg, run.payloads), _held_out(card, run)]
         ships = "ships" if run.seed == card.shipped_seed else ""
-        rows.append(
-            [str(run.seed), str(run.timesteps), _time(run.wall_s), _kg(run.in_training), *map(_kg, run.payloads), ships]
-        )
+        rows.append([str(run.seed), str(run.timesteps), _time(run.wall_s), *numbers, ships])
     return text + _table(rows, left=0)
 
 

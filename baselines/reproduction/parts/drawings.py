@@ -10,8 +10,9 @@ from baselines.reproduction.exact import paper_circle
 from baselines.reproduction.part import Cell, Found, Outcome, Part, Table
 from baselines.reproduction.readings import Readings
 from cablebot_gym.dlcc.comparison_figure import COLOURS
-from cablebot_gym.dlcc.figures import BLUE, GREY, SHADE, SKY, entitle, new_figure
+from cablebot_gym.dlcc.figures import entitle, new_figure
 from cablebot_gym.kinematics import Array, cable_lengths, cable_vectors
+from cablebot_gym.palette import BLUE, GREY, SHADE, SKY
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference

@@ -30,18 +30,9 @@ from baselines.reproduction.parts.profiles import (
 )
 from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import Law, closed_loop, largest_payload
-from cablebot_gym.dlcc.figures import (
-    BLUE,
-    GREY,
-    VERMILLION,
-    Travelled,
-    add_legend,
-    draw_plane,
-    mark_bound,
-    new_figure,
-    torques_height,
-)
+from cablebot_gym.dlcc.figures import Travelled, add_legend, draw_plane, mark_bound, new_figure, torques_height
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLUE, GREY, VERMILLION
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits
 

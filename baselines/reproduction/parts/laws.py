@@ -19,8 +19,9 @@ from baselines.reproduction.published import published_value
 from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import Law, closed_loop, compared, largest_payload
 from cablebot_gym.dlcc import Comparison, DLCCResult, exact_payload
-from cablebot_gym.dlcc.figures import BLUE, GREY, VERMILLION, add_legend, entitle, new_figure
+from cablebot_gym.dlcc.figures import add_legend, entitle, new_figure
 from cablebot_gym.dlcc.paper_algorithm import LoadIteration, iterate_load
+from cablebot_gym.palette import BLUE, GREY, VERMILLION
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.rollout import Rollout

@@ -15,8 +15,9 @@ from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import largest_payload
 from cablebot_gym.dlcc import ExactPayload, exact_payload
 from cablebot_gym.dlcc.comparison_figure import COLOURS
-from cablebot_gym.dlcc.figures import GREY, SHADE, SKY, add_legend, entitle, new_figure
+from cablebot_gym.dlcc.figures import add_legend, entitle, new_figure
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import GREY, SHADE, SKY
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits

@@ -14,8 +14,9 @@ from baselines.reproduction.exact import Heaviest, Profile
 from baselines.reproduction.part import Number, Table
 from baselines.reproduction.readings import Readings
 from cablebot_gym.dlcc import DLCCResult, Limit
-from cablebot_gym.dlcc.figures import BLUE, Mark, TorqueProfile, Travelled, entitle, torque_panels
+from cablebot_gym.dlcc.figures import Mark, TorqueProfile, Travelled, entitle, torque_panels
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLUE
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.rollout import Rollout

@@ -20,8 +20,9 @@ from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import Law, closed_loop
 from cablebot_gym.dlcc import compare_policies
 from cablebot_gym.dlcc.comparison import CONFIDENCE, Estimate
-from cablebot_gym.dlcc.figures import BLUE, GREY, VERMILLION, entitle, new_figure
+from cablebot_gym.dlcc.figures import entitle, new_figure
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLUE, GREY, VERMILLION
 from cablebot_gym.robots import Robot
 from cablebot_gym.rollout import Rollout
 from cablebot_gym.task import Limits

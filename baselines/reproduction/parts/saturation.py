@@ -28,7 +28,8 @@ from baselines.reproduction.parts.profiles import (
 )
 from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import Law, closed_loop, largest_payload
-from cablebot_gym.dlcc.figures import GREY, VERMILLION, new_figure, path_panels, torques_height
+from cablebot_gym.dlcc.figures import new_figure, path_panels, torques_height
+from cablebot_gym.palette import GREY, VERMILLION
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits
 

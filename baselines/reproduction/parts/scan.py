@@ -14,8 +14,9 @@ from baselines.reproduction.part import Cell, Found, Outcome, Part
 from baselines.reproduction.published import LOADS
 from baselines.reproduction.readings import Readings
 from cablebot_gym.dlcc import exact_payload
-from cablebot_gym.dlcc.figures import BLUE, GREY, VERMILLION, add_legend, entitle, new_figure
+from cablebot_gym.dlcc.figures import add_legend, entitle, new_figure
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLUE, GREY, VERMILLION
 from cablebot_gym.robots import SPATIAL
 
 if TYPE_CHECKING:

@@ -13,8 +13,9 @@ from baselines.reproduction.part import Cell, Found, Number, Outcome, Part
 from baselines.reproduction.parts.drawings import MOTORS
 from baselines.reproduction.readings import Readings
 from baselines.reproduction.runs import closed_loop
-from cablebot_gym.dlcc.figures import BLUE, GREY, SHADE, VERMILLION, add_legend, entitle, new_figure
+from cablebot_gym.dlcc.figures import add_legend, entitle, new_figure
 from cablebot_gym.kinematics import Array
+from cablebot_gym.palette import BLUE, GREY, SHADE, VERMILLION
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.rollout import Rollout
