@@ -21,6 +21,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from cablebot_gym.benchmark.command import benchmark
+from cablebot_gym.command_options import (
+    EnvId,
+    Frequency,
+    Known,
+    PolicyName,
+    Seed,
+    TrajectoryName,
+    UncertaintyName,
+    as_data,
+)
+from cablebot_gym.films.command import video, watch
 
 app = typer.Typer(
     name="cablebot",
@@ -54,34 +65,11 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Print the 
         print(f"cablebot_gym {__version__}")
 
 
-EnvId = Annotated[
-    str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")
-]
-PolicyName = Annotated[
-    str,
-    typer.Option("--policy", help="Installed name, bundle or SB3 file ending in .zip, or package.module:factory."),
-]
-TrajectoryName = Annotated[
-    str | None,
-    typer.Option("--trajectory", help='Name, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'.'),
-]
-Known = Annotated[
-    bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy is told the payload.")
-]
-UncertaintyName = Annotated[
-    str | None,
-    typer.Option(
-        "--uncertainty",
-        help="What the policy does not know: table6, sensors, joined by +, JSON, or a .json file.",
-    ),
-]
 Draws = Annotated[
     int | None, typer.Option("--draws", help="Episodes at each payload: 256 if the uncertainty is random, else 1.")
 ]
 PositionBound = Annotated[float, typer.Option("--position-bound", help="Largest position error [m].")]
 RotationBound = Annotated[float, typer.Option("--rotation-bound", help="Largest rotation error, task criterion [rad].")]
-Frequency = Annotated[float, typer.Option("--control-frequency", help="Drive commands per second [Hz].")]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
 
 
 @app.command()
@@ -146,13 +134,13 @@ def dlcc(
                     limits={"position": position_bound, "rotation": rotation_bound},
                     payload_max=payload_max,
                     resolution=resolution,
-                    uncertainty=_data("--uncertainty", uncertainty),
+                    uncertainty=as_data("--uncertainty", uncertainty),
                     draws=draws,
                     probability=probability,
                     confidence=confidence,
                     seed=seed,
                     name=policy,
-                    trajectory=_data("--trajectory", trajectory),
+                    trajectory=as_data("--trajectory", trajectory),
                     payload_known=payload_known,
                     control_frequency=control_frequency,
                     progress=partial(step, f"{one} criterion", place, len(chosen)),
@@ -216,10 +204,10 @@ def compare(
             names=names,
             payload=payload,
             limits={"position": position_bound, "rotation": rotation_bound},
-            uncertainty=_data("--uncertainty", uncertainty),
+            uncertainty=as_data("--uncertainty", uncertainty),
             draws=draws,
             seed=seed,
-            trajectory=_data("--trajectory", trajectory),
+            trajectory=as_data("--trajectory", trajectory),
             payload_known=payload_known,
             control_frequency=control_frequency,
             progress=partial(step, "comparing", 0, 1),
@@ -258,7 +246,7 @@ def bound(
     with working(_errors) as say:
         found = best_found(
             env_id,
-            trajectory=_data("--trajectory", trajectory),
+            trajectory=as_data("--trajectory", trajectory),
             limits={"position": position_bound, "rotation": rotation_bound},
             control_frequency=control_frequency,
             cache=cache,
@@ -333,9 +321,9 @@ def rollout(
         env_id,
         payload=payload,
         seed=seed,
-        trajectory=_data("--trajectory", trajectory),
+        trajectory=as_data("--trajectory", trajectory),
         payload_known=payload_known,
-        uncertainty=_data("--uncertainty", uncertainty),
+        uncertainty=as_data("--uncertainty", uncertainty),
         control_frequency=control_frequency,
     )
     record.save(out)
@@ -345,24 +333,8 @@ def rollout(
     print(f"{env_id}, {policy}, {payload:g} kg, task criterion: {outcome}{ended}; recorded in {out}")
 
 
-app.command()(benchmark)
-
-
-def _data(option: str, text: str | None) -> Any:
-    """A name as it is, JSON, or a file of it, as what it holds."""
-    if text is not None and text.endswith(".json"):
-        try:
-            text = Path(text).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"{option}: cannot read {text!r} ({error})") from error
-        if not text.lstrip().startswith("{"):
-            raise ValueError(f"{option}: the file has to hold a JSON object, {{…}}")
-    if text is None or not text.lstrip().startswith("{"):
-        return text
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{option} is no valid JSON: {error}") from error
+for _command in (watch, video, benchmark):
+    app.command()(_command)
 
 
 def _note_purpose(names: list[str], env_id: str) -> None:

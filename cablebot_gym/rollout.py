@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,15 @@ SUFFIXES = (".npz", ".csv")
 """Formats of a recording."""
 
 
-def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 0, **keywords: Any) -> Rollout:
+def record_rollout(
+    policy: Any,
+    env_id: str,
+    *,
+    payload: float = 0.0,
+    seed: int = 0,
+    look: Callable[[DLCCMonitor], None] = lambda env: None,
+    **keywords: Any,
+) -> Rollout:
     """Runs one whole motion, or until the environment ends it.
 
     Args:
@@ -28,6 +37,7 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: [kg].
         seed: of the environment.
+        look: gets the environment after the reset and after every step.
         keywords: for the environment.
 
     Raises:
@@ -38,6 +48,7 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
     env = DLCCMonitor(gym.make(env_id, max_episode_steps=-1, payload=payload, **keywords))
     try:
         observation, info = env.reset(seed=seed)
+        look(env)
         task: Task = env.get_wrapper_attr("task")
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
         task.check_steps()
@@ -59,6 +70,7 @@ def record_rollout(policy: Any, env_id: str, *, payload: float = 0.0, seed: int 
             )
             start = np.zeros(1, np.bool_)
             observation, reward, ended, _, info = env.step(action[0])
+            look(env)
             parts = layout.split(observation)
             state_now = {name: parts[name].copy() for name in ("pose", "velocity", "reference_pose")}
             numbers = {name: value for name, value in info.items() if not isinstance(value, str)}

@@ -99,6 +99,11 @@ class Simulation:
         )
 
     @property
+    def stall_torque(self) -> Array:
+        """True τ_s, shape (N, m)."""
+        return self._stall
+
+    @property
     def pose(self) -> Array:
         """True X, shape (N, n)."""
         return self._plant.pose

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.outcome import (
     FIRST_CABLE_INFO,
@@ -18,9 +18,11 @@ from cablebot_gym.envs.outcome import (
     TERMINATION_REASONS,
     cable_columns,
 )
+from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode, moment, scene
 from cablebot_gym.envs.settings import check_keywords, make_settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
+from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.task import Task
 
 SEED_MESSAGE = "a seed must be at least 0 and a whole number, not {!r}"
@@ -155,17 +157,24 @@ class CableBotEnv(gym.Env[Array, Array]):
     In `sensors`, standard deviations of white noise, 0 by default: `position` [m], `rotation` [rad], `velocity` [m/s],
     `rotation_rate` [rad/s], `motor_angle` [rad], `motor_speed` [rad/s].
 
+    ## Rendering
+
+    `render_mode="rgb_array"`: `render()` returns the picture of now, 640 × 480; `"human"`: `reset` and `step` show it
+    in a window, 50 times in a second of the episode. Cables are coloured by tension, dashed and sagging while slack;
+    the payload is drawn as a steel ball that hangs below the platform, though it acts at its centre of mass; the tube
+    around the path is R wide to either side. A bar for each motor stands within its present U⁻ and U⁺, and is red where
+    more was asked for; the gauges show the errors against their bounds. A recording of every step, 500 a second, played
+    with `metadata["render_fps"]` shows an episode ten times as long. Needs the extra `render`.
+
     ## Version history
 
     * v0: first release.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 50}  # noqa: RUF012 - Gymnasium's own form
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": RATE}  # noqa: RUF012 - Gymnasium's
 
     def __init__(self, *, robot: Any, render_mode: str | None = None, **keywords: Any) -> None:
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r} is not available: leave it out")
-        self.render_mode = None
+        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         check_keywords(keywords)
         self.settings = make_settings(robot=robot, count=1, **keywords)
         """What the environment was made with."""
@@ -177,6 +186,8 @@ class CableBotEnv(gym.Env[Array, Array]):
         self.action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
         self.observation_space = self.layout.space()
         self._lane = np.zeros(1, np.int64)
+        title = self.settings.robot.name
+        self._pictures = None if render_mode is None else Pictures(self._simulation, title)
         self._started = False
 
     @property
@@ -194,6 +205,38 @@ class CableBotEnv(gym.Env[Array, Array]):
         """True pose X, shape (n,)."""
         pose: Array = self._simulation.pose[0]
         return pose
+
+    @property
+    def scene(self) -> Scene:
+        """What there is to see throughout the present episode."""
+        return scene(self._simulation, 0, self.settings.robot.name)
+
+    @property
+    def moment(self) -> Moment:
+        """What there is to see now: the true state."""
+        return moment(self._simulation, 0)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The present picture, shape (480, 640, 3), with ``rgb_array``; None otherwise, see the class.
+
+        Raises:
+            ResetNeeded: before the first reset.
+            RuntimeError: with ``human`` where there is no display.
+        """
+        if self._pictures is None:
+            gym.logger.warn('render() shows nothing: make the environment with render_mode="rgb_array" or "human"')
+            return None
+        if not self._started:
+            raise ResetNeeded("call reset() before render()")
+        if self.render_mode == "rgb_array":
+            return self._pictures.array(0)
+        self._pictures.show()
+        return None
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        if self._pictures is not None:
+            self._pictures.close()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Starts an episode; ``options`` hold for this episode only, see the class.
@@ -214,6 +257,10 @@ class CableBotEnv(gym.Env[Array, Array]):
             self._simulation.streams.restore(streams)
             raise
         self._started = True
+        if self._pictures is not None:
+            self._pictures.begun([0])
+            if self.render_mode == "human":
+                self._pictures.show()
         observation, _, _, info = self._result()
         return observation, info
 
@@ -227,6 +274,10 @@ class CableBotEnv(gym.Env[Array, Array]):
         if not self._started:
             raise ResetNeeded("call reset() before step()")
         self._simulation.step(check_action(action, (self._cables,)))
+        if self._pictures is not None:
+            self._pictures.stepped()
+            if self.render_mode == "human":
+                self._pictures.show()
         observation, reward, terminated, info = self._result()
         return observation, reward, terminated, False, info
 

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.settings import check_keywords, make_settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.envs.single import SEED_MESSAGE, check_action
@@ -41,7 +42,11 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     ``reset_mask`` restarts the marked environments and leaves the others as they are.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": RATE,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -53,8 +58,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         render_mode: str | None = None,
         **keywords: Any,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r} is not available: leave it out")
+        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
             raise ValueError(f"num_envs must be a whole number of at least 1, not {num_envs!r}")
         if max_episode_steps is not None and max_episode_steps < 1:
@@ -65,7 +69,6 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             modes = ", ".join(mode.value for mode in AutoresetMode)
             raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {modes}") from None
         self.num_envs = int(num_envs)
-        self.render_mode = None
         self.metadata = {**self.metadata, "autoreset_mode": self._autoreset}
         check_keywords(keywords)
         self.settings = make_settings(robot=robot, count=self.num_envs, **keywords)
@@ -83,6 +86,8 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         self._done = np.zeros(self.num_envs, np.bool_)
         self._everyone = np.arange(self.num_envs)
         self._started = False
+        title = self.settings.robot.name
+        self._pictures = None if render_mode is None else Pictures(self._simulation, title)
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -136,7 +141,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             self._simulation.streams.restore(before)
             raise
         self._started = True
-        self._steps[lanes] = 0
+        self._begun(lanes)
         self._done[lanes] = False
         return self._simulation.observation.copy(), self._info(self._simulation.info.copy())
 
@@ -186,6 +191,8 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         simulation, ended = self._simulation, self._done
         simulation.step(actions)
         self._steps += 1
+        if self._pictures is not None:
+            self._pictures.stepped()
         restarted = ended if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
         if restarted.any():
             self._restart(restarted)
@@ -203,8 +210,26 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         return simulation.observation.copy(), reward, terminated, truncated, info
 
     def _restart(self, mask: NDArray[np.bool_]) -> None:
-        self._simulation.reset(np.flatnonzero(mask))
-        self._steps[mask] = 0
+        lanes = np.flatnonzero(mask)
+        self._simulation.reset(lanes)
+        self._begun(lanes)
+
+    def _begun(self, lanes: NDArray[np.int64]) -> None:
+        self._steps[lanes] = 0
+        if self._pictures is not None:
+            self._pictures.begun(lanes.tolist())
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of each environment, as the single one has it, with ``rgb_array``; None otherwise.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        if self._pictures is None:
+            return None
+        if not self._started:
+            raise ResetNeeded("call reset() before render()")
+        return tuple(self._pictures.array(lane) for lane in range(self.num_envs))
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         """The last observation and info of ended environments, in the form of Gymnasium's own vector environments."""

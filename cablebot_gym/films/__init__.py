@@ -1,0 +1,1 @@
+"""Episodes of policies, watched and filmed. Needs the extra ``render``."""

@@ -1,0 +1,155 @@
+"""``cablebot watch`` and ``cablebot video``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cablebot_gym.command_options import (
+    EnvId,
+    Frequency,
+    Known,
+    PolicyName,
+    Seed,
+    TrajectoryName,
+    UncertaintyName,
+    as_data,
+)
+from cablebot_gym.terminal import counting, notes_console
+
+if TYPE_CHECKING:
+    from cablebot_gym.films.film import Film
+
+Payload = Annotated[float, typer.Option("--payload", help="[kg]")]
+Speed = Annotated[float, typer.Option("--speed", help="As a share of the episode's own; 1 is as it happens.")]
+Size = Annotated[str, typer.Option("--size", help="Of each picture, such as 640x480 [pixels].")]
+Policies = Annotated[
+    str | None, typer.Option("--policies", help="Several, separated by commas, side by side: in place of --policy.")
+]
+
+
+def watch(
+    env_id: EnvId,
+    policy: PolicyName | None = None,
+    policies: Policies = None,
+    payload: Payload = 1.0,
+    speed: Speed = 0.25,
+    size: Size = "640x480",
+    trajectory: TrajectoryName = None,
+    payload_known: Known = True,
+    uncertainty: UncertaintyName = None,
+    control_frequency: Frequency = 500.0,
+    seed: Seed = 0,
+) -> None:
+    """An episode in a window, again and again: cables by tension, motors against their limits, errors against bounds.
+
+    Space stops and goes on, the arrows go a picture back or on, r starts again, q or Esc ends. Needs the extra: pip
+    install 'cablebot-gym[render]'.
+
+    Example: cablebot watch CableBot-Spatial-v0 --policy tube --payload 7
+    """
+    from cablebot_gym.films.film import check_speed, play
+    from cablebot_gym.rendering.window import NoDisplayError
+
+    each = _size(size)
+    check_speed(speed)
+    films = _films(
+        env_id,
+        _names(policy, policies),
+        payload=payload,
+        trajectory=as_data("--trajectory", trajectory),
+        payload_known=payload_known,
+        uncertainty=as_data("--uncertainty", uncertainty),
+        control_frequency=control_frequency,
+        seed=seed,
+    )
+    try:
+        play(films, speed=speed, size=each)
+    except NoDisplayError as error:
+        raise ValueError(str(error)) from error
+
+
+def video(
+    env_id: EnvId,
+    out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
+    policy: PolicyName | None = None,
+    policies: Policies = None,
+    payload: Payload = 1.0,
+    speed: Speed = 0.25,
+    size: Size = "640x480",
+    trajectory: TrajectoryName = None,
+    payload_known: Known = True,
+    uncertainty: UncertaintyName = None,
+    control_frequency: Frequency = 500.0,
+    seed: Seed = 0,
+) -> None:
+    """An episode as a film, of several policies side by side. Neither a display nor OpenGL is needed.
+
+    Needs the extra: pip install 'cablebot-gym[render]'.
+
+    Examples:
+
+    cablebot video CableBot-Spatial-v0 fl.mp4 --policy fl --payload 4
+
+    cablebot video CableBot-Spatial-v0 both.gif --policies fl,tube --payload 6 --size 480x360
+    """
+    from cablebot_gym.files import usable_folder
+    from cablebot_gym.films.film import check_film, check_speed, write_film
+
+    each = _size(size)
+    check_film(out)
+    check_speed(speed)
+    usable_folder(out.parent)
+    films = _films(
+        env_id,
+        _names(policy, policies),
+        payload=payload,
+        trajectory=as_data("--trajectory", trajectory),
+        payload_known=payload_known,
+        uncertainty=as_data("--uncertainty", uncertainty),
+        control_frequency=control_frequency,
+        seed=seed,
+    )
+    errors = notes_console()
+    with counting(errors, "pictures") as bar:
+        task = bar.add_task("filming", total=1)
+        write_film(
+            out,
+            films,
+            speed=speed,
+            size=each,
+            progress=lambda done, expected: bar.update(task, completed=done, total=expected),
+        )
+    for one in films:
+        print(f"{one.scene.title}, {payload:g} kg, task criterion: {one.note(len(one.moments) - 1) or 'not complete'}")
+    errors.print(f"wrote {out}")
+
+
+def _names(policy: str | None, policies: str | None) -> list[str]:
+    names = [name.strip() for name in (policies or policy or "").split(",") if name.strip()]
+    if (policy is None) == (policies is None) or not names:
+        raise ValueError("name one policy by --policy, or several by --policies, such as --policies fl,tube")
+    return names
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"--size must be width x height in pixels, such as 640x480, not {text!r}")
+    return int(width), int(height)
+
+
+def _films(env_id: str, names: list[str], **keywords: Any) -> list[Film]:
+    from cablebot_gym.envs import env_robot
+    from cablebot_gym.films.film import film
+    from cablebot_gym.policies import load_policy
+    from cablebot_gym.rendering.painter import import_pygame
+    from cablebot_gym.robots import find_robot
+
+    import_pygame()
+    robot = find_robot(env_robot(env_id))
+    loaded = [load_policy(name, robot) for name in names]
+    titles = [f"{name} on {env_id}" for name in names]
+    return [film(policy, env_id, title=title, **keywords) for policy, title in zip(loaded, titles, strict=True)]

@@ -1,0 +1,65 @@
+"""Windows, on SDL's driver for no display at all."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from cablebot_gym.rendering.painter import import_pygame
+from cablebot_gym.rendering.window import Window
+
+pygame = import_pygame()
+
+
+@pytest.fixture
+def window():
+    opened = Window("a test")
+    yield opened
+    opened.close()
+
+
+def picture(colour):
+    surface = pygame.Surface((64, 48))
+    surface.fill(colour)
+    return surface
+
+
+def test_what_is_shown_is_on_the_screen(window):
+    for colour in ("#102030", "#D0A000"):
+        window.show(picture(colour), 1000)
+        assert pygame.display.get_surface().get_at((30, 20)) == pygame.Color(colour)
+        assert pygame.display.get_surface().get_size() == (64, 48)
+    assert pygame.display.get_caption()[0] == "a test"
+
+
+def test_keys_come_by_name_and_once(window):
+    window.show(picture("black"), 1000)
+    for key in (pygame.K_SPACE, pygame.K_LEFT):
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    assert window.show(picture("black"), 1000) == ["space", "left"]
+    assert window.show(picture("black"), 1000) == []
+
+
+def test_window_that_the_user_closed_stays_closed(window):
+    window.show(picture("black"), 1000)
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    assert window.show(picture("black"), 1000) == []
+    assert window.closed
+    assert not pygame.display.get_init()
+    window.show(picture("black"), 1000)
+    assert not pygame.display.get_init()
+
+
+def test_without_a_display_the_error_says_what_to_do_instead(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(RuntimeError, match=r"no display .* render_mode='rgb_array', or `cablebot video`"):
+        Window("a test").show(picture("black"), 1000)
+
+
+def test_display_that_cannot_be_opened_is_no_display(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no such driver")
+    with pytest.raises(RuntimeError, match="no display"):
+        Window("a test").show(picture("black"), 1000)
