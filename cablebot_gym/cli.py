@@ -337,6 +337,18 @@ for _command in (watch, video, benchmark):
     app.command()(_command)
 
 
+@app.command()
+def doctor() -> None:
+    """Versions, extras, compile cache, and a self-test of every plant. The exit status is 1 if something is wrong.
+
+    Example: cablebot doctor
+    """
+    from cablebot_gym.doctor import examine, print_findings
+
+    if not print_findings(examine()):
+        raise typer.Exit(1)
+
+
 def _note_purpose(names: list[str], env_id: str) -> None:
     """Says so when a policy is made for other environments: it runs all the same, and seldom well."""
     from cablebot_gym.policies import policy_entries

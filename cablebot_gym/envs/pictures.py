@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import torque_limits
 from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.rendering.painter import Painter, import_pygame
 from cablebot_gym.rendering.window import Window
@@ -43,15 +44,14 @@ def moment(simulation: Simulation, lane: int) -> Moment:
     robot = simulation.settings.robot
     row = simulation.info[lane : lane + 1].copy()
     info = {name: values[0] for name, values in info_dict(row, robot.cables).items()}
-    stall = simulation.stall_torque[lane]
-    slope = robot.speed_slope * stall / robot.stall_torque  # a motor's strength leaves its free speed as it is
+    strength = simulation.stall_torque[lane] / robot.stall_torque  # a weaker motor's free speed stays: the line shrinks
     return Moment(
         time=float(info["time"]),
         payload=float(info["payload"]),
         pose=simulation.pose[lane].copy(),
         tensions=info["tensions"],
         torques=info["torques"],
-        torque_limits=np.array([[-1.0], [1.0]]) * stall - slope * info["motor_speeds"],
+        torque_limits=strength * np.array(torque_limits(robot, info["motor_speeds"])),
         drive_demand=info["drive_demand"],
         slack=info["slack"],
         position_error=float(info["tracking_error"]),

@@ -1,0 +1,26 @@
+"""What the project says of itself in several files is the same."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+yaml = pytest.importorskip("yaml")
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_citation_has_the_version_and_licence_of_the_package():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+    assert citation["title"] == f"{project['name'].replace('-', '_')}: {project['description']}"
+
+
+def test_all_extras_are_in_all_and_in_test():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    names = ",".join(name for name in extras if name not in ("all", "test"))
+    for extra in ("all", "test"):
+        [line] = [line for line in extras[extra] if line.startswith("cablebot-gym[")]
+        assert sorted(line[len("cablebot-gym[") : -1].split(",")) == sorted(names.split(","))
