@@ -1,14 +1,79 @@
-"""Every file in examples/ runs as its first lines say."""
+"""Every file in examples/ runs as its first lines say, and keeps their promise."""
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+
+
+def payloads(lines: list[str]) -> list[float]:
+    """Of results as they are printed [kg]."""
+    return [float(found[1]) for line in lines if (found := re.search(r"payload (?:not )?told[^:]*: ([\d.]+) kg", line))]
+
+
+def shares(lines: list[str]) -> list[float]:
+    """Of lines such as `fl: 40% of the draws`."""
+    return [float(found[1]) for line in lines if (found := re.search(r": +(\d+)% of", line))]
+
+
+def gains_half(lines: list[str], folder: Path) -> bool:
+    fl, learned = payloads(lines)
+    return learned > 1.4 * fl and (folder / "out" / "best.zip").is_file()
+
+
+def gains_a_tenth(lines: list[str], folder: Path) -> bool:
+    fl, own = payloads(lines)
+    return own > 1.1 * fl
+
+
+def stronger_motors_carry_more(lines: list[str], folder: Path) -> bool:
+    carried = [float(line.split(": ")[1].split()[0]) for line in lines[:-1]]
+    return carried == sorted(carried) and carried[0] < 0.5 * carried[-1] and lines[-1].startswith("refused: home_pose")
+
+
+def heavy_ones_fail(lines: list[str], folder: Path) -> bool:
+    held = shares(lines)
+    return len(held) == 8 and held[0] == 100 and held[-1] == 0
+
+
+def weighing_helps(lines: list[str], folder: Path) -> bool:
+    fl, _, adaptive = shares(lines)
+    return adaptive > fl and payloads(lines)[0] > 2
+
+
+def judged_though_nothing_is_carried(lines: list[str], folder: Path) -> bool:
+    return (folder / "out" / "mine.zip").is_file() and "not even zero payload is carried" in lines[-1]
+
+
+def film_is_there(lines: list[str], folder: Path) -> bool:
+    with Image.open(folder / "out.gif") as film:
+        return film.size == (800, 300) and film.n_frames > 20
+
+
+def figure_is_there(lines: list[str], folder: Path) -> bool:
+    with Image.open(folder / "out.png") as figure:
+        return min(figure.size) > 600 and "motor 2 at t = 0.500 s" in lines[0]
+
+
+PROMISES: dict[str, Callable[[list[str], Path], bool]] = {
+    "first_steps": lambda lines, folder: lines[-1] == "carried" and "reference_pose" in "".join(lines),
+    "your_controller": gains_a_tenth,
+    "your_robot": stronger_motors_carry_more,
+    "many_at_once": heavy_ones_fail,
+    "what_if_it_is_heavier": weighing_helps,
+    "film_it": film_is_there,
+    "train_in_a_minute": gains_half,
+    "train_with_sb3": judged_though_nothing_is_carried,
+    "paper_figure": figure_is_there,
+}
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -18,6 +83,5 @@ def test_example_runs_and_keeps_its_promise(example, tmp_path):
     )
     assert ran.returncode == 0, ran.stderr
     assert "Traceback" not in ran.stderr
-    if example.stem == "train_in_a_minute":
-        carried = [float(line.partition("payload told: ")[2].split()[0]) for line in ran.stdout.splitlines()[-2:]]
-        assert carried[1] > 1.4 * carried[0], "half as much again as fl"
+    assert PROMISES[example.stem](ran.stdout.splitlines(), tmp_path), ran.stdout
+    assert f"python examples/{example.name}" in example.read_text(encoding="utf-8")

@@ -1,0 +1,24 @@
+"""One episode by hand: what comes back, what the parts of an observation are, and how the episode is judged.
+
+Run it: python examples/first_steps.py
+"""
+
+import gymnasium as gym
+
+import cablebot_gym  # noqa: F401 - registers the environments
+from cablebot_gym.dlcc import DLCCMonitor
+from cablebot_gym.policies import load_policy
+from cablebot_gym.robots import SPATIAL
+
+env = DLCCMonitor(gym.make("CableBot-Spatial-v0"))
+observation, info = env.reset(seed=0, options={"payload": 3.0})
+print(env.unwrapped.layout.table())
+
+policy = load_policy("fl", SPATIAL)  # the paper's feedback linearization, built from the nominal robot
+terminated = truncated = False
+while not (terminated or truncated):
+    action, _ = policy.predict(observation)
+    observation, reward, terminated, truncated, info = env.step(action)
+verdict = env.verdict
+print(f"largest position error {1e3 * verdict.position_peak:.2f} mm, largest demand {max(verdict.peak_demand):.2f}")
+print("carried" if verdict.carried else f"not carried: {verdict.limit}")

@@ -1,0 +1,15 @@
+"""The paper's Fig. 10 made anew: torques of all motors against U±, and the path against its tube. Extra plot.
+
+Run it: python examples/paper_figure.py [FILE.png]
+"""
+
+import sys
+from pathlib import Path
+
+from cablebot_gym.dlcc import evaluate_dlcc
+
+if __name__ == "__main__":
+    path = Path(sys.argv[1] if len(sys.argv) > 1 else "fig10").with_suffix(".png")
+    result = evaluate_dlcc("fl", "CableBot-Planar-v0", criterion="paper")
+    result.plot().savefig(path, dpi=150)
+    print(f"{result}\nwrote {path}")

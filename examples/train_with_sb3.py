@@ -1,0 +1,25 @@
+"""Stable-Baselines3 over the compiled batch: a short training, saved, and put to the same test as any other policy.
+
+So short a training carries nothing yet: `cablebot train` has what it takes. Extra sb3.
+
+Run it: python examples/train_with_sb3.py [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+from stable_baselines3 import PPO
+
+from baselines.learned.vec_env import make_sb3_vec_env
+from cablebot_gym.dlcc import evaluate_dlcc
+
+ENV_ID = "CableBot-Planar-v0"
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/sb3")
+    envs = make_sb3_vec_env(ENV_ID, n_envs=64, seed=0, payload_range=(0, 2))
+    model = PPO("MlpPolicy", envs, n_steps=64, batch_size=1024, n_epochs=4, seed=0, device="cpu")
+    model.learn(20_000)
+    folder.mkdir(parents=True, exist_ok=True)
+    model.save(folder / "mine.zip")
+    print(evaluate_dlcc(str(folder / "mine.zip"), ENV_ID))
