@@ -17,4 +17,6 @@ if __name__ == "__main__":
     compared = compare_policies(laws, "CableBot-Spatial-v0", payload=2.0, uncertainty=UNKNOWN, draws=16)
     for one in compared.measured:
         print(f"{one.policy}: {one.carried.mean():.0%} of the draws carry 2 kg")
-    print(evaluate_dlcc("adaptive", "CableBot-Spatial-v0", uncertainty=UNKNOWN, draws=16, probability=0.9))
+    print(
+        evaluate_dlcc("adaptive", "CableBot-Spatial-v0", uncertainty=UNKNOWN, draws=8, probability=0.75, payload_max=8)
+    )
