@@ -16,7 +16,7 @@ import numpy as np
 
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.textbook import drive_command, static_torque
+from cablebot_gym.physics.textbook import MINIMUM_TENSION, drive_command, static_torque
 from cablebot_gym.planning.library import cache_folder
 from cablebot_gym.task import Task
 from cablebot_gym.terminal import results_console
@@ -72,7 +72,7 @@ def _packages() -> Iterator[Finding]:
         if missing:
             how = f"pip install '{PACKAGE}[{extra}]'" if extra else f"pip install {PACKAGE}"
             words = f"{', '.join(missing)} not installed: {how}"
-        good = not missing if not extra or not missing else None
+        good = True if not missing else None if extra else False
         yield Finding(name=f"extra {extra}" if extra else "needs", good=good, words=words)
 
 
@@ -117,7 +117,7 @@ def _hangs_still(env_id: str) -> str:
         _, info = env.reset(seed=0)
         task: Task = env.unwrapped.task  # type: ignore[attr-defined]
         robot, pose = task.robot, task.trajectory(0.0).position
-        least = 5.0 if robot.planar else 0.0
+        least = MINIMUM_TENSION if robot.planar else 0.0
         torque = static_torque(robot, robot.mass + PAYLOAD, pose, minimum=least)
         command = drive_command(robot, torque, np.zeros(robot.cables))
         for _ in range(STEPS):

@@ -17,6 +17,7 @@ from cablebot_gym.command_options import (
     UncertaintyName,
     as_data,
 )
+from cablebot_gym.films import SPEED
 from cablebot_gym.terminal import counting, notes_console
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def watch(
     policy: PolicyName | None = None,
     policies: Policies = None,
     payload: Payload = 1.0,
-    speed: Speed = 0.25,
+    speed: Speed = SPEED,
     size: Size = "640x480",
     trajectory: TrajectoryName = None,
     payload_known: Known = True,
@@ -77,7 +78,7 @@ def video(
     policy: PolicyName | None = None,
     policies: Policies = None,
     payload: Payload = 1.0,
-    speed: Speed = 0.25,
+    speed: Speed = SPEED,
     size: Size = "640x480",
     trajectory: TrajectoryName = None,
     payload_known: Known = True,

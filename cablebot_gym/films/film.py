@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.monitor import DLCCMonitor, Verdict
 from cablebot_gym.files import write_whole
+from cablebot_gym.films import SPEED
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
 from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.rendering.painter import SIZE, Painter, as_array, import_pygame
 from cablebot_gym.rendering.window import Window
 from cablebot_gym.rollout import record_rollout
-
-SPEED = 0.25
-"""Of films, as a share of the episode's own: a circle of one second takes four."""
 
 RATE = 30
 """Pictures a second."""
