@@ -32,6 +32,7 @@ from cablebot_gym.command_options import (
     as_data,
 )
 from cablebot_gym.films.command import video, watch
+from cablebot_gym.report.command import report
 
 app = typer.Typer(
     name="cablebot",
@@ -333,7 +334,7 @@ def rollout(
     print(f"{env_id}, {policy}, {payload:g} kg, task criterion: {outcome}{ended}; recorded in {out}")
 
 
-for _command in (watch, video, benchmark):
+for _command in (watch, video, benchmark, report):
     app.command()(_command)
 
 

@@ -19,7 +19,7 @@ from cablebot_gym.policies import Policy, load_policy
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.source import source_hash
 from cablebot_gym.task import Limits, as_plain
-from cablebot_gym.uncertainty import Spread, Uncertainty, find_uncertainty
+from cablebot_gym.uncertainty import Spread, find_uncertainty
 
 DEFAULT_LIMITS = MappingProxyType(as_plain(Limits()))
 """Bounds of the errors in every suite [m, rad]."""
@@ -60,6 +60,8 @@ class PolicyCell:
     """Of the environments."""
     resolution: float | None = None
     """[kg]; None for the evaluator's own."""
+    stiffness: float | None = None
+    """Of the joint springs, K [N·m/rad]; None for the environment's own."""
 
     def __post_init__(self) -> None:
         if self.information not in TOLD_SHARE:
@@ -86,30 +88,51 @@ class PolicyCell:
         """JSON-able data; :func:`cell_from` reads it."""
         return {"kind": "policy", **asdict(self)}
 
+    @property
+    def robot(self) -> Robot:
+        """The nominal one.
+
+        Raises:
+            ValueError: if it has no joint springs, and their stiffness is given.
+        """
+        return _robot(self.env_id, self.stiffness)
+
+    @property
+    def told_share(self) -> float:
+        """A wrong payload is told by asking for it, and meeting another: what is asked for, as a share of the other."""
+        return TOLD_SHARE[self.information] or 1.0
+
+    def conditions(self) -> dict[str, Any]:
+        """Of an episode: the environment's keywords, JSON-able."""
+        own = {} if self.stiffness is None else {"robot": self.robot.to_dict()}
+        return own | {
+            "trajectory": dict(self.trajectory),
+            "limits": dict(self.limits),
+            "payload_known": TOLD_SHARE[self.information] is not None,
+            "uncertainty": self._uncertainty(),
+            "control_frequency": self.control_frequency,
+        }
+
+    def question(self) -> dict[str, Any]:
+        """What :func:`~cablebot_gym.dlcc.evaluate_dlcc` is asked: its keywords, JSON-able."""
+        usual = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
+        return self.conditions() | {
+            "criterion": self.criterion,
+            "payload_max": self.told_share * PAYLOAD_MAX["planar" if self.robot.planar else "spatial"],
+            "resolution": self.told_share * (usual if self.resolution is None else self.resolution),
+            "draws": self.draws,
+            "probability": self.probability,
+            "seed": self.seed,
+        }
+
     def compute(self) -> dict[str, Any]:
         """The payload, and why not more."""
-        robot = find_robot(env_robot(self.env_id))
+        robot = self.robot
         policy = load_policy(self.policy, robot)
         if self.criterion == "paper" and not getattr(policy, "unclipped", False):
             return {"applicable": False, "payload": None, "total_mass": None}
-        share = TOLD_SHARE[self.information] or 1.0  # a wrong payload is told by asking for it, and meeting another
-        usual = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
-        result = evaluate_dlcc(
-            policy,
-            self.env_id,
-            criterion=self.criterion,
-            limits=dict(self.limits),
-            payload_max=share * PAYLOAD_MAX["planar" if robot.planar else "spatial"],
-            resolution=share * (usual if self.resolution is None else self.resolution),
-            uncertainty=self._uncertainty(robot, share),
-            draws=self.draws,
-            probability=self.probability,
-            seed=self.seed,
-            name=self.policy,
-            trajectory=dict(self.trajectory),
-            payload_known=TOLD_SHARE[self.information] is not None,
-            control_frequency=self.control_frequency,
-        )
+        result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.question())
+        share = self.told_share
         payload = _true(result.payload, share)
         return {
             "applicable": True,
@@ -123,12 +146,15 @@ class PolicyCell:
             "fallbacks": _fallbacks(policy, self.draws),
         }
 
-    def _uncertainty(self, robot: Robot, share: float) -> Uncertainty:
-        unknown = find_uncertainty(self.uncertainty, robot)
+    def _uncertainty(self) -> str | dict[str, Any] | None:
+        """A name where there is one, else data."""
+        share = self.told_share
         if share == 1.0:
-            return unknown
+            return self.uncertainty
+        unknown = find_uncertainty(self.uncertainty, self.robot)
         wrong = Spread(low=1 / share - 1, high=1 / share - 1)
-        return replace(unknown, parameters={**unknown.parameters, "payload": wrong})
+        plain: dict[str, Any] = as_plain(replace(unknown, parameters={**unknown.parameters, "payload": wrong}))
+        return plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +169,8 @@ class BestCell:
     """Bounds of the errors [m, rad]."""
     control_frequency: float = 500.0
     """[Hz]"""
+    stiffness: float | None = None
+    """Of the joint springs, K [N·m/rad]; None for the environment's own."""
 
     @property
     def key(self) -> str:
@@ -163,17 +191,20 @@ class BestCell:
         """JSON-able data; :func:`cell_from` reads it."""
         return {"kind": "best", **asdict(self)}
 
+    def question(self) -> dict[str, Any]:
+        """What :func:`cablebot_gym.dlcc.optimum.best_found` is asked: its keywords; JSON-able but for the robot."""
+        own = {} if self.stiffness is None else {"robot": _robot(self.env_id, self.stiffness)}
+        return own | {
+            "trajectory": dict(self.trajectory),
+            "limits": dict(self.limits),
+            "control_frequency": self.control_frequency,
+        }
+
     def compute(self) -> dict[str, Any]:
         """What :func:`cablebot_gym.dlcc.optimum.best_found` says."""
         from cablebot_gym.dlcc.optimum import best_found
 
-        found = best_found(
-            self.env_id,
-            trajectory=dict(self.trajectory),
-            limits=dict(self.limits),
-            control_frequency=self.control_frequency,
-        )
-        return dict(found.to_dict())
+        return dict(best_found(self.env_id, **self.question()).to_dict())
 
 
 Cell = PolicyCell | BestCell
@@ -235,6 +266,15 @@ def cell_from(data: Mapping[str, Any]) -> Cell:
 def canonical(data: Any) -> str:
     """JSON that is the same for equal data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def _robot(env_id: str, stiffness: float | None) -> Robot:
+    robot = find_robot(env_robot(env_id))
+    if stiffness is None:
+        return robot
+    if not robot.flexible:
+        raise ValueError(f"{env_id} has no joint springs: leave stiffness out, or choose an id with -Flex")
+    return robot.replace(transmission=robot.transmission.replace(stiffness=stiffness))
 
 
 def _plain(result: Mapping[str, Any]) -> dict[str, Any]:

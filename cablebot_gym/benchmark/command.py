@@ -19,7 +19,9 @@ MARKDOWN, CSV, JSON = "leaderboard.md", "results.csv", "results.json"
 
 
 def benchmark(
-    suite: Annotated[str, typer.Option(help="smoke (two minutes), standard (half an hour) or full (hours).")] = "smoke",
+    suite: Annotated[
+        str, typer.Option(help="smoke (two minutes), standard (half an hour), full (hours) or maps (an hour).")
+    ] = "smoke",
     policies: Annotated[
         str | None, typer.Option(help="Names as for `dlcc --policy`, separated by commas; all installed if not given.")
     ] = None,

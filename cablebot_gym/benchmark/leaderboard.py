@@ -7,9 +7,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Record, cell_from
-from cablebot_gym.benchmark.score import Best, Board, boards, find_bests, standings
+from cablebot_gym.benchmark.maps import unusual
+from cablebot_gym.benchmark.score import Best, Board, boards, find_bests, payload_maps, standings
 from cablebot_gym.benchmark.suites import find_suite
-from cablebot_gym.benchmark.tables import failures, fallbacks, heading, motion_title, place
+from cablebot_gym.benchmark.tables import (
+    failures,
+    fallbacks,
+    heading,
+    map_rows,
+    map_title,
+    motion_title,
+    place,
+    task_title,
+)
 
 _HEAD = """# Leaderboard
 
@@ -75,10 +85,11 @@ def markdown(suite: str, command: str, records: Sequence[Record]) -> str:
         records: of the suite's cells.
     """
     some = standings(records)
+    usual = next((one.cell for one in some if not unusual(one.cell)), some[0].cell)
     drawn = [one.cell for one in some if one.cell.draws > 1]
     text = _HEAD.format(
-        position=1e3 * some[0].cell.limits["position"],
-        rotation=1e3 * some[0].cell.limits["rotation"],
+        position=1e3 * usual.limits["position"],
+        rotation=1e3 * usual.limits["rotation"],
         probability=drawn[0].probability if drawn else 0.95,
         draws=drawn[0].draws if drawn else "the",
     )
@@ -88,6 +99,8 @@ def markdown(suite: str, command: str, records: Sequence[Record]) -> str:
         for board in every:
             if board.env_id == env_id:
                 text += f"\n{_sentence(motion_title(board))}:\n\n{_board(board)}"
+    for found in payload_maps(records):
+        text += f"\n## {map_title(found)}\n\n{_table(map_rows(found))}"
     text += f"\n## Best found\n\n{_bests(list(find_bests(records).values()))}"
     notes = [*failures(records), *fallbacks(records)]
     if notes:
@@ -114,15 +127,13 @@ def _board(board: Board) -> str:
 def _bests(bests: Sequence[Best]) -> str:
     rows = [["id", "motion", "payload [kg]", "with platform [kg]", "no more than [kg]", ""]]
     for best in bests:
-        fields = dict(best.cell.trajectory)
-        motion = " ".join(str(value) for value in (fields.pop("name"), *fields.values()))
         upper = best.result.get("upper") or {}
         payload, total = best.result.get("payload"), best.result.get("total_mass")
         note = best.result.get("error") or ("" if best.payload is not None else "does not pass its replay")
         if best.raised_by:
             note = f"raised to {best.payload:.3f} kg, which {best.raised_by} carries*"
         numbers = [_number(value) for value in (payload, total, upper.get("payload"))]
-        rows.append([best.cell.env_id, motion, *numbers, note])
+        rows.append([best.cell.env_id, task_title(best.cell), *numbers, note])
     return _table(rows)
 
 

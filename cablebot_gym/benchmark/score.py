@@ -8,6 +8,7 @@ from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, canonical
+from cablebot_gym.benchmark.maps import AXES, Axis, unusual
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,7 @@ def standings(records: Sequence[Record]) -> list[Standing]:
 
 def motion_key(cell: PolicyCell | BestCell) -> str:
     """Tells apart what has a best found of its own."""
-    return canonical([cell.env_id, dict(cell.trajectory), dict(cell.limits), cell.control_frequency])
+    return canonical([cell.env_id, dict(cell.trajectory), dict(cell.limits), cell.control_frequency, cell.stiffness])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,11 +143,70 @@ class Share:
 
 
 def boards(records: Sequence[Record]) -> list[Board]:
-    """The tables, in the order of the records."""
+    """The tables, in the order of the records; what only maps have is not in them."""
     grouped: dict[tuple[str, str], list[Standing]] = {}
     for standing in standings(records):
+        if unusual(standing.cell):
+            continue
         grouped.setdefault((standing.cell.env_id, str(standing.cell.trajectory["name"])), []).append(standing)
     return [_board(env_id, motion, some) for (env_id, motion), some in grouped.items()]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadMap:
+    """What policies carry on one environment's circle, told the payload, while one number of the task varies."""
+
+    env_id: str
+    """Environment."""
+    axis: Axis
+    """What varies."""
+    values: tuple[float, ...]
+    """Of the axis, SI, rising."""
+    bests: tuple[float | None, ...]
+    """Best found at each value [kg]; None where there is none."""
+    policies: Mapping[str, tuple[Standing | None, ...]]
+    """Standings of each at each value; None where it was not asked."""
+
+
+def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
+    """The maps that the records have: two values of an axis make one."""
+    asked = [
+        one
+        for one in standings(records)
+        if (one.cell.information, one.cell.uncertainty, one.cell.criterion) == ("told", None, "task")
+    ]
+    bests = find_bests(records)
+    found = []
+    for env_id in dict.fromkeys(one.cell.env_id for one in asked):
+        for axis in AXES.values():
+            off = [one for one in asked if one.cell.env_id == env_id and unusual(one.cell) == (axis.name,)]
+            motions = {one.cell.trajectory["name"] for one in off}
+            usual = [
+                one
+                for one in asked
+                if one.cell.env_id == env_id and not unusual(one.cell) and one.cell.trajectory["name"] in motions
+            ]
+            if off:
+                found.append(_map(env_id, axis, [*usual, *off], bests))
+    return found
+
+
+def _map(env_id: str, axis: Axis, some: Sequence[Standing], bests: Mapping[str, Best]) -> PayloadMap:
+    values = tuple(sorted({axis.of(one.cell) for one in some}))
+    carried = {(one.cell.policy, axis.of(one.cell)): one for one in some}
+    known = {axis.of(one.cell): bests.get(motion_key(one.cell)) for one in some}
+    varied = {one.cell.policy for one in some if unusual(one.cell)}
+    return PayloadMap(
+        env_id=env_id,
+        axis=axis,
+        values=values,
+        bests=tuple(None if (best := known[value]) is None else best.payload for value in values),
+        policies={
+            policy: tuple(carried.get((policy, value)) for value in values)
+            for policy in dict.fromkeys(one.cell.policy for one in some)
+            if policy in varied
+        },
+    )
 
 
 def _board(env_id: str, motion: str, some: Sequence[Standing]) -> Board:

@@ -9,7 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from cablebot_gym.benchmark.cells import BestCell, Cell, PolicyCell
-from cablebot_gym.envs import ENV_IDS, env_robot
+from cablebot_gym.benchmark.maps import AXES
+from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
@@ -29,6 +30,8 @@ class Block:
     """Name of what else the policies do not know."""
     draws: int = 1
     """Episodes at each payload."""
+    axis: str | None = None
+    """Name of what is varied, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for nothing."""
     slow: bool = False
     """Whether policies whose entry says that they are slow take part."""
 
@@ -86,6 +89,12 @@ SUITES = MappingProxyType(
                     Block(loops=20, slow=True),
                     Block(loops=20, information=_WRONG),
                 ),
+            ),
+            Suite(
+                name="maps",
+                summary="every id's circle under other bounds R, durations and joint stiffness K; an hour",
+                env_ids=ENV_IDS,
+                blocks=tuple(Block(information=("told",), axis=axis) for axis in AXES),
             ),
         )
     }
@@ -147,13 +156,15 @@ def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str,
     cells: list[Cell] = []
     slow = {name for name, entry in policy_entries().items() if entry.slow}
     for env_id, names in policies.items():
-        motions = {block.loops: _motions(env_id, block.loops) for block in suite.blocks}
-        every = {str(motion): motion for some in motions.values() for motion in some}
-        cells += [BestCell(env_id=env_id, trajectory=motion) for motion in every.values()]
-        for block in suite.blocks:
+        own = [block for block in suite.blocks if block.axis != "stiffness" or env_id in FLEXIBLE_ENV_IDS]
+        for block in own:
+            for motion in _motions(env_id, block.loops):
+                cells += _varied(block, BestCell(env_id=env_id, trajectory=motion))
+        for block in own:
             asked = [name for name in names if block.slow or name not in slow]
-            for motion, name, information in product(motions[block.loops], asked, block.information):
-                cells.append(
+            for motion, name, information in product(_motions(env_id, block.loops), asked, block.information):
+                cells += _varied(
+                    block,
                     PolicyCell(
                         env_id=env_id,
                         trajectory=motion,
@@ -162,9 +173,17 @@ def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str,
                         information=information,
                         uncertainty=block.uncertainty,
                         draws=block.draws,
-                    )
+                    ),
                 )
     return {cell.key: cell for cell in cells}
+
+
+def _varied(block: Block, cell: Cell) -> list[Cell]:
+    """The cell at every value of the block's axis."""
+    if block.axis is None:
+        return [cell]
+    axis = AXES[block.axis]
+    return [axis.put(cell, value) for value in axis.values]
 
 
 def _motions(env_id: str, loops: int) -> list[dict[str, Any]]:

@@ -11,15 +11,26 @@ from typing import Any
 
 from rich.table import Table
 
-from cablebot_gym.benchmark.cells import Record
-from cablebot_gym.benchmark.score import Best, Board, Column, Standing, boards, find_bests, standings
+from cablebot_gym.benchmark.cells import Cell, Record
+from cablebot_gym.benchmark.maps import AXES, unusual
+from cablebot_gym.benchmark.score import (
+    Best,
+    Board,
+    Column,
+    PayloadMap,
+    Standing,
+    boards,
+    find_bests,
+    payload_maps,
+    standings,
+)
 from cablebot_gym.terminal import results_console
 
 _INFORMATION = {"told": "told", "untold": "not told", "told-0.9": "told 0.9 ×", "told-1.1": "told 1.1 ×"}
 
 _CSV_FIELDS = (
     *("env_id", "trajectory", "policy", "criterion", "information", "uncertainty", "draws", "probability"),
-    *("position_bound", "rotation_bound", "control_frequency", "seed"),
+    *("position_bound", "rotation_bound", "stiffness", "control_frequency", "seed"),
     *("payload", "total_mass", "best_found", "score", "raised", "limit", "assured_payload", "fallbacks", "error"),
 )
 
@@ -60,10 +71,36 @@ def place(board: Board, policy: str, column: Column) -> str:
     return weight if share is None else f"{weight}, {share.median:.0%}"
 
 
+def map_title(found: PayloadMap) -> str:
+    """What a map's table is."""
+    return f"{found.env_id}, the paper's circle, told: payload by {found.axis.label}"
+
+
+def map_rows(found: PayloadMap) -> list[list[str]]:
+    """A map's table: values of the axis above, then the best found, then a row for each policy."""
+    rows = [["", *(f"{value * found.axis.scale:g}" for value in found.values)]]
+    rows.append(["best found", *("–" if best is None else f"{best:.2f}" for best in found.bests)])
+    return rows + [[policy, *map(_on_map, some)] for policy, some in found.policies.items()]
+
+
+def _on_map(one: Standing | None) -> str:
+    if one is None or one.error is not None:
+        return "–" if one is None else "failed"
+    weight = "none" if one.payload is None else f"{one.payload:.2f}"
+    return weight if one.score is None else f"{weight}, {one.score:.0%}"
+
+
+def task_title(cell: Cell) -> str:
+    """Motion, and what of the task is not as usual."""
+    fields = dict(cell.trajectory)
+    words = [str(fields.pop("name")), *(str(value) for name, value in fields.items() if name != "duration")]
+    words += [f"{AXES[name].label} {AXES[name].of(cell) * AXES[name].scale:g}" for name in unusual(cell)]
+    return ", ".join([" ".join(words[:2]), *words[2:]]) if "seed" in fields else ", ".join(words)
+
+
 def best_text(best: Best) -> str:
     """One line about a best found."""
-    trajectory = dict(best.cell.trajectory)
-    motion = f"{trajectory.pop('name')} {' '.join(str(value) for value in trajectory.values())}".strip()
+    motion = task_title(best.cell)
     if best.payload is None:
         why = best.result.get("error") or "what was found does not pass its replay"
         return f"{best.cell.env_id}, {motion}: none: {why}"
@@ -105,6 +142,15 @@ def print_benchmark(records: Sequence[Record]) -> None:
         for policy in board.policies:
             table.add_row(policy, *(place(board, policy, column) for column in board.columns))
         console.print(table)
+    for found in payload_maps(records):
+        console.print(map_title(found), highlight=False)
+        first, *rows = map_rows(found)
+        table = Table()
+        for place_, title in enumerate(first):
+            table.add_column(title, justify="right" if place_ else "left")
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
     console.print("payload [kg] and its share of the best found, task criterion; best found:", highlight=False)
     bests = list(find_bests(records).values())
     for line in [*map(best_text, bests), *failures(records), *fallbacks(records)]:
@@ -125,10 +171,9 @@ def csv_text(records: Sequence[Record]) -> str:
 def flat(one: Standing) -> dict[str, Any]:
     """A standing as a row of :func:`csv_text`."""
     cell, result, limit = one.cell, one.result, one.result.get("limit") or {}
-    names = ("env_id", "policy", "criterion", "information", "uncertainty", "draws", "probability", "control_frequency")
+    conditions = ("criterion", "information", "uncertainty", "draws", "probability", "stiffness", "control_frequency")
     return {
-        **{name: getattr(cell, name) for name in names},
-        "seed": cell.seed,
+        **{name: getattr(cell, name) for name in ("env_id", "policy", *conditions, "seed")},
         "trajectory": json.dumps(dict(cell.trajectory)),
         "position_bound": cell.limits["position"],
         "rotation_bound": cell.limits["rotation"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,22 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import Trajectory
+
+HANG = 0.3
+"""How far below a spatial platform the payload is drawn [m]; in the model it is at the platform's centre of mass."""
+
+_STEEL = 7850.0
+"""The payload is drawn as a ball of this density [kg/m³]."""
+
+
+def ball_radius(payload: float) -> float:
+    """Of the ball that stands for a payload [kg], in m."""
+    return float((3 * payload / (4 * math.pi * _STEEL)) ** (1 / 3))
+
+
+def full_tension(robot: Robot) -> float:
+    """What the strongest motor holds at standstill [N]: the end of the scale of tensions."""
+    return float(np.max(robot.stall_torque / robot.pulley_radius))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

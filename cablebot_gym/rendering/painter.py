@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym import palette
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.rendering.camera import fitted
-from cablebot_gym.rendering.moment import Moment, Scene
+from cablebot_gym.rendering.moment import HANG, Moment, Scene, ball_radius, full_tension
 
 if TYPE_CHECKING:
     import pygame
@@ -30,12 +30,6 @@ _FINER = 2
 
 _AZIMUTH, _ELEVATION = math.radians(22), math.radians(30)
 """Where a spatial robot is looked at from; a planar one from straight above."""
-
-_HANG = 0.3
-"""How far below the platform the payload is drawn [m]; in the model it is at the platform's centre of mass."""
-
-_STEEL = 7850.0
-"""The payload is drawn as a ball of this density [kg/m³]."""
 
 _SAG = 0.12
 """Depth of a slack cable's arc, as a share of its length."""
@@ -94,7 +88,7 @@ class Painter:
         around = [self._base.reshape(-1, 3), self._path]
         if not robot.planar:
             reach = np.abs(robot.platform).max() * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
-            around += [(self._path[::20, None] + reach).reshape(-1, 3), self._path + np.array([0, 0, _HANG + 0.07])]
+            around += [(self._path[::20, None] + reach).reshape(-1, 3), self._path + np.array([0, 0, HANG + 0.07])]
         else:
             around += [self._path + 0.06, self._path - 0.06]
         width, height = self._canvas.get_size()
@@ -184,8 +178,8 @@ class Painter:
         ends = np.tile(centre, (robot.cables, 1))
         if not robot.planar:
             ends = centre + robot.platform @ rotation_matrix(moment.pose[3:]).T
-        radius = (3 * moment.payload / (4 * math.pi * _STEEL)) ** (1 / 3)
-        ball = centre + (np.zeros(3) if robot.planar else np.array([0, 0, _HANG + radius]))
+        radius = ball_radius(moment.payload)
+        ball = centre + (np.zeros(3) if robot.planar else np.array([0, 0, HANG + radius]))
         if not robot.planar and moment.payload > 0:
             hook = camera.project(np.array([centre, ball]))
             pygame.draw.line(canvas, _INK, hook[0], hook[1], round(1.5 * unit))
@@ -223,15 +217,9 @@ class Painter:
             points = self._camera.project(base + along * (end - base) + sag * lower)
             self._dashed(self._canvas, points, palette.GREY, 1.6 * self._unit, 6 * self._unit)
             return
-        share = float(moment.tensions[cable]) / self._full_tension
+        share = float(moment.tensions[cable]) / full_tension(self.scene.robot)
         start, stop = self._camera.project(np.array([base, end]))
         self._line(start, stop, tension_colour(share), (1.6 + 2.4 * min(max(share, 0.0), 1.0)) * self._unit)
-
-    @property
-    def _full_tension(self) -> float:
-        """What the strongest motor holds at standstill [N]."""
-        robot = self.scene.robot
-        return float(np.max(robot.stall_torque / robot.pulley_radius))
 
     # --------------------------------------------------------------------------------------- what motors give, errors
 
@@ -271,7 +259,9 @@ class Painter:
             pygame.draw.line(canvas, colour, (left + place, y), (left + place, y + 7 * unit))
         self._write("cable tension [N]", (left + across / 2, y - 15 * unit), 11, palette.GREY, across=0.5)
         self._write("0", (left, y + 8 * unit), 11, palette.GREY)
-        self._write(f"{self._full_tension:.3g}", (left + across, y + 8 * unit), 11, palette.GREY, across=1.0)
+        self._write(
+            f"{full_tension(self.scene.robot):.3g}", (left + across, y + 8 * unit), 11, palette.GREY, across=1.0
+        )
 
     def _gauges(self, moment: Moment) -> None:
         """Errors against their bounds, and the time."""

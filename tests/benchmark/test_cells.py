@@ -17,7 +17,7 @@ from cablebot_gym.benchmark.cells import BestCell, PolicyCell, cell_from, comput
 from cablebot_gym.benchmark.source import policy_source
 from cablebot_gym.dlcc import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, load_policy
-from cablebot_gym.robots import PLANAR
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR
 from cablebot_gym.source import source_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -36,6 +36,7 @@ OTHERS = {
     "control_frequency": 250.0,
     "seed": 1,
     "resolution": 0.5,
+    "stiffness": 10.0,
 }
 
 
@@ -74,13 +75,29 @@ def test_cell_is_not_another_after_json(cell):
     assert again.key == cell.key
 
 
-@pytest.mark.parametrize("name", sorted(set(OTHERS) - {"env_id", "criterion", "uncertainty", "draws", "probability"}))
+_ASKED = ("env_id", "criterion", "uncertainty", "draws", "probability", "stiffness")
+
+
+@pytest.mark.parametrize("name", sorted(set(OTHERS) - set(_ASKED)))
 def test_field_is_not_read_and_then_discarded(name):
     """That the payload moves; draws and the rest are tested by what the evaluator is asked."""
     base = dataclasses.replace(FL, uncertainty="sensors") if name == "seed" else FL
     assert (
         compute(base).result["payload"] != compute(dataclasses.replace(base, **{name: OTHERS[name]})).result["payload"]
     )
+
+
+def test_stiffness_is_not_read_and_then_discarded():
+    springs = PolicyCell(env_id="CableBot-FlexPlanar-v0", trajectory=CIRCLE, policy="motor-pd", stiffness=10.0)
+    stiffer = FLEX_PLANAR.replace(transmission=FLEX_PLANAR.transmission.replace(stiffness=10.0))
+    expected = evaluate_dlcc(load_policy("motor-pd", stiffer), springs.env_id, robot=stiffer).payload
+    assert compute(springs).result["payload"] == expected
+    assert compute(dataclasses.replace(springs, stiffness=None)).result["payload"] != expected
+
+
+def test_stiffness_of_a_rigid_robot_is_one_sentence():
+    error = compute(dataclasses.replace(FL, stiffness=10.0)).error
+    assert error == f"{PLANAR_ID} has no joint springs: leave stiffness out, or choose an id with -Flex"
 
 
 def test_draws_and_probability_are_not_read_and_then_discarded():

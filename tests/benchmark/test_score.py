@@ -10,7 +10,8 @@ import pytest
 
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record
 from cablebot_gym.benchmark.leaderboard import markdown, read_results, results_json
-from cablebot_gym.benchmark.score import boards, find_bests, standings
+from cablebot_gym.benchmark.maps import AXES
+from cablebot_gym.benchmark.score import boards, find_bests, payload_maps, standings
 from cablebot_gym.benchmark.tables import csv_text, print_benchmark
 
 PLANAR = "CableBot-Planar-v0"
@@ -104,6 +105,35 @@ def test_family_with_a_failure_is_not_judged_by_the_rest():
     (board,) = boards(some)
     assert board.share("fl", board.columns[0]) is None
     assert "failed" in markdown("smoke", "c", some)
+
+
+def on_axis(name, value, payload, policy="fl"):
+    axis = AXES[name]
+    return [
+        record(axis.put(cell, value), payload=one, total_mass=None, verified=True)
+        for cell, one in (
+            (BestCell(env_id=PLANAR, trajectory=CIRCLE), 2 * payload),
+            (PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy=policy), payload),
+        )
+    ]
+
+
+def test_map_has_the_usual_task_among_its_values_and_the_board_has_nothing_else():
+    some = [*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0), *on_axis("duration", 2.0, 3.0)]
+    by_bound, by_duration = payload_maps(some)
+    assert (by_bound.values, by_bound.bests) == ((0.01, 0.02), (2.0, 3.0))
+    assert [one.payload for one in by_bound.policies["fl"]] == [1.0, 1.5]
+    assert (by_duration.values, by_duration.bests) == ((1.0, 2.0), (2.0, 6.0))
+    (board,) = boards(some)
+    assert [one.payload for one in board.places["fl", board.columns[0]]] == [1.0]
+    page = markdown("smoke", "c", some)
+    assert "| fl | 1.00, 50% | 1.50, 50% |" in page
+    assert "position error ≤ 10 mm" in page
+
+
+def test_policy_that_a_map_did_not_ask_is_no_row_of_it():
+    some = [*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0), carries("tube", 1.9)]
+    assert list(payload_maps(some)[0].policies) == ["fl"]
 
 
 ALL = [

@@ -9,6 +9,7 @@ import pytest
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell
+from cablebot_gym.benchmark.maps import AXES, unusual
 from cablebot_gym.benchmark.score import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
 from cablebot_gym.envs import env_robot
@@ -32,6 +33,7 @@ def test_every_cell_can_be_asked_and_has_a_best_found(name):
     assert best == {motion_key(cell) for cell in some if isinstance(cell, PolicyCell)}
     for cell in some:
         robot = find_robot(env_robot(cell.env_id))
+        assert cell.stiffness is None or robot.flexible
         find_trajectory(dict(cell.trajectory), robot.coordinates)
         if isinstance(cell, PolicyCell):
             assert find_uncertainty(cell.uncertainty, robot).random == (cell.draws > 1)
@@ -114,6 +116,23 @@ def test_factory_that_is_for_some_robots_takes_part_and_one_for_none_is_refused(
 def test_bad_choice_is_one_sentence(names, ids, message):
     with pytest.raises(ValueError, match=message):
         find_policies(names, find_env_ids(find_suite("smoke"), ids))
+
+
+def test_maps_vary_one_number_at_a_time_around_the_usual_task():
+    some = [cell for cell in cells("maps") if isinstance(cell, PolicyCell)]
+    for env_id in ENV_IDS:
+        own = [cell for cell in some if cell.env_id == env_id and cell.policy == "preview"]
+        asked = {
+            axis.name: {axis.of(cell) for cell in own if unusual(cell) in ((), (name,))} for name, axis in AXES.items()
+        }
+        springs = set(AXES["stiffness"].values) if "Flex" in env_id else {float("inf")}
+        assert asked == {name: set(axis.values) for name, axis in AXES.items()} | {"stiffness": springs}
+    assert all(len(unusual(cell)) <= 1 for cell in some)
+
+
+def test_usual_number_of_a_map_is_the_very_cell_of_the_other_suites():
+    shared = {cell.key for cell in cells("maps")} & {cell.key for cell in cells("standard")}
+    assert len({cell_key for cell_key in shared if '"policy":"preview"' in cell_key}) == len(ENV_IDS)
 
 
 def test_unknown_suite_names_the_known_ones():

@@ -1,0 +1,1 @@
+"""``cablebot report``: a benchmark's results as one page that needs no network."""

@@ -1,0 +1,301 @@
+"""The page: what a benchmark's records and the replays of their cells say, in one file that needs no network."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, canonical
+from cablebot_gym.benchmark.score import (
+    Board,
+    Column,
+    PayloadMap,
+    Standing,
+    boards,
+    find_bests,
+    payload_maps,
+    standings,
+)
+from cablebot_gym.benchmark.tables import best_text, failures, fallbacks, heading, motion_title, task_title
+from cablebot_gym.dlcc.monitor import Limit
+from cablebot_gym.rendering.moment import HANG, full_tension
+from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
+from cablebot_gym.trajectories import find_trajectory
+
+SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
+"""In the order in which they need each other."""
+
+NO_MAPS = (
+    "There are none in these results. cablebot benchmark --suite maps --out maps makes them, and "
+    "cablebot report RESULTS maps puts them here."
+)
+
+
+class Source:
+    """Where records come from: a suite's results.
+
+    ``suite`` its name, ``command`` what makes them, ``records`` the cells.
+    """
+
+    def __init__(self, suite: str, command: str, records: Sequence[Record]) -> None:
+        self.suite, self.command, self.records = suite, command, tuple(records)
+
+
+def merged(sources: Sequence[Source]) -> list[Record]:
+    """All records; of a cell that is there twice, the first."""
+    kept: dict[str, Record] = {}
+    for source in sources:
+        for record in source.records:
+            kept.setdefault(record.cell.key, record)
+    return list(kept.values())
+
+
+def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> str:
+    """The page.
+
+    Args:
+        title: heading.
+        sources: results of one suite or several.
+        replays: by the key of a cell: its episodes, or why there are none.
+    """
+    assets = files("cablebot_gym.report") / "assets"
+
+    def read(name: str) -> str:
+        return (assets / name).read_text(encoding="utf-8")
+
+    data = json.dumps(page_data(sources, replays), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    parts = {
+        "title": title.replace("&", "&amp;").replace("<", "&lt;"),
+        "style": read("style.css"),
+        "script": "\n".join(map(read, SCRIPTS)),
+        "data": data.replace("<", "\\u003c"),  # no end tag can stand in it
+    }
+    before, *rest = read("page.html").split("{{")
+    pieces = [before]
+    for piece in rest:  # one pass: what is filled in may hold braces itself
+        name, _, after = piece.partition("}}")
+        pieces += [parts[name], after]
+    return "".join(pieces)
+
+
+def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
+    """Everything that the page's scripts draw, JSON-able. Arguments as of :func:`html`."""
+    records = merged(sources)
+    some = standings(records)
+    by_key = {record.cell.key: record for record in records}
+    robots, motions = _Numbered(), _Numbered()
+    cells = [_cell(one, by_key[one.cell.key], replays, robots, motions) for one in some]
+    places = {one.cell.key: place for place, one in enumerate(some)}
+    rows = [_row(board, policy, column, places) for board in boards(records) for policy, column in board.places]
+    return {
+        "rows": rows,
+        "cells": cells,
+        "robots": robots.values,
+        "motions": motions.values,
+        "maps": [_map(found) for found in payload_maps(records)],
+        "made": _made(sources, records),
+        "words": {"no_maps": NO_MAPS},
+        "rate": RATE,
+        "levels": LEVELS,
+    }
+
+
+class _Numbered:
+    """Different things, each once, by number."""
+
+    def __init__(self) -> None:
+        self.values: list[Any] = []
+        self._places: dict[str, int] = {}
+
+    def add(self, value: Any) -> int:
+        key = canonical(value)
+        if key not in self._places:
+            self._places[key] = len(self.values)
+            self.values.append(value)
+        return self._places[key]
+
+
+def _row(board: Board, policy: str, column: Column, places: Mapping[str, int]) -> dict[str, Any]:
+    some = board.places[policy, column]
+    share = board.share(policy, column)
+    applicable = all(one.result.get("applicable", True) for one in some)
+    payloads = [one.payload or 0.0 for one in some]
+    none = all(one.payload is None for one in some)
+    failed = any(one.error is not None for one in some)
+    weight = "failed" if failed else "n/a" if not applicable else "none" if none else f"{median(payloads):.2f}"
+    return {
+        "key": canonical([board.env_id, board.motion, policy, heading(column)]),
+        "id": board.env_id,
+        "policy": policy,
+        "motion": motion_title(board).removesuffix(": median and worst share"),
+        "condition": heading(column).removesuffix(" [kg]"),
+        "weight": weight,
+        "payload": None if failed or not applicable else median(payloads),
+        "share": None if share is None else share.median,
+        "interval": _interval(some),
+        "raised": any(one.raised for one in some),
+        "note": "" if applicable else "does not declare unclipped",
+        "limit": _gives_way(some),
+        "cells": [places[one.cell.key] for one in some],
+    }
+
+
+def _interval(some: Sequence[Standing]) -> list[float] | None:
+    """Shares from the worst to the best motion, or from the assured payload to the payload."""
+    if len(some) > 1:
+        scores = [one.score for one in some if one.score is not None]
+        return [min(scores), max(scores)] if len(scores) == len(some) else None
+    one = some[0]
+    if one.cell.draws == 1 or one.score is None or not one.best:
+        return None
+    return [(one.result.get("assured_payload") or 0.0) / one.best, one.score]
+
+
+def _gives_way(some: Sequence[Standing]) -> str:
+    """What is first beyond the payload, of one motion; the kinds of several."""
+    limits = [Limit(**one.result["limit"]) for one in some if one.result.get("limit")]
+    if len(some) == 1:
+        return str(limits[0]) if limits else (some[0].error or "")
+    kinds = [limit.kind for limit in limits]
+    return ", ".join(f"{kind} {kinds.count(kind)} ×" for kind in dict.fromkeys(kinds))
+
+
+def _cell(
+    one: Standing,
+    record: Record,
+    replays: Mapping[str, Sequence[Replay] | str],
+    robots: _Numbered,
+    motions: _Numbered,
+) -> dict[str, Any]:
+    cell = one.cell
+    seen = replays.get(cell.key, "")
+    drawn: dict[str, Any] = {"replays": None, "why": seen or "No episode was recorded for this cell."}
+    if not isinstance(seen, str):
+        drawn = {
+            "replays": [replay.to_dict() for replay in seen],
+            "robot": robots.add(_robot(cell)),
+            "motion": motions.add(_motion(cell)),
+        }
+    return drawn | {
+        "title": task_title(cell),
+        "carries": "not carried" if one.payload is None else "what it carries",
+        "code": _code(cell),
+        "facts": _facts(one, record),
+    }
+
+
+def _code(cell: PolicyCell) -> str:
+    """What computes the cell."""
+    keywords = "".join(f"    {name}={value!r},\n" for name, value in cell.question().items() if value is not None)
+    return (
+        "import cablebot_gym\nfrom cablebot_gym.dlcc import evaluate_dlcc\n\n"
+        f"print(evaluate_dlcc(\n    {cell.policy!r},\n    {cell.env_id!r},\n{keywords}))"
+    )
+
+
+def _facts(one: Standing, record: Record) -> list[list[str]]:
+    result, cell = one.result, one.cell
+    facts = [["Source", f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items())]]
+    if one.error is not None:
+        return [["Failed", one.error], *facts]
+    if not result.get("applicable", True):
+        return [["Not applicable", "the paper's criterion asks for commands that the law does not clip itself"], *facts]
+    if cell.told_share != 1.0:
+        text = f"{cell.told_share:g} times the true payload; payloads here are the true ones"
+        facts.insert(0, ["What is told", text])
+    if one.best is not None:
+        facts.insert(0, ["Best found", f"{one.best:.3f} kg"])
+    if result.get("failures"):
+        facts.insert(0, ["Draws that fail beyond", ", ".join(f"{k}: {n}" for k, n in result["failures"].items())])
+    if cell.draws > 1:
+        assured = result.get("assured_payload")
+        text = "none" if assured is None else f"{assured:.3f} kg"
+        facts.insert(0, ["Draws", f"{cell.draws}, {cell.probability:.0%} have to carry it; assured: {text}"])
+    if result.get("limit"):
+        facts.insert(0, ["First beyond it", str(Limit(**result["limit"]))])
+    intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
+    facts.insert(0, ["Carried", ", ".join(intervals) or "no payload that was tried, not even zero"])
+    return facts
+
+
+def _robot(cell: PolicyCell) -> dict[str, Any]:
+    robot = cell.robot
+    points, cables = platform_points(robot)
+    base = robot.base
+    low, high = base.min(axis=0), base.max(axis=0)
+    reach = np.array(robot.home_pose[: base.shape[1]], float)
+    low, high = np.minimum(low, reach), np.maximum(high, reach)
+    return {
+        "name": robot.name,
+        "base": base.tolist(),
+        "points": len(points),
+        "cables": cables,
+        "middle": [*((low + high) / 2).tolist(), *[0.0] * (3 - base.shape[1])],
+        "size": float(np.linalg.norm(high - low)),
+        "planar": robot.planar,
+        "hang": 0.0 if robot.planar else HANG,
+        "fullTension": full_tension(robot),
+    }
+
+
+def _motion(cell: PolicyCell) -> dict[str, Any]:
+    robot = cell.robot
+    trajectory = find_trajectory(dict(cell.trajectory), robot.coordinates)
+    times = np.arange(np.ceil(trajectory.duration * RATE - 1e-9) + 1) / RATE
+    path = trajectory(np.minimum(times, trajectory.duration)).position[:, : robot.base.shape[1]]
+    return {
+        "path": np.round(path, 6).tolist(),
+        "bound": cell.limits["position"],
+        "rotation": cell.limits["rotation"],
+    }
+
+
+def _map(found: PayloadMap) -> dict[str, Any]:
+    def payload(one: Standing | None) -> float | None:
+        return None if one is None or one.error is not None else one.payload or 0.0
+
+    return {
+        "id": found.env_id,
+        "label": found.axis.label,
+        "x": [round(value * found.axis.scale, 9) for value in found.values],
+        "bests": list(found.bests),
+        "policies": [
+            {"name": policy, "values": [payload(one) for one in some]} for policy, some in found.policies.items()
+        ],
+    }
+
+
+def _made(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str, Any]]:
+    bests = [best_text(best) for best in find_bests(records).values()]
+    parts = [
+        {
+            "title": "A payload",
+            "lines": [
+                "is the upper end of the payloads that are carried, from zero on: scanned, then refined.",
+                "Carried, by the task criterion: motors clip; the position error within R, the rotation error within "
+                "its bound and no slack cable at every physics step.",
+                "Shares are of the best found for the same robot, motion and limits; it is verified by replay.",
+                "Episodes are those at the payload, or at zero if none is carried, and at a little more; of cells "
+                "with draws, the first draw.",
+                "Each row's number is computed by the lines under 'How this number was made'.",
+            ],
+        },
+        {"title": "These results", "lines": [f"suite {one.suite}: {one.command}" for one in sources]},
+        {"title": "Best found", "lines": bests or ["none in these results"]},
+    ]
+    notes = [*failures(records), *fallbacks(records)]
+    return parts + ([{"title": "Notes", "lines": notes}] if notes else [])
+
+
+def replayed(records: Sequence[Record]) -> dict[str, tuple[PolicyCell, float | None]]:
+    """By key, the cells that have an episode, and the true payload that each carries [kg]."""
+    return {
+        record.cell.key: (record.cell, record.result.get("payload"))
+        for record in records
+        if not isinstance(record.cell, BestCell) and record.error is None and record.result.get("applicable", True)
+    }
