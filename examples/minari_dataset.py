@@ -1,7 +1,7 @@
 """A Minari dataset of an expert over payloads: recorded, loaded again, and replayed to the same observations.
 
-The expert is the shipped learned policy `curve`. Everything is written below FOLDER, not among the datasets at your home.
-Needs the extra minari: pip install 'cablebot-gym[minari]'.
+The expert is the shipped learned policy `curve`. Everything is written below FOLDER, not among the datasets at your
+home. Needs the extra minari: pip install 'cablebot-gym[minari]'.
 
 Run it: python examples/minari_dataset.py [FOLDER]
 """
