@@ -34,7 +34,7 @@ Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
 
 
 def as_data(option: str, text: str | None) -> Any:
-    """A name as it is, JSON, or a file of it, as what it holds."""
+    """The text of an option: a name as it is, JSON, or a file of it, as what it holds."""
     if text is not None and text.endswith(".json"):
         try:
             text = Path(text).read_text(encoding="utf-8")
