@@ -1,6 +1,31 @@
 """Gymnasium environments and a payload benchmark for cable-suspended robots.
 
 Importing registers the ids in :data:`ENV_IDS`; everything heavy is loaded when it is used.
+
+These parameters mean the same everywhere. A docstring names them only where there is more to say:
+
+    robot: with the nominal parameters, without payload.
+    env_id: one of :data:`ENV_IDS`.
+    cables: their number, m.
+    count: how many environments or robots, N.
+    part: blocks of an observation by name, as ``layout.split`` gives them.
+    observation: of one environment (size,) or of N of them (N, size).
+    action: drive commands in [−1, 1], of one environment (m,) or of N of them (N, m).
+    state, episode_start, deterministic: as in Stable-Baselines3's ``predict``.
+    env: the environment that is wrapped or looked at.
+    seed: a non-negative integer; None for a new one.
+    payload: added to the platform [kg].
+    mass: of the platform and its payload [kg], shape (...).
+    pose: X = (x, y) or (x, y, z, ψ, θ, φ) [m, rad], shape (..., n).
+    velocity, acceleration: Ẋ and Ẍ, shape (..., n).
+    euler: (ψ, θ, φ) [rad], shape (..., 3).
+    base, platform: anchors of the cables [m], shape (m, 2) or (m, 3).
+    trajectory: the reference motion.
+    control_frequency: drive commands per second [Hz].
+    draws: of an uncertainty, their number.
+    confidence: of an interval or a lower bound, between 0 and 1.
+    name: of what is said in results and errors.
+    path, folder: where to read or write.
 """
 
 from cablebot_gym.envs import ENV_IDS, register_envs

@@ -36,7 +36,12 @@ from cablebot_gym.report.command import report
 
 app = typer.Typer(
     name="cablebot",
-    help="How many kilograms does a controller carry on a cable robot?",
+    help=(
+        "How many kilograms does a controller carry on a cable robot?\n\n"
+        "Exit status: 0 done, whatever is carried; 1 ran and failed: a policy raised, a file could not be written, a "
+        "cell of the benchmark failed, a best payload was not verified, or doctor found something wrong; 2 bad input; "
+        "130 interrupted."
+    ),
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -312,21 +317,25 @@ def rollout(
     """
     from cablebot_gym.files import usable_folder
     from cablebot_gym.rollout import check_suffix, record_rollout
+    from cablebot_gym.terminal import counting
 
     check_suffix(out)
     usable_folder(out.parent)
     if out.is_dir():
         raise ValueError(f"cannot write {str(out)!r}: it is a folder; name a file in it")
-    record = record_rollout(
-        policy,
-        env_id,
-        payload=payload,
-        seed=seed,
-        trajectory=as_data("--trajectory", trajectory),
-        payload_known=payload_known,
-        uncertainty=as_data("--uncertainty", uncertainty),
-        control_frequency=control_frequency,
-    )
+    with counting(_errors, "steps") as bar:
+        task = bar.add_task(policy, total=1)
+        record = record_rollout(
+            policy,
+            env_id,
+            payload=payload,
+            seed=seed,
+            trajectory=as_data("--trajectory", trajectory),
+            payload_known=payload_known,
+            uncertainty=as_data("--uncertainty", uncertainty),
+            control_frequency=control_frequency,
+            progress=lambda done, expected: bar.update(task, completed=done, total=expected),
+        )
     record.save(out)
     verdict = record.verdict
     outcome = "carried" if verdict.carried else f"not carried: {verdict.limit}"

@@ -11,10 +11,9 @@ import typer
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0; see `cablebot list`.")
 ]
-PolicyName = Annotated[
-    str,
-    typer.Option("--policy", help="Installed name, bundle or SB3 file ending in .zip, or package.module:factory."),
-]
+_POLICY = typer.Option("--policy", help="Installed name, bundle or SB3 file ending in .zip, or package.module:factory.")
+PolicyName = Annotated[str, _POLICY]
+PolicyNameOrNone = Annotated[str | None, _POLICY]
 TrajectoryName = Annotated[
     str | None,
     typer.Option("--trajectory", help='Name, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'.'),
@@ -34,7 +33,7 @@ Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
 
 
 def as_data(option: str, text: str | None) -> Any:
-    """A name as it is, JSON, or a file of it, as what it holds."""
+    """The text of an option: a name as it is, JSON, or a file of it, as what it holds."""
     if text is not None and text.endswith(".json"):
         try:
             text = Path(text).read_text(encoding="utf-8")

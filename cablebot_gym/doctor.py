@@ -41,9 +41,11 @@ class Finding:
     """Something that was looked at."""
 
     name: str
+    """What was looked at."""
     good: bool | None
     """None: a matter of taste, such as an extra that is not installed."""
     words: str
+    """What was found."""
 
 
 def examine() -> Iterator[Finding]:

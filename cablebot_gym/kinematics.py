@@ -47,7 +47,7 @@ def euler_rate_matrix(euler: ArrayLike) -> Array:
 
 
 def euler_rate_matrix_rate(euler: ArrayLike, rates: ArrayLike) -> Array:
-    """Ṗ, the time derivative of :func:`euler_rate_matrix`, shape (..., 3, 3)."""
+    """Ṗ, the time derivative of :func:`euler_rate_matrix` at the rates (..., 3), shape (..., 3, 3)."""
     (cx, cy, _), (sx, sy, _) = _cosines_and_sines(euler)
     dpsi, dtheta, _ = _components(rates)
     return _matrix(

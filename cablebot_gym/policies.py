@@ -82,7 +82,7 @@ class PolicyError(RuntimeError):
 
 
 class LaneError(RuntimeError):
-    """A function failed for one observation of a batch."""
+    """A function failed for one observation of a batch, that of a lane; the message says how."""
 
     def __init__(self, lane: int, message: str) -> None:
         super().__init__(message)
@@ -91,7 +91,7 @@ class LaneError(RuntimeError):
 
 
 class CallablePolicy:
-    """A plain ``observation -> action``, called for one observation at a time."""
+    """A plain function ``observation -> action``, called for one observation at a time."""
 
     unclipped = False
 

@@ -38,7 +38,7 @@ class Motors:
         _freeze_fields(self)
 
     def replace(self, **changes: Any) -> Motors:
-        """A copy with some fields changed."""
+        """A copy with some fields changed, as ``changes`` say."""
         return dataclasses.replace(self, **changes)
 
 
@@ -64,7 +64,7 @@ class Transmission:
         _freeze_fields(self)
 
     def replace(self, **changes: Any) -> Transmission:
-        """A copy with some fields changed."""
+        """A copy with some fields changed, as ``changes`` say."""
         return dataclasses.replace(self, **changes)
 
 
@@ -288,7 +288,7 @@ class Robot:
         return self.stall_torque / self.per_motor(self.motors.free_speed)
 
     def replace(self, **changes: Any) -> Robot:
-        """A copy with some fields changed, checked anew."""
+        """A copy with some fields changed, as ``changes`` say, checked anew."""
         return dataclasses.replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:

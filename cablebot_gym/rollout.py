@@ -28,6 +28,7 @@ def record_rollout(
     payload: float = 0.0,
     seed: int = 0,
     look: Callable[[DLCCMonitor], None] = lambda env: None,
+    progress: Callable[[int, int], None] = lambda done, expected: None,
     **keywords: Any,
 ) -> Rollout:
     """Runs one whole motion, or until the environment ends it.
@@ -38,6 +39,7 @@ def record_rollout(
         payload: [kg].
         seed: of the environment.
         look: gets the environment after the reset and after every step.
+        progress: gets the number of control steps done and to be done, after the reset and after every step.
         keywords: for the environment.
 
     Raises:
@@ -52,6 +54,7 @@ def record_rollout(
         task: Task = env.get_wrapper_attr("task")
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
         task.check_steps()
+        progress(0, task.steps)
         label = name_of(policy)
         begin(loaded, label, (task,))
         layout = env.get_wrapper_attr("layout")
@@ -75,6 +78,7 @@ def record_rollout(
             state_now = {name: parts[name].copy() for name in ("pose", "velocity", "reference_pose")}
             numbers = {name: value for name, value in info.items() if not isinstance(value, str)}
             rows.append({"time": numbers.pop("time")} | state_now | numbers | {"reward": reward})
+            progress(len(rows), task.steps)
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         return Rollout(arrays=arrays, verdict=env.verdict, reason=str(info["termination_reason"]))
     finally:

@@ -15,7 +15,7 @@ _NARROW = 150
 
 
 def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
-    """Evaluations of one policy, and the criteria that do not apply to it."""
+    """Evaluations of one policy, and the criteria that are ``left_out``, for they do not apply to it."""
     console = results_console()
     first = results[0]
     told = "payload told" if first.payload_known else "payload not told"

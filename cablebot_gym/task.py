@@ -41,7 +41,7 @@ class Limits:
         return max(0.1, 2 * self.position)
 
     def replace(self, **changes: float) -> Limits:
-        """A copy with some bounds changed."""
+        """A copy with some bounds changed, as ``changes`` say."""
         return replace(self, **changes)
 
 
@@ -97,7 +97,7 @@ class Task:
 
 
 def as_plain(value: Any) -> Any:
-    """A trajectory as JSON-able data, for result files; of one that is no dataclass, what the protocol promises."""
+    """A value, such as a trajectory, as JSON-able data; of one that is no dataclass, what the protocol promises."""
     if isinstance(value, Trajectory) and not hasattr(value, "__dataclass_fields__"):
         return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
     if hasattr(value, "__dataclass_fields__"):

@@ -35,7 +35,7 @@ def working(console: Console) -> Iterator[Callable[[str], None]]:
 
 
 def counting(console: Console, things: str) -> Progress:
-    """A bar that counts, such as ``computations``; shown in a terminal alone."""
+    """A bar that counts things, such as ``computations``; shown in a terminal alone."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

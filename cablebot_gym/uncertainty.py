@@ -83,7 +83,7 @@ class Spread:
         return np.asarray(np.clip(drawn, self.low, self.high))
 
     def applied(self, nominal: Array, deviation: Array) -> Array:
-        """The true value."""
+        """The true value for a nominal one and a deviation in the unit of the spread."""
         return nominal * (1 + deviation) if self.relative else nominal + deviation
 
 

@@ -32,7 +32,7 @@ def cores() -> int:
 
 
 def check_workers(workers: int | None) -> int:
-    """A number of processes that was asked for; None stands for one per core.
+    """``workers``, a number of processes that was asked for; None stands for one per core.
 
     Raises:
         ValueError: if it is not positive.

@@ -63,6 +63,14 @@ def figure_is_there(lines: list[str], folder: Path) -> bool:
         return min(figure.size) > 600 and "motor 2 at t = 0.500 s" in lines[0]
 
 
+def actions_replay_to_the_bit(lines: list[str], folder: Path) -> bool:
+    demands = [float(line.split()[-1]) for line in lines[1:-1]]
+    kept = folder / "out" / "cablebot-spatial" / "curve-v0" / "data" / "main_data.hdf5"
+    return (
+        kept.is_file() and demands == sorted(set(demands)) and len(demands) == 8 and lines[-1].endswith("at most 0.0")
+    )
+
+
 PROMISES: dict[str, Callable[[list[str], Path], bool]] = {
     "first_steps": lambda lines, folder: lines[-1] == "carried" and "reference_pose" in "".join(lines),
     "your_controller": gains_a_tenth,
@@ -73,6 +81,7 @@ PROMISES: dict[str, Callable[[list[str], Path], bool]] = {
     "train_in_a_minute": gains_half,
     "train_with_sb3": judged_though_nothing_is_carried,
     "paper_figure": figure_is_there,
+    "minari_dataset": actions_replay_to_the_bit,
 }
 
 

@@ -41,6 +41,7 @@ class FeedbackLinearization(ClassicalLaw):
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
 
     def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Torques that the law asks for [N·m], and motor speeds [rad/s], each (..., m)."""
         needed = self._inverse_dynamics(mass, part["pose"], part["velocity"], self.outer(part))
         return needed.torques, needed.speeds
 

@@ -63,6 +63,7 @@ class FlexibleLaw(ClassicalLaw):
         super().__init__(robot, minimum_tension=minimum_tension)
 
     def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Torques that the law asks for [N·m], and motor speeds [rad/s], each (..., m)."""
         return self._torque(part, mass), part["motor_speed"]
 
     def _torque(self, part: dict[str, Array], mass: Array) -> Array:

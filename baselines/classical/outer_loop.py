@@ -23,7 +23,7 @@ PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 
 
 def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[float, float]:
-    """(K_P, K_D), the paper's for None.
+    """The gains (K_P, K_D), the paper's for None.
 
     Raises:
         ValueError: if they are not two positive numbers.

@@ -48,10 +48,15 @@ class Settings:
 
     env_id: str
     algorithm: str
+    """As ``cablebot train --algo`` has it."""
     seed: int
+    """Of weights, exploration and environments."""
     timesteps: int
+    """Actions over all environments."""
     eval_every: int
+    """Timesteps from one evaluation to the next."""
     checkpoint_every: int
+    """Timesteps from one checkpoint to the next."""
     threads: int
     """Of torch. Weights depend on it in their last digits, which training makes more of."""
     evaluation: Mapping[str, Any]
@@ -78,10 +83,15 @@ class Checkpoint:
 
     settings: Settings
     timesteps: int
+    """Done so far."""
     wall_s: float
+    """Spent so far, pauses left out [s]."""
     base_payload_kg: float | None
+    """What the base law carries alone; None if not even zero."""
     evaluations: tuple[Evaluation, ...]
+    """Made so far."""
     versions: Mapping[str, str]
+    """Of Python and packages."""
     parts: Mapping[str, bytes] = field(repr=False)
     """Members of the file but its state."""
 
@@ -130,7 +140,7 @@ class Checkpoint:
             ) from error
 
     def trained(self, out: Path) -> Trained:
-        """What has come of the run."""
+        """What has come of the run in the folder ``out``."""
         return Trained(
             out=out,
             timesteps=self.timesteps,
@@ -153,7 +163,7 @@ class Checkpoint:
 
 
 def model_parts(model: BaseAlgorithm, environments: Any) -> dict[str, bytes]:
-    """Members of a checkpoint: a model with its replay buffer, what it trains on, and random generators."""
+    """Members of a checkpoint: a model with its replay buffer, its environments, and random generators."""
     buffer = io.BytesIO()
     model.save(buffer)
     parts = {
@@ -193,7 +203,7 @@ def _view(owner: Any, dtype: Any, shape: Any, strides: Any, offset: int) -> Any:
 
 
 def pickled(value: Any) -> bytes:
-    """Bytes for ``pickle.loads`` that keep views and compiled functions."""
+    """Bytes of a value for ``pickle.loads`` that keep views and compiled functions."""
     buffer = io.BytesIO()
     _Pickler(buffer, protocol=pickle.HIGHEST_PROTOCOL).dump(value)
     return buffer.getvalue()

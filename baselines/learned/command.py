@@ -52,8 +52,12 @@ def train(
     cablebot train CableBot-Planar-v0 --algo gradient --out runs/planar
     """
     from baselines.learned import gradient_run, training
+    from baselines.learned.config import ALGORITHMS
     from baselines.learned.runs import Interrupted
 
+    if algo not in (None, *ALGORITHMS, gradient_run.ALGORITHM):
+        known = ", ".join((*ALGORITHMS, gradient_run.ALGORITHM))
+        raise ValueError(f"unknown algorithm {algo!r}; choose one of {known}")
     console = notes_console()
     with counting(console, "timesteps") as bar:
         task = bar.add_task("starting", total=1)

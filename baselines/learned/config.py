@@ -57,6 +57,7 @@ class Config:
     timesteps: int
     """Steps of training, over all environments; each is one action of the learner."""
     n_envs: int
+    """Environments at once, N."""
     policy: str
     """Stable-Baselines3's name; ``MlpPolicy``."""
     model: Mapping[str, Any]
@@ -70,7 +71,9 @@ class Config:
     base: Base
     """The law that is steered, from the wrapper's keywords."""
     way: Shift | Residual
+    """How actions become what steers the law."""
     features: tuple[str, ...]
+    """What the network reads."""
     plain: Mapping[str, Any] = field(repr=False)
     """What the file says, JSON-able."""
 
@@ -205,7 +208,7 @@ def _model_value(name: str, value: Any) -> Any:
 
 
 def schedule(name: str, value: Any) -> Any:
-    """A number, or ``lin_1e-3`` as a schedule that falls linearly to 0.
+    """The value of a hyperparameter: a number, or ``lin_1e-3`` as a schedule that falls linearly to 0.
 
     Raises:
         ValueError: if it is neither.
@@ -226,7 +229,7 @@ def schedule(name: str, value: Any) -> Any:
 
 
 def policy_keywords(value: Any) -> dict[str, Any]:
-    """``policy_kwargs`` from a mapping, or from RL-Zoo's text, ``dict(net_arch=[64, 64], activation_fn=nn.ReLU)``.
+    """``policy_kwargs`` from a value: a mapping, or RL-Zoo's text, ``dict(net_arch=[64, 64], activation_fn=nn.ReLU)``.
 
     Nothing in the text is run: it may hold numbers, lists, dicts, and the names of two activations.
 

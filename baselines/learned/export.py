@@ -72,7 +72,7 @@ def bundle_from_sb3(
     features: tuple[str, ...],
     card: Mapping[str, Any],
 ) -> Bundle:
-    """A model with what it steers, see :class:`Bundle` and :func:`network_from_sb3`.
+    """A model with what it steers; arguments as for :class:`Bundle` and :func:`network_from_sb3`.
 
     Raises:
         ValueError: if the model cannot be exported, or the parts do not fit each other.
@@ -82,7 +82,7 @@ def bundle_from_sb3(
 
 
 def silent_network(features: int, actions: int) -> Network:
-    """A network that says 0 whatever it reads: its policy is the base law alone."""
+    """A network of so many features and actions that says 0 whatever it reads: its policy is the base law alone."""
     zeros = (np.zeros((actions, features)),)
     return Network(mean=np.zeros(features), scale=np.ones(features), weights=zeros, biases=(np.zeros(actions),))
 

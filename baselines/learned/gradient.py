@@ -249,12 +249,15 @@ class GradientTraining:
         return [value.flatten() for value in broken]
 
     def run(self, report: Callable[[Progress], None] = lambda _: None) -> None:
-        """All rounds. After an interrupt the network is what the last evaluation made of it."""
+        """All rounds, with a report of each. After an interrupt the network is what the last evaluation made of it."""
         for number in range(len(self.settings.rounds)):
             self.round(number, report)
 
     def round(self, number: int, report: Callable[[Progress], None] = lambda _: None) -> None:
-        """One round, from 0 on. It depends on weights and payloads alone, so that a run can go on between two."""
+        """The round of this number, from 0 on, with reports of its progress.
+
+        It depends on weights and payloads alone, so that a run can go on between two.
+        """
         variables, weight = [*self._variables, self._payloads], self.settings.rounds[number]
         self.evaluations = 0
         self._softness = self.settings.softness[number] if self.settings.softness else 0.0

@@ -63,9 +63,13 @@ class GradientConfig:
     judged: tuple[Trajectory, ...]
     """To choose the best of the rounds by."""
     base: Base
+    """The law that is steered."""
     way: Shift
+    """How actions become what steers the law."""
     features: tuple[str, ...]
+    """What the network reads."""
     settings: GradientSettings
+    """Of the optimisation."""
     evaluation: Mapping[str, Any]
     """Keywords of :func:`cablebot_gym.dlcc.evaluate_dlcc`."""
     plain: Mapping[str, Any]
@@ -73,7 +77,7 @@ class GradientConfig:
 
 
 def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfig:
-    """Checks what a file says.
+    """Checks ``plain``, what a file says.
 
     Its keys are ``motions``, ``base``, ``steering``, ``features``, ``evaluation``, and the fields of
     :class:`GradientSettings`. Motions are ``paper``, or a mapping with ``loops``, N for training seeds 0 to N − 1 of

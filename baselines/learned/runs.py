@@ -36,6 +36,7 @@ class Evaluation:
     """What a policy on the way carried."""
 
     timesteps: int
+    """Done by then."""
     wall_s: float
     """Since the run began, pauses left out [s]."""
     payload_kg: float | None
@@ -47,11 +48,15 @@ class Trained:
     """What came of a run."""
 
     out: Path
+    """Folder of the run."""
     timesteps: int
+    """Done."""
     wall_s: float
+    """Pauses left out [s]."""
     base_payload_kg: float | None
     """What the base law carries alone."""
     evaluations: tuple[Evaluation, ...]
+    """In the order of time."""
 
     @property
     def best(self) -> Evaluation | None:
@@ -72,7 +77,7 @@ class Trained:
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was stopped by a signal, and its checkpoint is written."""
+    """A run was stopped by a signal after ``timesteps``, and its checkpoint is written."""
 
     def __init__(self, timesteps: int) -> None:
         super().__init__(f"stopped at {timesteps} timesteps")
@@ -80,7 +85,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def check_new(out: Path) -> None:
-    """Refuses a folder that has a run.
+    """Refuses a folder ``out`` that has a run.
 
     Raises:
         ValueError: saying what to type.
@@ -92,7 +97,7 @@ def check_new(out: Path) -> None:
 
 
 def write_evaluations(out: Path, evaluations: Sequence[Evaluation]) -> None:
-    """Writes ``evaluations.csv``, whole or not at all."""
+    """Writes ``evaluations.csv`` into the folder ``out``, whole or not at all."""
 
     def write(temporary: Path) -> None:
         with temporary.open("w", newline="", encoding="utf-8") as file:
@@ -105,6 +110,7 @@ def write_evaluations(out: Path, evaluations: Sequence[Evaluation]) -> None:
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
+    """Has torch use so many threads meanwhile."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -114,14 +120,17 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 def rank(payload: float | None) -> float:
+    """For comparing payloads: None, where not even zero is carried, is the least."""
     return -1.0 if payload is None else payload
 
 
 def kg(payload: float | None) -> str:
+    """A payload in words; None is where not even zero is carried."""
     return "nothing" if payload is None else f"{payload:.2f} kg"
 
 
 def versions() -> dict[str, str]:
+    """Of Python and of every package that a training depends on and that is installed."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:

@@ -235,7 +235,7 @@ class CableBotVecEnv(VecEnv):
         return self._parts(method(*method_args, **method_kwargs), lanes)
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Whether a vector wrapper of this class is around it; wrappers of single environments never are."""
+        """Whether a wrapper of ``wrapper_class`` is around the batch; wrappers of single environments never are."""
         wrapped = any(isinstance(layer, wrapper_class) for layer in self._layers())
         return [wrapped] * len(self._lanes(indices))
 

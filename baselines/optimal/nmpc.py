@@ -240,7 +240,7 @@ class NonlinearMPC(ClassicalLaw):
         return replace(progress, times=times, seen=seen)
 
     def preview(self, part: dict[str, Array], progress: Progress, lane: int) -> CubicSpline:
-        """X_d from now on to the end of the horizon, through every point of it that has been previewed.
+        """A lane's X_d from now on to the end of the horizon, through every point of it that has been previewed.
 
         On the paper's planar circle it errs by 0.64 mm at most at the start, and by less than 0.04 mm from 0.1 s on.
         """

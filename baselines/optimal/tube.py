@@ -90,6 +90,7 @@ class PlanLaw(ClassicalLaw):
         self._plan, self._period = plan, period
 
     def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Torques that the law asks for [N·m], and motor speeds [rad/s], each (..., m)."""
         plan = self._plan
         state = State.of(part, plan.duration - part["time_left"][..., 0])
         return self._follower.torques(plan, state, mass - self.robot.mass, self._period)

@@ -249,12 +249,12 @@ def compute(cell: Cell) -> Record:
 
 
 def failed(cell: Cell, why: str) -> Record:
-    """A cell that is to be tried again another time."""
+    """A cell that is to be tried again another time, with ``why`` as its error."""
     return Record(cell=cell, source=cell.source, versions=versions(), result={"error": why}, seconds=0.0, final=False)
 
 
 def cell_from(data: Mapping[str, Any]) -> Cell:
-    """A cell from what its ``to_dict`` says.
+    """A cell from ``data``, what its ``to_dict`` says.
 
     Raises:
         KeyError, TypeError, ValueError: if that is no cell's.

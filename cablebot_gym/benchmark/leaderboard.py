@@ -40,7 +40,7 @@ Rows are in the order of the first column.
 
 
 def results_json(suite: str, command: str, records: Sequence[Record]) -> str:
-    """All results, one cell a line; the same bytes for the same results."""
+    """All results of a suite and the command that made them, one cell a line; the same bytes for the same results."""
     scored, versions = iter(standings(records)), _versions(records)
     lines = []
     for record in records:
@@ -61,7 +61,7 @@ def results_json(suite: str, command: str, records: Sequence[Record]) -> str:
 
 
 def read_results(text: str) -> tuple[str, str, list[Record]]:
-    """Suite, command and records of what :func:`results_json` wrote."""
+    """Suite, command and records of the text that :func:`results_json` wrote."""
     data = json.loads(text)
     records = [
         Record(

@@ -28,7 +28,7 @@ class Backend(Protocol):
 
 
 def local(workers: int) -> Backend:
-    """Processes of this machine."""
+    """Processes of this machine, as many as ``workers``."""
 
     def run(tasks: Mapping[str, Task], say: Say) -> Iterator[tuple[str, Any]]:
         return processes.run(tasks, workers=workers, kind=_kind, say=say, returned=(processes.WorkerDied,))

@@ -128,7 +128,7 @@ class Board:
         return len({canonical(dict(one.cell.trajectory)) for some in self.places.values() for one in some})
 
     def share(self, policy: str, column: Column) -> Share | None:
-        """The place's score; None if it has none."""
+        """The score of a policy in a column; None if it has none."""
         return _share(self.places.get((policy, column), ()))
 
 

@@ -114,7 +114,7 @@ def find_suite(name: str) -> Suite:
 
 
 def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
-    """These environments, or all of a suite for none, in the suite's order.
+    """The environments ``env_ids``, or all of a suite for none, in the suite's order.
 
     Raises:
         ValueError: if one is unknown, or is not in the suite.
@@ -127,7 +127,7 @@ def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
 
 
 def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Policies for each environment: these, or all installed ones for none.
+    """Policies for each environment of ``env_ids``: those of these names, or all installed ones for none.
 
     An installed policy takes part where it is made for, a file or a ``package.module:factory`` everywhere.
 

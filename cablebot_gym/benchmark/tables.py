@@ -169,7 +169,7 @@ def csv_text(records: Sequence[Record]) -> str:
 
 
 def flat(one: Standing) -> dict[str, Any]:
-    """A standing as a row of :func:`csv_text`."""
+    """One standing as a row of :func:`csv_text`."""
     cell, result, limit = one.cell, one.result, one.result.get("limit") or {}
     conditions = ("criterion", "information", "uncertainty", "draws", "probability", "stiffness", "control_frequency")
     return {

@@ -125,7 +125,7 @@ class Comparison:
     """The public task, for drawing."""
 
     def reduction(self, place: int, quantity: str) -> Estimate:
-        """1 − (mean over draws of policy ``place``)/(mean over draws of the first), draws paired.
+        """1 − (mean of a quantity over draws of policy ``place``)/(mean over draws of the first), draws paired.
 
         The interval is a seeded percentile bootstrap over draws.
         """

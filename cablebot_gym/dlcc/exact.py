@@ -108,7 +108,7 @@ def exact_payload(
 
 
 def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> tuple[Array, Reference]:
-    """The times at which an episode commands the motors [s], shape (K,), and the motion then.
+    """The times at which an episode commands the motors [s], shape (K,), at a frequency [Hz], and the motion then.
 
     Raises:
         ValueError: if the trajectory is for another kind of robot, or there is no such instant.

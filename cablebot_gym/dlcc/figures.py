@@ -253,7 +253,7 @@ def new_figure(height: float) -> Figure:
 
 
 def entitle(figure: FigureBase, *lines: str) -> None:
-    """A title of some lines, each broken where it is too long."""
+    """Gives a figure a title of some lines, each broken where it is too long."""
     # Not matplotlib's wrap, which takes dollar signs for mathematics.
     title = "\n".join(textwrap.fill(line, LETTERS) for line in lines)
     figure.suptitle(title, fontsize=11, parse_math=False)
@@ -296,7 +296,7 @@ def _torques(figure: FigureBase, result: DLCCResult) -> None:
 
 
 def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None = None) -> None:
-    """A panel for each motor, its torque against its limits, and a legend; in one of them, an instant marked."""
+    """A panel of the figure for each motor, its torque against its limits, and a legend; in one, an instant marked."""
     time, cables = profile.times, profile.torques.shape[1]
     columns = min(3, cables)
     grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)

@@ -116,7 +116,7 @@ class Judge:
         self._errors(info, np.ones(len(self.failed), np.bool_))
 
     def observe(self, info: dict[str, Any], terminated: NDArray[np.bool_]) -> None:
-        """Looks at the info of one step, arrays with a leading axis N."""
+        """Looks at the info of one step, arrays with a leading axis N, and at which lanes have terminated (N,)."""
         watched = ~self.failed
         demand = np.abs(info["drive_demand"])
         np.maximum(self.peak_demand, demand, out=self.peak_demand, where=watched[:, None])
@@ -150,7 +150,7 @@ class Judge:
         self._failures[lane] = Limit(kind=kind, index=index, time=float(time), excess=excess, reason=reason)
 
     def verdict(self, lane: int, *, complete: bool) -> Verdict:
-        """How the episode of one lane went."""
+        """How the episode of one lane went; only a complete one, of the whole motion, is carried."""
         tension = self.least_tension[lane]
         return Verdict(
             carried=complete and not self.failed[lane],

@@ -20,7 +20,7 @@ def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
 
 
 def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
-    """Two-sided interval of the probability (Clopper and Pearson)."""
+    """Two-sided interval of the probability, from successes among draws (Clopper and Pearson)."""
     low = float(lower_bound(successes, draws, (1 + confidence) / 2))
     high = 1 - float(lower_bound(draws - successes, draws, (1 + confidence) / 2))
     return low, high
@@ -42,7 +42,7 @@ class Needed:
 
     @classmethod
     def of(cls, draws: int, probability: float, confidence: float) -> Needed:
-        """Numbers out of ``draws``; of one draw, one."""
+        """Numbers out of ``draws`` for a probability and a confidence; of one draw, one."""
         if draws == 1:
             return cls(share=1, assured=None)
         carried = np.arange(1, draws + 1)

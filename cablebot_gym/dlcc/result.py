@@ -28,7 +28,7 @@ class History:
         """True τ_s of the episode (m,) [N·m]; to be set before :meth:`closed`."""
 
     def append(self, info: dict[str, Any], pose: Array, lane: int) -> None:
-        """Adds one step of one environment of a batch: its info, and its row of poses (N, n)."""
+        """Adds one step of one lane of a batch: its info, and its row of poses (N, n)."""
         self._rows.append({name: np.array(info[name][lane]) for name in self.NAMES} | {"pose": np.array(pose[lane])})
 
     def closed(self) -> dict[str, Array]:

@@ -52,7 +52,7 @@ def env_robot(env_id: str) -> str:
 
 
 def described(env_id: str, robot_name: str) -> str:
-    """An id for titles, with the robot's name where it is not the id's own."""
+    """An id for titles, with ``robot_name`` where it is not the id's own."""
     return env_id if ENV_ROBOTS.get(env_id) == robot_name else f"{env_id} with robot {robot_name!r}"
 
 

@@ -58,7 +58,7 @@ class ObservationLayout:
         return {block.name: block.slice for block in self.blocks}
 
     def checked(self, observation: ArrayLike, robot_name: str) -> Array:
-        """The observation as an array (..., size).
+        """The observation as an array (..., size); ``robot_name`` is for the error alone.
 
         Raises:
             ValueError: if it has another size: it belongs to another robot.

@@ -60,7 +60,7 @@ def moment(simulation: Simulation, lane: int) -> Moment:
 
 
 def scene(simulation: Simulation, lane: int, title: str) -> Scene:
-    """What stays the same in a lane's episode."""
+    """What stays the same in a lane's episode, under its title."""
     task = simulation.tasks[lane]
     return Scene(robot=task.robot, trajectory=task.trajectory, limits=task.limits, title=title)
 

@@ -33,11 +33,11 @@ def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -
 
 
 class ReferenceTables:
-    """The motions that some lane of a batch follows now, tabulated once each.
+    """The motions that some lane of a batch follows now, tabulated once each, to snap if ``to_snap``.
 
-    ``physics``: poses at every physics step, (trajectories, lines, n); ``control``: the observation's reference part
-    at every control instant, (trajectories, lines, columns). The last line of each, at ``physics_ends`` and
-    ``control_ends``, is the motion's last pose at rest and holds for ever.
+    ``physics``: poses at every physics step, ``substeps`` a control period, (trajectories, lines, n); ``control``: the
+    observation's reference part at every control instant, (trajectories, lines, columns). The last line of each, at
+    ``physics_ends`` and ``control_ends``, is the motion's last pose at rest and holds for ever.
     """
 
     def __init__(self, control_frequency: float, substeps: int, *, to_snap: bool) -> None:

@@ -127,7 +127,7 @@ def make_settings(
     slack_time: float = 0.1,
     reward_weights: Mapping[str, float] | None = None,
 ) -> Settings:
-    """Settings from an environment's keywords; see :class:`Settings` for their meaning and :func:`check_options`."""
+    """Settings from an environment's keywords; arguments as for :class:`Settings`, checked by :func:`check_options`."""
     robot = find_robot(robot)
     trajectory = default_trajectory(robot) if trajectory is None else trajectory
     episode = check_options(
@@ -193,7 +193,7 @@ def _fastest(robot: Robot, uncertainty: Uncertainty) -> float:
 def check_stability(
     robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float, substeps: int
 ) -> None:
-    """Refuses physics steps that are too long for the joint springs.
+    """Refuses physics steps that are too long for the joint springs, as stiff as the uncertainties may make them.
 
     Raises:
         ValueError: with the frequency and the number of substeps that would do.

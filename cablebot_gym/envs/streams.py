@@ -42,7 +42,7 @@ class Streams:
         self._generator = np.random.Generator(self._philox)
 
     def seed(self, lanes: Sequence[int], seeds: Sequence[int]) -> None:
-        """Restarts the streams of ``lanes``."""
+        """Restarts the streams of ``lanes``, each from its own of the seeds."""
         for lane, seed in zip(lanes, seeds, strict=True):
             self.seeds[lane] = seed
             self.episodes[lane] = -1
@@ -56,7 +56,7 @@ class Streams:
         return self.seeds.copy(), self.episodes.copy()
 
     def restore(self, standing: tuple[NDArray[np.object_], NDArray[np.int64]]) -> None:
-        """Puts the streams back to where they stood."""
+        """Puts the streams back to ``standing``, where they stood."""
         self.seeds, self.episodes = standing
 
     def uniform(self, lanes: NDArray[np.int64], purpose: Purpose, size: int) -> Array:

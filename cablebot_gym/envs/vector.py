@@ -36,6 +36,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         max_episode_steps: control steps to truncation; None for no limit.
         autoreset_mode: an :class:`AutoresetMode` or its value. What holds beyond an autoreset is a constructor keyword;
             options do not.
+        render_mode: None, or ``rgb_array``.
 
     ``info`` holds arrays with a leading axis N, valid for every environment. With same-step autoreset, ``final_obs``
     and ``final_info`` hold the last observation and info of the environments marked in ``_final_obs``. The option

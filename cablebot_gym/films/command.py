@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ from cablebot_gym.command_options import (
     EnvId,
     Frequency,
     Known,
-    PolicyName,
+    PolicyNameOrNone,
     Seed,
     TrajectoryName,
     UncertaintyName,
@@ -21,6 +22,8 @@ from cablebot_gym.films import SPEED
 from cablebot_gym.terminal import counting, notes_console
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from cablebot_gym.films.film import Film
 
 Payload = Annotated[float, typer.Option("--payload", help="[kg]")]
@@ -33,7 +36,7 @@ Policies = Annotated[
 
 def watch(
     env_id: EnvId,
-    policy: PolicyName | None = None,
+    policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = 1.0,
     speed: Speed = SPEED,
@@ -75,7 +78,7 @@ def watch(
 def video(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
-    policy: PolicyName | None = None,
+    policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = 1.0,
     speed: Speed = SPEED,
@@ -136,10 +139,12 @@ def _names(policy: str | None, policies: str | None) -> list[str]:
 
 
 def _size(text: str) -> tuple[int, int]:
+    from cablebot_gym.rendering.painter import check_size
+
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise ValueError(f"--size must be width x height in pixels, such as 640x480, not {text!r}")
-    return int(width), int(height)
+    return check_size((int(width), int(height)))
 
 
 def _films(env_id: str, names: list[str], **keywords: Any) -> list[Film]:
@@ -153,4 +158,13 @@ def _films(env_id: str, names: list[str], **keywords: Any) -> list[Film]:
     robot = find_robot(env_robot(env_id))
     loaded = [load_policy(name, robot) for name in names]
     titles = [f"{name} on {env_id}" for name in names]
-    return [film(policy, env_id, title=title, **keywords) for policy, title in zip(loaded, titles, strict=True)]
+    films = []
+    with counting(notes_console(), "steps") as bar:
+        for policy, title in zip(loaded, titles, strict=True):
+            step = partial(_advance, bar, bar.add_task(title, total=1))
+            films.append(film(policy, env_id, title=title, progress=step, **keywords))
+    return films
+
+
+def _advance(bar: Progress, task: TaskID, done: int, expected: int) -> None:
+    bar.update(task, completed=done, total=expected)

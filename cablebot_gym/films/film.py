@@ -39,6 +39,7 @@ class Film:
     """One episode, moment by moment."""
 
     scene: Scene
+    """What stays the same."""
     moments: tuple[Moment, ...]
     """At the start and after every control step."""
     verdict: Verdict
@@ -50,7 +51,7 @@ class Film:
         return max(int(np.searchsorted(times, time + 1e-9, side="right")) - 1, 0)
 
     def note(self, place: int) -> str:
-        """What is to be said at a moment: what gave way, once it has, and the verdict at the end."""
+        """What is to be said at the moment of this place: what gave way, once it has, and the verdict at the end."""
         limit, now = self.verdict.limit, self.moments[place].time
         if limit is not None and (limit.time or 0.0) <= now + 1e-9:
             return f"not carried: {limit}"
@@ -110,18 +111,21 @@ class Projector:
         """Of the longest [s]."""
 
     def surfaces(self, time: float) -> Iterator[Any]:
-        """A picture of each film."""
+        """A picture of each film at a time [s]."""
         for one, painter, trail in zip(self.films, self._painters, self._trails, strict=True):
             place = one.at(time)
             note = one.note(place)
             yield painter.paint(one.moments[place], trail[: place + 1], note, good=note == "carried")
 
     def array(self, time: float) -> NDArray[np.uint8]:
-        """All pictures as one (height, width, 3)."""
+        """All pictures at a time [s] as one (height, width, 3)."""
         return np.concatenate([as_array(surface) for surface in self.surfaces(time)], axis=1)
 
     def times(self, speed: float, rate: float) -> Array:
-        """Instants of the pictures of a whole film, whose end stays for a while [s]."""
+        """Instants of the pictures of a whole film [s], whose end stays for a while.
+
+        There are ``rate`` of them a second, at a speed that is a share of the episode's own.
+        """
         moving = np.arange(math.ceil(self.duration * rate / speed) + 1) * speed / rate
         return np.concatenate([np.minimum(moving, self.duration), np.full(round(STILL * rate), self.duration)])
 

@@ -158,7 +158,7 @@ def quaternion(euler: ArrayLike) -> Array:
 
 
 def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
-    """``(ψ, θ, φ)`` with θ in [−π/2, π/2], the inverse of :func:`quaternion`."""
+    """``(ψ, θ, φ)`` with θ in [−π/2, π/2], of ``quat``, the inverse of :func:`quaternion`."""
     w, x, y, z = np.asarray(quat, float).tolist()
     along, across = w * w + x * x - y * y - z * z, 2 * (w * z + x * y)  # cos θ cos φ, cos θ sin φ
     psi = math.atan2(2 * (w * x + y * z), w * w - x * x - y * y + z * z)
@@ -168,8 +168,8 @@ def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
 class MujocoRobot:
     """One robot in MuJoCo, in the paper's coordinates: ``X = (x, y)`` or ``(x, y, z, ψ, θ, φ)``, and β′ if flexible.
 
-    It starts at rest in ``robot.home_pose``, springs unwound. :attr:`model` and :attr:`data` are MuJoCo's own objects,
-    to use freely.
+    It starts at rest in ``robot.home_pose``, springs unwound; ``timestep`` is MuJoCo's [s]. :attr:`model` and
+    :attr:`data` are MuJoCo's own objects, to use freely.
     """
 
     def __init__(self, robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> None:

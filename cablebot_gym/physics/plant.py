@@ -43,7 +43,7 @@ def _kind(robot: Robot) -> str:
 
 
 def kernel_memory(*shape: int) -> Array:
-    """Zeros for the kernel, from the start of a cache line on: loads that straddle two lines cost it a fifth."""
+    """Zeros of a shape, from the start of a cache line on: loads that straddle two lines cost the kernel a fifth."""
     count, line = math.prod(shape), 64
     memory = np.zeros(count + line // 8)
     first = -memory.ctypes.data % line // 8
@@ -137,7 +137,7 @@ class Plant:
             self._write(self.record, first + row, np.asarray(index), np.asarray(values, float), kernel.CABLE_RECORDS)
 
     def set_demand(self, demand: Array) -> None:
-        """Drive commands of all robots, shape (N, m); (m,) will do for one."""
+        """Sets ``demand``, the drive commands of all robots, shape (N, m); (m,) will do for one."""
         if self.lanes == 1:
             self._demand[0, :, 0] = demand
         elif self.width == self.count:

@@ -81,13 +81,13 @@ def pulley_angle(robot: RobotArrays, pose: ArrayLike) -> Array:
 
 
 def static_torque(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
-    """τ = r T at rest [N·m], shape (..., m), T as :func:`required_tensions` at rest."""
+    """τ = r T at rest [N·m], shape (..., m), T as :func:`required_tensions` at rest, ``minimum`` too."""
     rest = np.zeros_like(np.asarray(pose, float))
     return robot.pulley_radius * required_tensions(robot, mass, pose, rest, rest, minimum=minimum, strict=False)
 
 
 def static_motor_angle(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
-    """β′ = β + r T/K of a flexible robot at rest [rad], shape (..., m)."""
+    """β′ = β + r T/K of a flexible robot at rest [rad], shape (..., m); ``minimum`` as in :func:`required_tensions`."""
     return pulley_angle(robot, pose) + static_torque(robot, mass, pose, minimum=minimum) / robot.stiffness
 
 
@@ -135,7 +135,7 @@ def required_tensions(
     """Tensions that give the acceleration: ``−Sᵀ T = D Ẍ + h`` (Eq. 16), shape (..., m) [N].
 
     Spatial: the only solution, of either sign; ``minimum`` has no effect. Planar: the least tensions that are all at
-    least ``minimum``, see :func:`least_tensions` (Eq. 11).
+    least ``minimum`` [N], see :func:`least_tensions` (Eq. 11); ``strict`` as there.
     """
     pose = np.asarray(pose, float)
     return _tensions(robot, mass, pose, velocity, acceleration, jacobian(robot, pose), minimum, strict)
@@ -158,7 +158,7 @@ def _tensions(
 
 
 def least_tensions(structure: Array, load: Array, minimum: float, *, strict: bool = True) -> Array:
-    """The least T with ``−Sᵀ T = load`` and every ``T_i ≥ minimum``, for a planar S of shape (..., m, 2).
+    """The least T with ``−Sᵀ T = load`` and every ``T_i ≥ minimum``, for a planar ``structure`` S, shape (..., m, 2).
 
     ``minimum`` in all cables, plus the two neighbouring cables between which the remaining force points: of all pairs
     of non-negative tensions that balance it, the one with the smallest sum. With m = 3 this is the paper's
@@ -220,7 +220,7 @@ def required_torques(
     velocity: ArrayLike,
     acceleration: ArrayLike,
 ) -> Array:
-    """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission, shape (..., m) [N·m]."""
+    """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission with tensions T, shape (..., m) [N·m]."""
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
     return _torques(robot, tensions, *_winding(robot, structure, rate, velocity, acceleration))
 

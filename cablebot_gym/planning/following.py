@@ -32,7 +32,7 @@ class State:
 
     @classmethod
     def of(cls, part: Mapping[str, Array], time: Array) -> State:
-        """From the blocks of an observation."""
+        """From the blocks of an observation at a time [s]."""
         motor = {name: part[name] for name in ("motor_angle", "motor_speed") if name in part}
         return cls(time=time, pose=part["pose"], velocity=part["velocity"], **motor)
 
@@ -66,7 +66,7 @@ class Follower:
             raise ValueError("motor_frequency and motor_damping must be greater than 0")
 
     def command(self, plan: PlannedMotion, state: State, payload: Array, period: float) -> Array:
-        """Drive commands for :meth:`torques`, (..., m)."""
+        """Drive commands for :meth:`torques` along a plan, (..., m), held for a control period [s]."""
         return textbook.drive_command(self.robot, *self.torques(plan, state, payload, period))
 
     def torques(self, plan: PlannedMotion, state: State, payload: Array, period: float) -> tuple[Array, Array]:

@@ -35,7 +35,10 @@ class Interrupts:
         self._heard = True
 
     def callback(self, ca: Any, variables: int, constraints: int) -> Any:
-        """For ``iteration_callback`` of ``nlpsol``; whoever builds the solver has to keep it."""
+        """For ``iteration_callback`` of ``nlpsol``; whoever builds the solver has to keep it.
+
+        ``ca`` is CasADi as imported; the solver's variables and constraints are counted.
+        """
         sizes = {"x": variables, "lam_x": variables, "f": 1, "g": constraints, "lam_g": constraints}
         stop = self
 

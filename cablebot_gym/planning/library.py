@@ -62,7 +62,7 @@ def _versions() -> list[str]:
 
 
 def kept(name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write: Callable[[Any], bytes]) -> Any:
-    """What a file of the cache holds, or what ``make`` returns, which is then kept.
+    """What a file of the cache holds, or what ``make`` returns, which is then kept as ``write`` has it.
 
     A file that cannot be read is made anew; a folder that cannot be written to keeps nothing.
     """
@@ -90,7 +90,7 @@ def planned(
     lightest: float | None = None,
     period: float = 0.0,
 ) -> PlannedMotion:
-    """The motion of a :class:`~cablebot_gym.planning.MotionProgram`, made once and then kept on disk.
+    """The motion of a :class:`~cablebot_gym.planning.MotionProgram`, made once and then kept; arguments as there.
 
     Raises:
         Infeasible: if there is no motion inside the limits.

@@ -102,7 +102,7 @@ class PlannedMotion:
         return [spline, *(spline.derivative(d) if d <= self.degree else nothing for d in (1, 2, 3, 4))]
 
     def motor_motion(self, times: ArrayLike, payload: ArrayLike) -> tuple[Array, Array, Array]:
-        """β′ [rad], β̇′ and β̈′ of a flexible robot with a payload [kg], each (..., m).
+        """β′ [rad], β̇′ and β̈′ of a flexible robot with a payload [kg] at times [s], each (..., m).
 
         Between two payloads they are affine in the payload, as the balance of forces is.
         """

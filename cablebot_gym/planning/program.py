@@ -388,7 +388,7 @@ class MotionProgram:
 
 
 def greville(knots: Array, degree: int) -> Array:
-    """The Greville points of a spline, one for each control point: where values determine it."""
+    """Greville points of a spline with these knots and this degree, one a control point: where values determine it."""
     count = len(knots) - degree - 1
     return np.array([knots[place + 1 : place + degree + 1].mean() for place in range(count)])
 

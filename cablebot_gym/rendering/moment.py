@@ -68,4 +68,6 @@ class Moment:
     slack: NDArray[np.bool_]
     """(m,)"""
     position_error: float
+    """Distance from the reference."""
     rotation_error: float
+    """Angle from the reference; 0 if planar."""

@@ -25,6 +25,9 @@ SIZE = (640, 480)
 SMALLEST = (320, 240)
 """Below this its words do not fit."""
 
+LARGEST = (7680, 4320)
+"""No screen has more."""
+
 _FINER = 2
 """Everything is painted so many times as large, and scaled down: smooth edges."""
 
@@ -60,6 +63,18 @@ def import_pygame() -> Any:
     return pygame
 
 
+def check_size(size: tuple[int, int]) -> tuple[int, int]:
+    """A size that a picture can have [pixels].
+
+    Raises:
+        ValueError: if it is too small for what is written in it, or larger than any screen.
+    """
+    for compared, limit, words in ((np.less, SMALLEST, "least"), (np.greater, LARGEST, "most")):
+        if np.any(compared(size, limit)):
+            raise ValueError(f"a picture has at {words} {limit[0]} × {limit[1]} pixels, not {size[0]} × {size[1]}")
+    return size
+
+
 class Painter:
     """Paints the moments of one episode.
 
@@ -69,12 +84,11 @@ class Painter:
 
     Raises:
         ImportError: without pygame.
-        ValueError: if the size is too small.
+        ValueError: if the size is too small or too large.
     """
 
     def __init__(self, scene: Scene, size: tuple[int, int] = SIZE) -> None:
-        if size[0] < SMALLEST[0] or size[1] < SMALLEST[1]:
-            raise ValueError(f"a picture has at least {SMALLEST[0]} × {SMALLEST[1]} pixels, not {size[0]} × {size[1]}")
+        check_size(size)
         self._pygame = import_pygame()
         self._pygame.font.init()
         self.scene, self.size = scene, (int(size[0]), int(size[1]))
@@ -139,7 +153,7 @@ class Painter:
     def array(
         self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
     ) -> NDArray[np.uint8]:
-        """The same as numbers (height, width, 3)."""
+        """The same as numbers (height, width, 3); arguments as for :meth:`surface`."""
         return as_array(self.paint(moment, trail, note, good=good))
 
     # ---------------------------------------------------------------------------------------------------- the robot

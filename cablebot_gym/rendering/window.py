@@ -17,7 +17,7 @@ class NoDisplayError(RuntimeError):
 
 
 class Window:
-    """Opens with the first picture.
+    """Opens with the first picture, under a caption.
 
     Raises:
         ImportError: without pygame.

@@ -535,7 +535,7 @@ def test_interrupted_command_does_not_lack_a_checkpoint(config, tmp_path, monkey
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--algo", "dqn"], "unknown algorithm 'dqn'; choose one of ppo, sac, tqc"),
+        (["--algo", "dqn"], "unknown algorithm 'dqn'; choose one of ppo, sac, tqc, gradient"),
         (["--evaluation", "{"], "--evaluation is no valid JSON"),
         (["--evaluation", "[1]"], "--evaluation has to be a JSON object"),
         (["--config", "none.yaml"], "--config: cannot read 'none.yaml'"),

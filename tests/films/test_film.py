@@ -182,6 +182,7 @@ def test_video_of_two_policies(cablebot, tmp_path):
         (("film.webm", "--policy", "fl"), "has to end in .mp4 or .gif"),
         (("film.mp4", "--policy", "fl", "--size", "large"), "such as 640x480, not 'large'"),
         (("film.mp4", "--policy", "fl", "--size", "642x481"), "even number"),
+        (("film.gif", "--policy", "fl", "--size", "100000x100000"), "at most 7680 × 4320 pixels"),
         (("film.mp4", "--policy", "fl", "--speed", "-1"), "speed must lie between"),
         (("film.mp4", "--policy", "flying"), "flying"),
         (("film.mp4", "--policy", "fl", "--trajectory", "spiral"), "spiral"),

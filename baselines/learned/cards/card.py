@@ -78,6 +78,7 @@ class Card:
     policy: str
     env_id: str
     algorithm: str
+    """As ``cablebot train --algo`` has it."""
     config: str | None
     """Name of the file of hyperparameters; None for the one that the algorithm reads anyway."""
     command: str
@@ -100,6 +101,7 @@ class Card:
     planner_output_used: bool
     """Whether a planner's motions went into the training."""
     conditions: tuple[Condition, ...]
+    """Under which the payloads were found."""
     draws: int
     """Episodes at each payload under an uncertainty."""
     probability: float
@@ -119,7 +121,9 @@ class Card:
     best_found: float | None
     """On the paper's circle without uncertainty [kg]; None if the leaderboard does not know it."""
     seeds: tuple[SeedRun, ...]
+    """What each training seed came to."""
     held_out: tuple[HeldOut, ...]
+    """What is carried along motions that were not trained on."""
     sb3: bool = False
     """Whether ``NAME-KIND-sb3.zip`` ships too: the model of Stable-Baselines3 with this policy's actor."""
 
@@ -161,11 +165,11 @@ class Card:
         return [(payload or 0.0) / motion.best_found for payload, motion in pairs if motion.best_found]
 
     def carried(self, place: int) -> list[float]:
-        """Payloads of all seeds under a condition [kg], 0 where not even zero is carried."""
+        """Payloads of all seeds under the condition of this place [kg], 0 where not even zero is carried."""
         return scores([run.payloads[place] for run in self.seeds])
 
     def summary(self, place: int) -> Summary:
-        """The payloads of all seeds under a condition."""
+        """The payloads of all seeds under the condition of this place."""
         return summed_up(self.carried(place))
 
     def to_json(self) -> str:
@@ -182,7 +186,7 @@ class Card:
 
     @classmethod
     def from_json(cls, text: str) -> Card:
-        """What :meth:`to_json` wrote.
+        """A card from the text that :meth:`to_json` wrote.
 
         Raises:
             ValueError: if it is no card's.
@@ -224,6 +228,7 @@ class Summary:
     high: float
     """Upper end."""
     median: float
+    """The middle one."""
 
 
 def summed_up(payloads: Sequence[float]) -> Summary:

@@ -168,7 +168,7 @@ class PayloadCurriculumVector(Many):
         return result
 
     def step(self, actions: ArrayLike, *, past_end: bool = False) -> VectorStep:
-        """One control period; an episode counts when it first ends."""
+        """One control period; an episode counts when it first ends. ``past_end`` is :class:`CableBotVectorEnv`'s."""
         result: VectorStep = self.env.step(actions, past_end=past_end)
         self._payloads.count(result[2], result[2] | result[3])
         return result

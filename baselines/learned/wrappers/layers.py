@@ -24,7 +24,7 @@ SingleStep = tuple[Array, float, bool, bool, dict[str, Any]]
 
 
 class Single(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConstructorArgs):
-    """Around a single environment of this package.
+    """Around a single environment of this package; ``arguments`` are those of the vector twin.
 
     Raises:
         TypeError: if the environment is none.
@@ -101,13 +101,13 @@ def _check_order(wrapper: Single | Many) -> None:
 
 
 def restarted(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
-    """The environments that a reset has restarted."""
+    """The environments that a reset with these options has restarted."""
     mask = (options or {}).get("reset_mask")
     return np.ones(count, np.bool_) if mask is None else np.array(mask, np.bool_)
 
 
 def check_number(name: str, value: Any, low: float, high: float = math.inf, *, above: bool = False) -> None:
-    """Refuses what is no finite number within the bounds, or, ``above`` the lower one.
+    """Refuses a value that is no finite number from ``low`` to ``high``, or, ``above``, beyond the lower one.
 
     Raises:
         ValueError: naming the bounds.

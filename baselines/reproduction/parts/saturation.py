@@ -45,6 +45,7 @@ class Rigid:
     """One of the rigid robots."""
 
     kind: Literal["planar", "spatial"]
+    """Which of the two."""
 
     @property
     def env_id(self) -> str:
