@@ -44,7 +44,7 @@ class Axis:
         return self.usual(cell) if asked is None else float(asked)
 
     def put(self, cell: Cell, value: float) -> Cell:
-        """The cell with another number, SI; where that is the usual one, the cell as it is."""
+        """The cell with ``value`` for the number, SI; where that is the usual one, the cell as it is."""
         if value == self.usual(cell):
             return cell
         if self.name == "stiffness":

@@ -72,12 +72,12 @@ def place(board: Board, policy: str, column: Column) -> str:
 
 
 def map_title(found: PayloadMap) -> str:
-    """What a map's table is."""
+    """What the table of the map ``found`` is."""
     return f"{found.env_id}, the paper's circle, told: payload by {found.axis.label}"
 
 
 def map_rows(found: PayloadMap) -> list[list[str]]:
-    """A map's table: values of the axis above, then the best found, then a row for each policy."""
+    """The table of the map ``found``: values of the axis above, then the best found, then a row for each policy."""
     rows = [["", *(f"{value * found.axis.scale:g}" for value in found.values)]]
     rows.append(["best found", *("–" if best is None else f"{best:.2f}" for best in found.bests)])
     return rows + [[policy, *map(_on_map, some)] for policy, some in found.policies.items()]
