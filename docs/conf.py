@@ -16,7 +16,7 @@ project = "cablebot_gym"
 author = "The cablebot_gym authors"
 version = release = version_of("cablebot-gym")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon", "generate"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generate"]
 exclude_patterns = ["parts", "leaderboard", "reproduction/*.html"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
@@ -28,5 +28,6 @@ autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False
 
 html_theme = "furo"
+html_math_renderer = "mathml"
 html_title = f"cablebot_gym {release}"
 html_show_copyright = False

@@ -36,7 +36,7 @@ def write(folder: Folder) -> None:
         "line": torque_speed_line(episodes),
         "errors": errors(episodes),
         "payloads": payloads(),
-        "draws": draw_success(evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=32, payload_max=6)),
+        "draws": draw_success(evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)),
     }
     for name, figure in pictures.items():
         figure.savefig(folder.path(f"figures/{name}.png"), dpi=DPI, metadata={"Software": None})
@@ -117,14 +117,15 @@ def _scan(axes: Axes, known: bool) -> None:
         criterion: evaluate_dlcc(POLICY, ENV_ID, criterion=criterion, payload_known=known).feasible
         for criterion in ("paper", "task")
     }
-    axes.axhline(1, color="black", linewidth=1)
-    for height, (criterion, feasible) in zip((0.05, 0.17), found.items(), strict=True):
+    for level in (0, 1):
+        axes.axhline(level, color="black", linewidth=1)
+    for height, (criterion, feasible) in zip((-0.18, -0.42), found.items(), strict=True):
         for low, high in feasible:
-            axes.plot([low, high], [height, height], color=GREY, linewidth=6, solid_capstyle="butt")
-        end = feasible[0][1]
-        axes.annotate(f"{criterion}: {end:.2f} kg", (end, height), (6, 0), textcoords="offset points", va="center")
+            axes.plot([low, high], [height, height], color=GREY, linewidth=8, solid_capstyle="butt")
+        text = f"{criterion} criterion: {feasible[0][1]:.2f} kg"
+        axes.annotate(text, (feasible[0][1], height), (6, 0), textcoords="offset points", va="center")
     title = "payload told" if known else "payload not told"
-    axes.set(xlabel="payload [kg]", xlim=(0, SCANNED[-1]), ylim=(0, 3), title=title)
+    axes.set(xlabel="payload [kg]", xlim=(0, SCANNED[-1]), ylim=(-0.6, 2.5), title=title)
 
 
 def _peaks(known: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
