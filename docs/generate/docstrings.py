@@ -27,6 +27,7 @@ def setup(app: Sphinx) -> None:
     """Connects the functions below."""
     app.connect("autodoc-process-docstring", docstring, priority=400)  # before napoleon reads it, at 500
     app.connect("autodoc-process-signature", signature)
+    app.connect("autodoc-process-bases", bases)
     app.connect("doctree-read", annotations)
 
 
@@ -45,6 +46,11 @@ def signature(
 ) -> tuple[str | None, str | None]:
     """Types by the names that the code has for them."""
     return arguments and _named(arguments), returns and _named(returns)
+
+
+def bases(app: Sphinx, name: str, obj: Any, options: Any, classes: list[Any]) -> None:
+    """Base classes without their type arguments, in place."""
+    classes[:] = [getattr(one, "__origin__", one) for one in classes]
 
 
 def annotations(app: Sphinx, doctree: nodes.document) -> None:
