@@ -6,11 +6,14 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typer.testing import CliRunner
 
+from cablebot_gym.cli import COMMAND_GROUP, app
 from cablebot_gym.robots import FLEX_SPATIAL
 from cablebot_gym.trajectories import KINDS, TRAJECTORIES
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
@@ -25,6 +28,7 @@ def write(folder: Folder) -> None:
     folder.write("uncertainties.inc", uncertainties())
     folder.write("parameters.inc", parameters())
     folder.write("requirements.inc", requirements())
+    folder.write("commands.inc", commands())
 
 
 def trajectories() -> str:
@@ -79,3 +83,15 @@ def requirements() -> str:
     for extra, needed in extras.items():
         rows.append([f"`{extra}`" if extra else "the package itself", ", ".join(f"`{one}`" for one in needed)])
     return table(rows)
+
+
+def commands() -> str:
+    """The help of every command, those of the baselines included."""
+    for point in entry_points(group=COMMAND_GROUP):
+        app.command(name=point.name)(point.load())
+    text, runner = "", CliRunner(env={"COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"})
+    for command in app.registered_commands:
+        name = command.name or str(getattr(command.callback, "__name__", ""))
+        shown = runner.invoke(app, [name, "--help"], prog_name="cablebot", catch_exceptions=False).output
+        text += f"\n## cablebot {name}\n\n```text\n{shown.strip()}\n```\n"
+    return text
