@@ -25,6 +25,10 @@ myst_heading_anchors = 3
 
 # What is not installed is stood in for: a missing extra leaves no page out.
 autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None]
+# References are checked, but for classes of other packages, short names of types, and what is private.
+nitpicky = True
+nitpick_ignore_regex = [(r"py:(class|exc)", r"(?!cablebot_gym|baselines).*"), (r"py:.*", r"(.*\.)?_.*")]
+
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_typehints_format = "short"

@@ -49,7 +49,7 @@ def page(env_id: str, env: CableBotEnv) -> str:
     sections["Reward"] += f"\n\nWeights by default:\n\n{_weights(env.settings.robot)}"
     history = {"Version history": sections.pop("Version history")}
     parts = {
-        "This id": _facts(env_id, env.settings),
+        "At a glance": _facts(env_id, env.settings),
         "Robot": _robot(env.settings.robot),
         "Equations": _equations(env.settings.robot),
         **sections,

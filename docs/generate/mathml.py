@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from unicodedata import normalize
+
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
+
+_DOTTED = re.compile(r'<mover accent="true">\s*<mi[^>]*>(.)</mi>\s*<mo[^>]*>([˙¨])</mo>\s*</mover>')
+
+_COMBINING = {"˙": "\N{COMBINING DOT ABOVE}", "¨": "\N{COMBINING DIAERESIS}"}
 
 
 def setup(app: Sphinx) -> None:
@@ -15,11 +22,22 @@ def setup(app: Sphinx) -> None:
 
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
     """An equation in a line of text."""
-    translator.body.append(tex2mathml(node.astext()))
+    translator.body.append(_readable(tex2mathml(node.astext())))
     raise nodes.SkipNode
 
 
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
     """An equation on a line of its own."""
-    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>\n')
+    equation = _readable(tex2mathml(node.astext(), as_block=True))
+    translator.body.append(f'<div class="math">{equation}</div>\n')
     raise nodes.SkipNode
+
+
+def _readable(mathml: str) -> str:
+    """Dots as part of their letter: as accents they vanish where no font for mathematics is installed."""
+
+    def letter(found: re.Match[str]) -> str:
+        dotted = normalize("NFC", found[1] + _COMBINING[found[2]])
+        return f'<mi style="font-style: italic">{dotted}</mi>'
+
+    return _DOTTED.sub(letter, mathml).replace("<mo>'</mo>", "<mo>′</mo>")

@@ -8,6 +8,7 @@ from types import ModuleType
 from generate.folder import Folder
 
 MODULES: dict[str, tuple[str, ...]] = {
+    "cablebot_gym": ("",),
     "cablebot_gym.envs": ("", "single", "vector", "observation", "settings"),
     "cablebot_gym.robots": ("",),
     "cablebot_gym.trajectories": ("",),
@@ -17,7 +18,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "cablebot_gym.rollout": ("",),
     "cablebot_gym.dlcc": (
         *("", "evaluator", "result", "monitor", "comparison", "exact", "optimum", "certificate"),
-        *("paper_algorithm", "probability"),
+        *("paper_algorithm", "probability", "batch"),
     ),
     "cablebot_gym.benchmark": ("", "suites", "cells", "run", "store", "score", "leaderboard", "ray_backend"),
     "cablebot_gym.planning": ("", "program", "motion", "following", "library"),
@@ -31,7 +32,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "baselines.optimal": ("", "tube", "nmpc", "horizon"),
     "baselines.learned": ("", "shipped", "policy", "bundle", "network", "features", "steering", "base", "vec_env"),
-    "baselines.learned.wrappers": ("", "limits", "curriculum", "steered", "batch"),
+    "baselines.learned.wrappers": ("", "limits", "curriculum", "steered", "batch", "layers"),
 }
 """Pages, and what stands on each: the package itself ("") and its modules."""
 
@@ -51,6 +52,8 @@ def page(name: str, parts: tuple[str, ...]) -> str:
             text += f"\n{_title(module, '-')}\n"
         options = "" if part == "" and len(parts) > 1 else "   :members:\n   :show-inheritance:\n"
         text += f".. automodule:: {module}\n{options}"
+        if module == "cablebot_gym":
+            text += f"\n.. autodata:: {module}.ENV_IDS\n"
         if not options:
             text += _exported(importlib.import_module(module))
     return text

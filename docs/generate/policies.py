@@ -44,7 +44,7 @@ def page(entry: PolicyEntry) -> str:
             ["kind", entry.kind],
             ["made for", ", ".join(map(env_link, entry.env_ids))],
             ["needs", f"`pip install 'cablebot-gym[{EXTRAS[entry.kind]}]'`" if EXTRAS[entry.kind] else "nothing more"],
-            ["by the paper's criterion", "judged" if unclipped(entry) else "not applicable: it clips its own commands"],
+            ["by the paper's criterion", judged_by_the_paper(entry)],
         ]
     )
     commands = "".join(f"cablebot dlcc {env_id} --policy {entry.name}\n" for env_id in entry.env_ids)
@@ -55,7 +55,8 @@ def page(entry: PolicyEntry) -> str:
         text += f"## How it was trained\n\n{_training(entry)}\n\n## How it works\n\n"
     else:
         text += f"## Settings\n\n{settings(entry)}\n## How it works\n\n"
-    errata = mentioned("\n".join([entry.summary, *(_all_text(one) for one in documented)]))
+    module = inspect.getdoc(inspect.getmodule(documented[0]))
+    errata = mentioned("\n".join([entry.summary, str(module), *(str(inspect.getdoc(one)) for one in documented)]))
     if errata:
         text += f"What is misprinted in the paper's equations named below: {errata}.\n\n"
     for one in documented:
@@ -78,11 +79,13 @@ def outer_loops(entry: PolicyEntry) -> list[type]:
     return [] if entry.kind != "classical" else list({type(outer): 1 for outer in _outers(entry).values()})
 
 
-def unclipped(entry: PolicyEntry) -> bool:
-    """Whether it declares that its commands are not clipped, on some environment."""
+def judged_by_the_paper(entry: PolicyEntry) -> str:
+    """Where it declares that its commands are not clipped; of laws, which alone can, and need no extra to be made."""
     if entry.kind == "classical":
-        return any(getattr(_made(entry, env_id), "unclipped", False) for env_id in entry.env_ids)
-    return bool(getattr(policy_class(entry), "unclipped", False))
+        where = [env_id for env_id in entry.env_ids if getattr(_made(entry, env_id), "unclipped", False)]
+        if where:
+            return "judged" if len(where) == len(entry.env_ids) else f"judged on {', '.join(map(env_link, where))}"
+    return "not applicable: it clips its own commands"
 
 
 def settings(entry: PolicyEntry) -> str:
@@ -144,7 +147,3 @@ def _training(entry: PolicyEntry) -> str:
     )
     card = f"Its card has every seed, the curves, the held-out motions and the versions: [{entry.name}]"
     return f"{card}(/learned.md#{entry.name}). One more seed:\n\n```sh\n{command}```"
-
-
-def _all_text(documented: type) -> str:
-    return f"{inspect.getdoc(inspect.getmodule(documented))}\n{inspect.getdoc(documented)}"
