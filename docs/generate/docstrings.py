@@ -12,6 +12,9 @@ from sphinx.application import Sphinx
 from cablebot_gym.envs.single import CableBotEnv
 from generate.environments import manual
 
+LONGEST_VALUE = 200
+"""Of a constant, to be shown [characters]."""
+
 _BAR = re.compile(r"(``.*?``)|\|")
 
 _NDARRAY = re.compile(
@@ -54,10 +57,12 @@ def bases(app: Sphinx, name: str, obj: Any, options: Any, classes: list[Any]) ->
 
 
 def annotations(app: Sphinx, doctree: nodes.document) -> None:
-    """The same in the annotations of attributes, which have no signature."""
-    for node in doctree.findall(addnodes.desc_annotation):
+    """The same in the annotations of attributes, which have no signature; values that fill half a page are left out."""
+    for node in list(doctree.findall(addnodes.desc_annotation)):
         text = node.astext()
-        if _named(text) != text:
+        if len(text) > LONGEST_VALUE:
+            node.parent.remove(node)
+        elif _named(text) != text:
             node.children = []
             node += nodes.Text(_named(text))
 

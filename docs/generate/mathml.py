@@ -29,7 +29,7 @@ def inline(translator: HTML5Translator, node: nodes.math) -> None:
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
     """An equation on a line of its own."""
     equation = _readable(tex2mathml(node.astext(), as_block=True))
-    translator.body.append(f'<div class="math">{equation}</div>\n')
+    translator.body.append(f'<div class="math" style="margin: 0.8em 0; overflow-x: auto">{equation}</div>\n')
     raise nodes.SkipNode
 
 

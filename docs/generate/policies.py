@@ -146,4 +146,4 @@ def _training(entry: PolicyEntry) -> str:
         for env_id in shipped.env_ids
     )
     card = f"Its card has every seed, the curves, the held-out motions and the versions: [{entry.name}]"
-    return f"{card}(/learned.md#{entry.name}). One more seed:\n\n```sh\n{command}```"
+    return f"{card}(/learned.md#{entry.name}). To train one like it:\n\n```sh\n{command}```"
