@@ -39,6 +39,17 @@ def stronger_motors_carry_more(lines: list[str], folder: Path) -> bool:
     return carried == sorted(carried) and carried[0] < 0.5 * carried[-1] and lines[-1].startswith("refused: home_pose")
 
 
+def quicker_motions_leave_less(lines: list[str], folder: Path) -> bool:
+    carried = payloads(lines)
+    return len(carried) == 3 and carried[0] > 1.3 * carried[1] and carried[1] > 1.3 * carried[2] > 0
+
+
+def heat_and_errors_cost(lines: list[str], folder: Path) -> bool:
+    """The environment's own reward, 1 on the reference whatever the motors give, would hardly tell 0 from 1 kg."""
+    light, more, most = (float(line.split(": ")[1].split()[0]) for line in lines)
+    return 500 > light > more + 1 > most + 50
+
+
 def heavy_ones_fail(lines: list[str], folder: Path) -> bool:
     held = shares(lines)
     return len(held) == 8 and held[0] == 100 and held[-1] == 0
@@ -75,6 +86,8 @@ PROMISES: dict[str, Callable[[list[str], Path], bool]] = {
     "first_steps": lambda lines, folder: lines[-1] == "carried" and "reference_pose" in "".join(lines),
     "your_controller": gains_a_tenth,
     "your_robot": stronger_motors_carry_more,
+    "your_trajectory": quicker_motions_leave_less,
+    "your_reward": heat_and_errors_cost,
     "many_at_once": heavy_ones_fail,
     "what_if_it_is_heavier": weighing_helps,
     "film_it": film_is_there,
@@ -94,3 +107,9 @@ def test_example_runs_and_keeps_its_promise(example, tmp_path):
     assert "Traceback" not in ran.stderr
     assert PROMISES[example.stem](ran.stdout.splitlines(), tmp_path), ran.stdout
     assert f"python examples/{example.name}" in example.read_text(encoding="utf-8")
+
+
+def test_your_own_robot_trajectory_controller_or_reward_takes_less_than_30_lines():
+    own = {path.stem: len(path.read_text(encoding="utf-8").splitlines()) for path in EXAMPLES if "your_" in path.name}
+    assert own.keys() >= {"your_robot", "your_trajectory", "your_controller", "your_reward"}
+    assert max(own.values()) < 30, own

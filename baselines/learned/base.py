@@ -32,7 +32,7 @@ class Base:
     minimum_tension: float = 5.0
     """T_min of a planar robot [N]."""
     weighs: bool = False
-    """Whether the law runs on its own estimate of the payload, see :class:`~baselines.classical.Adaptive`."""
+    """Whether the law runs on its own estimate of the payload, see :class:`~baselines.classical.adaptive.Adaptive`."""
     prior: float = 0.01
     """Weight of the told mass in that estimate [s]."""
     allocates: bool = False

@@ -52,7 +52,8 @@ TUNING = {
 """What carries most on the paper's circles."""
 
 PRIOR = 1e-3
-"""Of the mass, see :class:`~baselines.classical.Adaptive` [s]: a plan for a wrong mass is worse than a noisy one."""
+"""Of the mass, see :class:`~baselines.classical.adaptive.Adaptive` [s]: a plan for a wrong mass is worse than a noisy
+one."""
 
 _FIRST_ROUNDS = 3
 """Quadratic programs of a plan that has none before it to start from."""
@@ -75,9 +76,9 @@ class Progress:
     period: Array
     """Control period, (N,) [s]; 0 as long as it is not known."""
     times: Array
-    """At which points of the reference have been previewed, by the clock, (N, :data:`_RECORD`) [s]; NaN for none."""
+    """At which points of the reference have been previewed, by the clock, (N, _RECORD) [s]; NaN for none."""
     seen: Array
-    """These points, (N, :data:`_RECORD`, n)."""
+    """These points, (N, _RECORD, n)."""
     plans: tuple[Array | None, ...]
     """Control points (points, n) of each lane; None where there is no plan, or no longer."""
     age: Array

@@ -49,7 +49,7 @@ class Style:
     gains: tuple[float, float]
     """(K_P, K_D) on the platform's error [1/s², 1/s]."""
     prior: float
-    """Weight of the told mass [s], see :class:`~baselines.classical.Adaptive`."""
+    """Weight of the told mass [s], see :class:`~baselines.classical.adaptive.Adaptive`."""
     motor_frequency: float = 100.0
     """Of the motor loop of a flexible robot [rad/s]."""
     lighter: float = 0.0
@@ -159,8 +159,8 @@ class Tube:
     """Plans the heaviest payload's motion once per task (the rated payload), and follows it with whatever is carried.
 
     The plan is possible with that payload and without any, and so with every one in between. It is followed by the
-    plant's law on an estimate of the mass, told or not (:class:`~baselines.classical.Adaptive`), so that a wrong
-    payload is soon a right one. Planning takes seconds the first time and is then kept on disk.
+    plant's law on an estimate of the mass, told or not (:class:`~baselines.classical.adaptive.Adaptive`), so that a
+    wrong payload is soon a right one. Planning takes seconds the first time and is then kept on disk.
 
     Where no plan can be made, or :meth:`begin` has told nothing, episodes fall back on the adaptive law on the
     reference itself; ``fallbacks`` counts them and a warning says why.

@@ -9,7 +9,8 @@ m_n: where the torque is affine in the load, ``τ_e = τ_n + m_e s``, the produc
 * abs(): a motor that is overloaded without any load counts as if it had as much to spare.
 * U⁺ or U⁻ by the sign of τ_e: what matters is which of them the torque moves towards, the sign of ``τ_e − τ_n``.
 
-"q̇" is the motor speed β̇ in both, or k₂ = τ_s/ω_n would have the wrong unit. :func:`exact_payload` needs no guess.
+"q̇" is the motor speed β̇ in both, or k₂ = τ_s/ω_n would have the wrong unit.
+:func:`~cablebot_gym.dlcc.exact.exact_payload` needs no guess.
 """
 
 from __future__ import annotations
@@ -82,8 +83,9 @@ def iterate_load(
     """The paper's eight steps for exact tracking: ``m_load = C m_e``, then the average of both is the next guess (7a).
 
     It knows torques alone, and upper ends alone. Where these are what limits the robot, the corrected form agrees with
-    :func:`exact_payload`, also in finding a negative payload. The least tensions of a planar robot are only piecewise
-    affine in the load; ``C m_e`` then moves with the guess, and convergence is not certain.
+    :func:`~cablebot_gym.dlcc.exact.exact_payload`, also in finding a negative payload. The least tensions of
+    a planar robot are only piecewise affine in the load; ``C m_e`` then moves with the guess, and convergence is not
+    certain.
 
     Args:
         robot: with a rigid transmission.
@@ -93,8 +95,8 @@ def iterate_load(
         minimum_tension: that the least tensions of a planar robot keep [N]; has no effect on a spatial robot.
         tolerance: difference of m_load and m_e at which they are the same (7b) [kg]; > 0.
         max_iterations: guesses at most; ≥ 1.
-        frequency: elements of the path per second [Hz], the control instants of :func:`exact_payload`.
-        line_speed: the speed in the torque-speed lines, as for :func:`exact_payload`.
+        frequency: elements of the path per second [Hz], the control instants of exact tracking.
+        line_speed: the speed in the torque-speed lines, as for exact tracking.
 
     Raises:
         ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.

@@ -79,7 +79,7 @@ class Settings:
     slack_time: float
     """How long a cable may be slack before the episode ends [s]."""
     weights: Array
-    """Weights of the reward's terms, in the order of :data:`REWARD_TERMS`."""
+    """Weights of the reward's terms, in the order of ``REWARD_TERMS``."""
 
     @property
     def period(self) -> float:

@@ -25,7 +25,7 @@ def inverse_dynamics(
     *,
     minimum: float = 0.0,
 ) -> InverseDynamics:
-    """What :func:`textbook.inverse_dynamics` gives with ``strict=False``, up to rounding.
+    """What :func:`cablebot_gym.physics.textbook.inverse_dynamics` gives with ``strict=False``, up to rounding.
 
     Spatial tensions differ by 1e-15 of the condition of S, as far as that is below 1e6. In a singular pose they are
     arbitrary or no numbers, where the textbook raises an error.

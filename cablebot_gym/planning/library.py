@@ -90,7 +90,7 @@ def planned(
     lightest: float | None = None,
     period: float = 0.0,
 ) -> PlannedMotion:
-    """The motion of a :class:`~cablebot_gym.planning.MotionProgram`, made once and then kept; arguments as there.
+    """The motion of a :class:`~cablebot_gym.planning.program.MotionProgram`, made once and kept; arguments as there.
 
     Raises:
         Infeasible: if there is no motion inside the limits.

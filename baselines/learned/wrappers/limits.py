@@ -119,7 +119,7 @@ class WithinLimits(Single):
     """Ends an episode where the task criterion would fail, and rewards lasting until the end.
 
     An episode terminates where the position or rotation error exceeds its bound at any physics step, or a cable is
-    slack, while the motion lasts, as :class:`cablebot_gym.dlcc.DLCCMonitor` judges it; the start itself is not
+    slack, while the motion lasts, as :class:`cablebot_gym.dlcc.monitor.DLCCMonitor` judges it; the start itself is not
     judged. It also terminates where the environment itself ends it. ``info["termination_reason"]`` is ``slack``,
     ``tracking_error``, ``rotation_error``, or the environment's own. ``info["is_success"]`` is true where an episode
     ends without terminating, and false before.

@@ -122,7 +122,7 @@ class SteeredVector(Many):
         return self.steering.seen(part, memory).astype(np.float32)
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """One action: :attr:`Steering.periods` control periods, and what comes of them.
+        """One action: ``Steering.periods`` control periods, and what comes of them.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -197,7 +197,7 @@ class _Last:
 class Steered(Single):
     """A learner's action steers a classical law for some control periods: it shifts its reference or adds to its drive.
 
-    A step is one action, held for :attr:`Steering.periods` control periods; their rewards are summed, and an episode
+    A step is one action, held for ``Steering.periods`` control periods; their rewards are summed, and an episode
     that ends within them ends there. ``info`` is that of the last control period, so wrappers that watch it go within.
     Actions are numbers in [−1, 1], cut to that; the observation, float32, is made of ``features``, see
     :mod:`baselines.learned.features`. What such a learner has learnt is kept in a
@@ -254,7 +254,7 @@ class Steered(Single):
         return self.steering.seen(part, memory).astype(np.float32)
 
     def step(self, action: ArrayLike) -> SingleStep:
-        """One action: :attr:`Steering.periods` control periods, or as many as the episode lasts.
+        """One action: ``Steering.periods`` control periods, or as many as the episode lasts.
 
         Raises:
             ResetNeeded: before the first reset, and after the end of an episode.

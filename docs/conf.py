@@ -1,0 +1,40 @@
+"""Sphinx's settings. Build with ``sphinx-build -W --keep-going -q -b html docs FOLDER`` (extra ``docs``).
+
+What can be computed is: the pages of environments, policies and modules and all pictures, by ``generate/`` beside this
+file, from the package that is installed.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version as version_of
+from importlib.util import find_spec
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+project = "cablebot_gym"
+author = "The cablebot_gym authors"
+version = release = version_of("cablebot-gym")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generate"]
+exclude_patterns = ["parts", "leaderboard", "reproduction/*.html"]
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+# What is not installed is stood in for: a missing extra leaves no page out.
+autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None]
+# References are checked, but for classes of other packages, short names of types, and what is private.
+nitpicky = True
+nitpick_ignore_regex = [(r"py:(class|exc)", r"(?!cablebot_gym|baselines).*"), (r"py:.*", r"(.*\.)?_.*")]
+
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_typehints_format = "short"
+napoleon_numpy_docstring = False
+
+html_theme = "furo"
+html_math_renderer = "mathml"
+html_title = f"cablebot_gym {release}"
+html_show_copyright = False

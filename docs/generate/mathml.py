@@ -1,0 +1,43 @@
+"""Equations as MathML, which browsers show by themselves: no script, no network, neither here nor there."""
+
+from __future__ import annotations
+
+import re
+from unicodedata import normalize
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
+
+_DOTTED = re.compile(r'<mover accent="true">\s*<mi[^>]*>(.)</mi>\s*<mo[^>]*>([˙¨])</mo>\s*</mover>')
+
+_COMBINING = {"˙": "\N{COMBINING DOT ABOVE}", "¨": "\N{COMBINING DIAERESIS}"}
+
+
+def setup(app: Sphinx) -> None:
+    """Adds the renderer ``mathml``."""
+    app.add_html_math_renderer("mathml", inline_renderers=(inline, None), block_renderers=(block, None))
+
+
+def inline(translator: HTML5Translator, node: nodes.math) -> None:
+    """An equation in a line of text."""
+    translator.body.append(_readable(tex2mathml(node.astext())))
+    raise nodes.SkipNode
+
+
+def block(translator: HTML5Translator, node: nodes.math_block) -> None:
+    """An equation on a line of its own."""
+    equation = _readable(tex2mathml(node.astext(), as_block=True))
+    translator.body.append(f'<div class="math" style="margin: 0.8em 0; overflow-x: auto">{equation}</div>\n')
+    raise nodes.SkipNode
+
+
+def _readable(mathml: str) -> str:
+    """Dots as part of their letter: as accents they vanish where no font for mathematics is installed."""
+
+    def letter(found: re.Match[str]) -> str:
+        dotted = normalize("NFC", found[1] + _COMBINING[found[2]])
+        return f'<mi style="font-style: italic">{dotted}</mi>'
+
+    return _DOTTED.sub(letter, mathml).replace("<mo>'</mo>", "<mo>′</mo>")

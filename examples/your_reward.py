@@ -1,0 +1,29 @@
+"""A reward of your own: accuracy, less what the motors' heat costs. Everything that it may need stands in `info`.
+
+Run it: python examples/your_reward.py
+"""
+
+import gymnasium as gym
+
+from cablebot_gym.policies import load_policy
+from cablebot_gym.robots import PLANAR
+
+
+class Frugal(gym.Wrapper):
+    """1 on the reference and 0 from 10 mm off, less a tenth of the mean square of torques over the stall torque."""
+
+    def step(self, action):
+        observation, _, terminated, truncated, info = self.env.step(action)
+        accuracy = max(0.0, 1 - info["tracking_error"] / 0.01)
+        heat = float(((info["torques"] / PLANAR.stall_torque) ** 2).mean())
+        return observation, accuracy - 0.1 * heat, terminated, truncated, info
+
+
+if __name__ == "__main__":
+    for payload in (0.0, 1.0, 2.0):
+        env, total, ended = Frugal(gym.make("CableBot-Planar-v0", payload=payload)), 0.0, False
+        policy, (observation, _) = load_policy("fl", PLANAR), env.reset(seed=0)
+        while not ended:
+            observation, reward, terminated, truncated, _ = env.step(policy.predict(observation)[0])
+            total, ended = total + reward, terminated or truncated
+        print(f"{payload:g} kg: {total:.1f} of 500")
