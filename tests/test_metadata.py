@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -25,3 +26,14 @@ def test_all_extras_but_docs_are_in_all_and_in_test():
     for extra in ("all", "test"):
         [line] = [line for line in extras[extra] if line.startswith("cablebot-gym[")]
         assert sorted(line[len("cablebot-gym[") : -1].split(",")) == sorted(names.split(","))
+
+
+def test_oldest_versions_that_are_tried_are_the_lower_bounds():
+    """Else the smoke test says nothing of the versions that pip may choose."""
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    pinned = (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8").splitlines()
+    bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups() for line in needed]
+    pins = [line.split("==") for line in pinned if not line.startswith("#")]
+    assert sorted((name, (whole + ".0.0").split(".")[:3]) for name, whole in bounds) == sorted(
+        (name, whole.split(".")) for name, whole in pins
+    )
