@@ -114,7 +114,7 @@ class PolicyCell:
         }
 
     def question(self) -> dict[str, Any]:
-        """What :func:`~cablebot_gym.dlcc.evaluate_dlcc` is asked: its keywords, JSON-able."""
+        """What :func:`~cablebot_gym.dlcc.evaluator.evaluate_dlcc` is asked: its keywords, JSON-able."""
         usual = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
         return self.conditions() | {
             "criterion": self.criterion,

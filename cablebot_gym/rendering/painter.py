@@ -153,7 +153,7 @@ class Painter:
     def array(
         self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
     ) -> NDArray[np.uint8]:
-        """The same as numbers (height, width, 3); arguments as for :meth:`surface`."""
+        """The same as numbers (height, width, 3); arguments as for :meth:`paint`."""
         return as_array(self.paint(moment, trail, note, good=good))
 
     # ---------------------------------------------------------------------------------------------------- the robot

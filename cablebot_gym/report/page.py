@@ -36,6 +36,9 @@ NO_MAPS = (
 )
 
 
+NO_EPISODE = "This page has no episode of this cell: cablebot report RESULTS records one of each."
+
+
 class Source:
     """Where records come from: a suite's results.
 
@@ -174,7 +177,10 @@ def _cell(
 ) -> dict[str, Any]:
     cell = one.cell
     seen = replays.get(cell.key, "")
-    drawn: dict[str, Any] = {"replays": None, "why": seen or "No episode was recorded for this cell."}
+    drawn: dict[str, Any] = {
+        "replays": None,
+        "why": seen or "This page has no episode of this cell: cablebot report RESULTS records one of each.",
+    }
     if not isinstance(seen, str):
         drawn = {
             "replays": [replay.to_dict() for replay in seen],

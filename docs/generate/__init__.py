@@ -7,7 +7,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from generate import docstrings, environments, figures, mathml, modules, policies, tables
+from generate import docstrings, environments, figures, mathml, modules, policies, report, tables
 from generate.folder import Folder
 
 
@@ -16,6 +16,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     mathml.setup(app)
     app.connect("builder-inited", write_all)
     app.connect("source-read", point_inside)
+    app.connect("build-finished", report.write)
     docstrings.setup(app)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 

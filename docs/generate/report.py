@@ -1,0 +1,31 @@
+"""The leaderboard's page to browse, with some episodes: ``cablebot report docs/leaderboard`` records all of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+from cablebot_gym.benchmark.leaderboard import read_results
+from cablebot_gym.report.page import Source, html, replayed
+from cablebot_gym.report.replay import replays
+from generate.results import RESULTS
+
+SEEN = ("fl", "curve", "composite", "motor-pd")
+"""Policies whose episodes are there: on the paper's circle, told."""
+
+
+def write(app: Sphinx, error: Exception | None) -> None:
+    """Called by Sphinx when everything else is done."""
+    if error is not None or app.builder.format != "html":
+        return
+    source = Source(*read_results(RESULTS.read_text(encoding="utf-8")))
+    usual = {"information": "told", "uncertainty": None, "criterion": "task"}
+    seen = {
+        key: replays(cell, payload)
+        for key, (cell, payload) in replayed(source.records).items()
+        if cell.policy in SEEN
+        and str(cell.trajectory["name"]).startswith("paper-")
+        and all(getattr(cell, name) == value for name, value in usual.items())
+    }
+    (Path(app.outdir) / "report.html").write_text(html("cablebot_gym leaderboard", [source], seen), encoding="utf-8")
