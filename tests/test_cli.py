@@ -902,7 +902,7 @@ def test_command_of_another_package_is_not_missing_from_the_help(cablebot):
     refused = cablebot("nosuch").err.replace("\n", " ")
     named = refused.partition("The commands are ")[2].partition(".")[0].split(", ")
     assert named[:5] == ["dlcc", "compare", "bound", "list", "rollout"]
-    assert sorted(named[5:]) == ["benchmark", "doctor", "reproduce", "train", "video", "watch"]
+    assert sorted(named[5:]) == ["benchmark", "doctor", "report", "reproduce", "train", "video", "watch"]
     assert re.search(r"Examples:\s+cablebot reproduce", cablebot("reproduce", "--help").out)
 
 
