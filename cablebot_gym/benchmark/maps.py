@@ -64,7 +64,7 @@ AXES = MappingProxyType(
                 scale=1e3,
                 values=(0.002, 0.005, 0.01, 0.02, 0.05),
             ),
-            Axis(name="duration", label="duration of the motion [s]", scale=1.0, values=(0.8, 1.0, 1.5, 2.0, 3.0)),
+            Axis(name="duration", label="duration of the motion [s]", scale=1.0, values=(0.8, 0.9, 1.0, 1.2, 1.5)),
             Axis(
                 name="stiffness",
                 label="stiffness K of the joints [N·m/rad]",

@@ -52,6 +52,14 @@ class Standing:
         """[kg]; None if not even zero is carried, if the policy failed, and where the criterion does not apply."""
         return self.result.get("payload")
 
+    @property
+    def weight(self) -> str:
+        """The payload in words; one that nothing stopped up to the end of the scan is a lower bound."""
+        if self.payload is None:
+            return "none"
+        at_least = (self.result.get("limit") or {}).get("kind") == "scan_end"
+        return f"{'≥ ' if at_least else ''}{self.payload:.2f}"
+
 
 def find_bests(records: Sequence[Record]) -> dict[str, Best]:
     """The best found by :func:`motion_key`.

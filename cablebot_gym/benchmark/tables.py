@@ -66,8 +66,7 @@ def place(board: Board, policy: str, column: Column) -> str:
         kilograms = f"{median(payloads):.2f} kg, {min(payloads):.2f} kg"
         mark = "*" if any(one.raised for one in some) else ""
         return kilograms if share is None else f"{share.median:.0%}, {share.worst:.0%}{mark}"
-    payload = some[0].payload
-    weight = "none" if payload is None else f"{payload:.2f}" + ("*" if some[0].raised else "")
+    weight = some[0].weight + ("*" if some[0].raised else "")
     return weight if share is None else f"{weight}, {share.median:.0%}"
 
 
@@ -86,8 +85,7 @@ def map_rows(found: PayloadMap) -> list[list[str]]:
 def _on_map(one: Standing | None) -> str:
     if one is None or one.error is not None:
         return "–" if one is None else "failed"
-    weight = "none" if one.payload is None else f"{one.payload:.2f}"
-    return weight if one.score is None else f"{weight}, {one.score:.0%}"
+    return one.weight if one.score is None else f"{one.weight}, {one.score:.0%}"
 
 
 def task_title(cell: Cell) -> str:

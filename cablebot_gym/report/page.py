@@ -128,9 +128,9 @@ def _row(board: Board, policy: str, column: Column, places: Mapping[str, int]) -
     share = board.share(policy, column)
     applicable = all(one.result.get("applicable", True) for one in some)
     payloads = [one.payload or 0.0 for one in some]
-    none = all(one.payload is None for one in some)
     failed = any(one.error is not None for one in some)
-    weight = "failed" if failed else "n/a" if not applicable else "none" if none else f"{median(payloads):.2f}"
+    alone = some[0].weight if len(some) == 1 else f"{median(payloads):.2f}"
+    weight = "failed" if failed else alone if applicable else "n/a"
     return {
         "key": canonical([board.env_id, board.motion, policy, heading(column)]),
         "id": board.env_id,

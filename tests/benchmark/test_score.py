@@ -76,6 +76,12 @@ def test_policy_that_fails_has_no_score_and_zero_is_one():
     assert [one.score for one in standings(some)] == [None, 0.0]
 
 
+def test_payload_that_nothing_stopped_is_said_to_be_at_least_that():
+    free = carries("fl", 10.0, more={"limit": {"kind": "scan_end", "index": None}})
+    page = markdown("smoke", "c", [best(20.0), free, carries("tube", None)])
+    assert (row(page, "fl"), row(page, "tube")) == (["≥ 10.00, 50%"], ["none, 0%"])
+
+
 FAMILY = [best(2.0, motion) for motion in LOOPS]
 FAMILY += [carries("fl", payload, motion) for payload, motion in zip((1.0, 1.5, 0.2), LOOPS, strict=True)]
 FAMILY += [carries("robust", payload, motion) for payload, motion in zip((1.6, 1.2, None), LOOPS, strict=True)]
