@@ -67,7 +67,9 @@ def try_policies() -> None:
 def try_commands() -> None:
     """The parser makes helps of every kind of option, one command runs, and one that is none ends with status 2."""
     from cablebot_gym import cli
+    from cablebot_gym.report.page import html
 
+    assert "<canvas" in html("smoke", [], {}), "the wheel lacks the report's page"
     names = [*cli._command_names(), *(point.name for point in entry_points(group=cli.COMMAND_GROUP))]
     program = Path(sys.executable).with_name("cablebot")
     for arguments in (("--help",), ("list", "--json"), *((name, "--help") for name in names[:2]), ("nosuch",)):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Payload = Annotated[float, typer.Option("--payload", help="[kg]")]
 Speed = Annotated[float, typer.Option("--speed", help="As a share of the episode's own; 1 is as it happens.")]
-Size = Annotated[str, typer.Option("--size", help="Of each picture, such as 640x480 [pixels].")]
+Size = Annotated[str | None, typer.Option("--size", help="Of each picture, such as 1280x960 [pixels].")]
 Policies = Annotated[
     str | None, typer.Option("--policies", help="Several, separated by commas, side by side: in place of --policy.")
 ]
@@ -40,7 +40,7 @@ def watch(
     policies: Policies = None,
     payload: Payload = 1.0,
     speed: Speed = SPEED,
-    size: Size = "640x480",
+    size: Size = None,
     trajectory: TrajectoryName = None,
     payload_known: Known = True,
     uncertainty: UncertaintyName = None,
@@ -82,7 +82,7 @@ def video(
     policies: Policies = None,
     payload: Payload = 1.0,
     speed: Speed = SPEED,
-    size: Size = "640x480",
+    size: Size = None,
     trajectory: TrajectoryName = None,
     payload_known: Known = True,
     uncertainty: UncertaintyName = None,
@@ -138,9 +138,11 @@ def _names(policy: str | None, policies: str | None) -> list[str]:
     return names
 
 
-def _size(text: str) -> tuple[int, int]:
-    from cablebot_gym.rendering.painter import check_size
+def _size(text: str | None) -> tuple[int, int]:
+    from cablebot_gym.rendering.painter import SIZE, check_size
 
+    if text is None:
+        return SIZE
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise ValueError(f"--size must be width x height in pixels, such as 640x480, not {text!r}")
