@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from statistics import median
 from typing import Any
@@ -39,14 +40,16 @@ NO_MAPS = (
 NO_EPISODE = "This page has no episode of this cell: cablebot report RESULTS records one of each."
 
 
+@dataclass(frozen=True)
 class Source:
-    """Where records come from: a suite's results.
+    """Where records come from: a suite's results."""
 
-    ``suite`` its name, ``command`` what makes them, ``records`` the cells.
-    """
-
-    def __init__(self, suite: str, command: str, records: Sequence[Record]) -> None:
-        self.suite, self.command, self.records = suite, command, tuple(records)
+    suite: str
+    """Its name."""
+    command: str
+    """What makes them."""
+    records: Sequence[Record]
+    """Of all cells."""
 
 
 def merged(sources: Sequence[Source]) -> list[Record]:
