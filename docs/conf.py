@@ -18,7 +18,7 @@ author = "The cablebot_gym authors"
 version = release = version_of("cablebot-gym")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generate"]
-exclude_patterns = ["parts", "leaderboard", "reproduction/*.html"]
+exclude_patterns = ["parts", "leaderboard", "maps", "reproduction/*.html"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3

@@ -9,7 +9,7 @@ from sphinx.application import Sphinx
 from cablebot_gym.benchmark.leaderboard import read_results
 from cablebot_gym.report.page import Source, html, replayed
 from cablebot_gym.report.replay import replays
-from generate.results import RESULTS
+from generate.results import MAPS, RESULTS
 
 SEEN = ("fl", "curve", "composite", "motor-pd")
 """Policies whose episodes are there: on the paper's circle, told."""
@@ -19,7 +19,7 @@ def write(app: Sphinx, error: Exception | None) -> None:
     """Called by Sphinx when everything else is done."""
     if error is not None or app.builder.format != "html":
         return
-    source = Source(*read_results(RESULTS.read_text(encoding="utf-8")))
+    source, maps = (Source(*read_results(path.read_text(encoding="utf-8"))) for path in (RESULTS, MAPS))
     usual = {"information": "told", "uncertainty": None, "criterion": "task"}
     seen = {
         key: replays(cell, payload)
@@ -28,4 +28,6 @@ def write(app: Sphinx, error: Exception | None) -> None:
         and str(cell.trajectory["name"]).startswith("paper-")
         and all(getattr(cell, name) == value for name, value in usual.items())
     }
-    (Path(app.outdir) / "report.html").write_text(html("cablebot_gym leaderboard", [source], seen), encoding="utf-8")
+    (Path(app.outdir) / "report.html").write_text(
+        html("cablebot_gym leaderboard", [source, maps], seen), encoding="utf-8"
+    )

@@ -10,6 +10,7 @@ from cablebot_gym.benchmark.score import Board, Column, boards
 from cablebot_gym.benchmark.tables import heading, motion_title, place
 
 RESULTS = Path(__file__).parents[1] / "leaderboard" / "results.json"
+MAPS = Path(__file__).parents[1] / "maps" / "results.json"
 
 
 @cache

@@ -38,6 +38,15 @@ def test_page_and_table_are_those_of_the_results(results):
     assert (FOLDER / "results.json").read_text(encoding="utf-8") == results_json(*results), AGAIN
 
 
+def test_page_and_table_of_the_maps_are_those_of_their_results():
+    folder = ROOT / "docs" / "maps"
+    made = read_results((folder / "results.json").read_text(encoding="utf-8"))
+    again = f"make it anew: {made[1]}"
+    assert (folder / "leaderboard.md").read_text(encoding="utf-8") == markdown(*made), again
+    assert (folder / "results.csv").read_text(encoding="utf-8") == csv_text(made[2]), again
+    assert (folder / "results.json").read_text(encoding="utf-8") == results_json(*made), again
+
+
 def test_results_are_those_of_the_standard_suite_and_of_every_installed_policy(results):
     suite = find_suite("standard")
     cells = suite_cells(suite, find_policies([], suite.env_ids))
