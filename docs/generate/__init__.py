@@ -16,7 +16,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     mathml.setup(app)
     app.connect("builder-inited", write_all)
     app.connect("source-read", point_inside)
-    app.connect("build-finished", report.write)
+    app.connect("builder-inited", report.write)
     docstrings.setup(app)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 

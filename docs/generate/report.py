@@ -15,9 +15,9 @@ SEEN = ("fl", "curve", "composite", "motor-pd")
 """Policies whose episodes are there: on the paper's circle, told."""
 
 
-def write(app: Sphinx, error: Exception | None) -> None:
-    """Called by Sphinx when everything else is done."""
-    if error is not None or app.builder.format != "html":
+def write(app: Sphinx) -> None:
+    """Called by Sphinx before it reads code: autodoc puts its own objects for default values, which Gymnasium sees."""
+    if app.builder.format != "html":
         return
     source, maps = (Source(*read_results(path.read_text(encoding="utf-8"))) for path in (RESULTS, MAPS))
     usual = {"information": "told", "uncertainty": None, "criterion": "task"}
@@ -28,6 +28,6 @@ def write(app: Sphinx, error: Exception | None) -> None:
         and str(cell.trajectory["name"]).startswith("paper-")
         and all(getattr(cell, name) == value for name, value in usual.items())
     }
-    (Path(app.outdir) / "report.html").write_text(
-        html("cablebot_gym leaderboard", [source, maps], seen), encoding="utf-8"
-    )
+    page = html("cablebot_gym leaderboard", [source, maps], seen)
+    Path(app.outdir).mkdir(parents=True, exist_ok=True)
+    (Path(app.outdir) / "report.html").write_text(page, encoding="utf-8")
