@@ -68,9 +68,8 @@ class Trained:
         return asdict(self) | {"out": str(self.out)}
 
     def __str__(self) -> str:
-        done = (
-            f"{self.timesteps} timesteps in {self.wall_s:.0f} s; the base law alone carries {kg(self.base_payload_kg)}"
-        )
+        done = f"{self.timesteps} timesteps in {self.wall_s:.0f} s; its base law, with the gains of the configuration, "
+        done += f"carries {kg(self.base_payload_kg)} alone"
         if self.best is None:
             return done
         return f"{done}, the best policy {kg(self.best.payload_kg)}: {self.out / BEST}"

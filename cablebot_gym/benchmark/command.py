@@ -81,7 +81,11 @@ def benchmark(
                 say=errors.print,
             )
         except KeyboardInterrupt:
-            errors.print(f"{bar.tasks[task].completed:.0f} of {len(cells)} cells are in {out}; go on with: {command}")
+            done = int(bar.tasks[task].completed)
+            kept = (
+                f"{done} of {len(cells)} cells are in {out}; go on" if done else "no cell was finished yet; start again"
+            )
+            errors.print(f"{kept} with: {command}")
             raise
     text = results_json(suite, command, records)
     for path, content in zip(files, (text, csv_text(records), markdown(suite, command, records)), strict=True):

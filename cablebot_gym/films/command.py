@@ -72,7 +72,8 @@ def watch(
     try:
         play(films, speed=speed, size=each)
     except NoDisplayError as error:
-        raise ValueError(str(error)) from error
+        instead = f"cablebot video {env_id} film.gif with the same options"
+        raise ValueError(f"no display to open a window on: write a film instead, {instead}") from error
 
 
 def video(

@@ -1,4 +1,4 @@
-"""A word to the user while numba compiles: it happens once per machine and version, and takes some seconds."""
+"""A word to the user while numba compiles: it happens once per machine and version, and may take a minute."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ class _Announcer(event.Listener):
         module = event.data["dispatcher"].py_func.__module__
         if not self._said and module.startswith("cablebot_gym."):
             self._said = True
-            _LOGGER.warning("compiling for this machine: some ten seconds, the first time for each kind of robot …")
+            _LOGGER.warning(
+                "compiling for this machine: up to a minute, the first time for each kind of robot and use …"
+            )
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to say."""

@@ -215,5 +215,5 @@ def test_watch_without_a_display_ends_with_one_sentence(cablebot, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     status, _, err = cablebot("watch", PLANAR, "--policy", "fl")
     assert status == 2
-    assert "no display to open a window on" in err
+    assert f"no display to open a window on: write a film instead, cablebot video {PLANAR}" in " ".join(err.split())
     assert "Traceback" not in err
