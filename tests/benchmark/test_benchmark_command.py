@@ -172,6 +172,17 @@ def test_interrupt_keeps_what_is_done_and_says_how_to_go_on(benchmark, best):
     assert len(list(ended.folder.glob("cells/*"))) == 2
 
 
+def test_interrupt_before_anything_is_done_does_not_name_a_folder_that_is_not_there(benchmark, monkeypatch):
+    def stopped(cell):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cablebot_gym.benchmark.run.compute", stopped)
+    ended = benchmark()
+    assert ended.status == cli.INTERRUPTED
+    assert "no cell was finished yet; start again with: cablebot benchmark --suite tiny" in ended.err
+    assert not ended.folder.exists()
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_of_a_run_with_workers_leaves_no_process(tmp_path):
     start = f"import signal, cablebot_gym.cli as c; signal.signal({int(signal.SIGINT)}, signal.default_int_handler); "
