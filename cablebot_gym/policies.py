@@ -9,6 +9,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -251,9 +252,10 @@ def load_policy(name: str, robot: Robot) -> Policy:
             return as_policy(made)
         except TypeError as error:
             raise ValueError(f"policy {name!r} must be a function robot -> policy, but: {error}") from None
+    close = "".join(f"; did you mean {found!r}?" for found in get_close_matches(name.strip().lower(), entries, 1))
     raise ValueError(
         f"unknown policy {name!r}; choose one of {', '.join(entries)}, a learned bundle or an SB3 file ending in .zip, "
-        "or package.module:factory"
+        f"or package.module:factory{close}"
     )
 
 

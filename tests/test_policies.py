@@ -117,7 +117,15 @@ def test_unknown_name_is_not_refused_without_the_valid_ones(name):
     text = one_sentence(caught.value)
     assert text.startswith(f"unknown policy {name!r}; choose one of ")
     assert "zzz" in text
-    assert text.endswith("a learned bundle or an SB3 file ending in .zip, or package.module:factory")
+    assert "a learned bundle or an SB3 file ending in .zip, or package.module:factory" in text
+
+
+@pytest.mark.parametrize(("name", "meant"), [("FL", "'fl'"), ("adaptve", "'adaptive'"), ("lqr", None)])
+def test_misspelt_name_is_not_left_without_the_one_that_was_meant(name, meant):
+    with pytest.raises(ValueError, match="unknown policy") as caught:
+        load_policy(name, PLANAR)
+    end = "package.module:factory"
+    assert str(caught.value).endswith(end if meant is None else f"{end}; did you mean {meant}?")
 
 
 # --- package.module:factory -------------------------------------------------------------------------------------------
