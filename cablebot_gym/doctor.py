@@ -23,7 +23,7 @@ from cablebot_gym.terminal import results_console
 
 PACKAGE = "cablebot-gym"
 
-NO_EXTRAS = ("all", "test")
+NO_EXTRAS = ("all", "docs", "test")
 """Extras that are made of others."""
 
 PAYLOAD = 1.5
