@@ -24,7 +24,7 @@ from cablebot_gym.terminal import results_console
 PACKAGE = "cablebot-gym"
 
 NO_EXTRAS = ("all", "docs", "test")
-"""Extras that are made of others."""
+"""Extras that no user misses: made of others, or for those who work on the project."""
 
 PAYLOAD = 1.5
 """That is held in the self-test [kg]."""
