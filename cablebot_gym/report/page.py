@@ -37,6 +37,8 @@ NO_MAPS = (
 )
 
 
+NOT_APPLICABLE = "The paper's criterion is about laws that do not clip their commands; this policy does not say so."
+
 NO_EPISODE = "This page has no episode of this cell: cablebot report RESULTS records one of each."
 
 
@@ -182,7 +184,7 @@ def _cell(
     seen = replays.get(cell.key, "")
     drawn: dict[str, Any] = {
         "replays": None,
-        "why": seen or "This page has no episode of this cell: cablebot report RESULTS records one of each.",
+        "why": seen or (NO_EPISODE if one.result.get("applicable", True) else NOT_APPLICABLE),
     }
     if not isinstance(seen, str):
         drawn = {
@@ -213,7 +215,7 @@ def _facts(one: Standing, record: Record) -> list[list[str]]:
     if one.error is not None:
         return [["Failed", one.error], *facts]
     if not result.get("applicable", True):
-        return [["Not applicable", "the paper's criterion asks for commands that the law does not clip itself"], *facts]
+        return [["Not applicable", NOT_APPLICABLE], *facts]
     if cell.told_share != 1.0:
         text = f"{cell.told_share:g} times the true payload; payloads here are the true ones"
         facts.insert(0, ["What is told", text])
