@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,7 +58,7 @@ def benchmark(
     from cablebot_gym.benchmark.store import Store
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
     from cablebot_gym.benchmark.tables import csv_text, failures, print_benchmark
-    from cablebot_gym.files import write_whole
+    from cablebot_gym.files import write_text_whole
 
     compute_on = _backend(workers, ray)
     chosen = find_suite(suite)
@@ -89,7 +88,7 @@ def benchmark(
             raise
     text = results_json(suite, command, records)
     for path, content in zip(files, (text, csv_text(records), markdown(suite, command, records)), strict=True):
-        write_whole(path, partial(_write, content))
+        write_text_whole(path, content)
     if store.foreign:
         how = "taken as they are" if any_source else "computed anew and kept beside them (--any-source takes them)"
         errors.print(f"{store.foreign} cells were there by other code alone: {how}")
@@ -133,7 +132,3 @@ def _command(**options: str | None) -> str:
 
 def _names(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-def _write(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Cell, Record, canonical, cell_from
-from cablebot_gym.files import write_whole
+from cablebot_gym.files import write_text_whole
 
 FOLDER = "cells"
 """Name of the folder beside the tables."""
@@ -59,7 +59,7 @@ class Store:
         }
         text = json.dumps(data | {"checksum": _checksum(data)}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         path = self._path(record.cell, record.source)
-        write_whole(path, lambda temporary: _write(temporary, text))
+        write_text_whole(path, text)
 
     def _path(self, cell: Cell, source: str) -> Path:
         return self._folder / f"{cell.stem}-{_short(cell.key)}-{source}.json"
@@ -88,7 +88,3 @@ def _checksum(data: dict[str, Any]) -> str:
 
 def _short(key: str) -> str:
     return hashlib.sha256(key.encode()).hexdigest()[:12]
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +38,7 @@ def report(
     cablebot report results maps --title "My controller" --workers 8 --out report.html
     """
     from cablebot_gym.benchmark.command import JSON
-    from cablebot_gym.files import usable_folder, write_whole
+    from cablebot_gym.files import usable_folder, write_text_whole
     from cablebot_gym.report.page import html, merged, replayed
     from cablebot_gym.report.recording import FOLDER, record_all
     from cablebot_gym.workers import check_workers
@@ -64,7 +63,7 @@ def report(
                 seen[key] = one
                 bar.update(task, completed=len(seen))
     page = html(title, sources, seen)
-    write_whole(out, partial(_write, page))
+    write_text_whole(out, page)
     why: dict[str, int] = {}
     for one in seen.values():
         if isinstance(one, str):
@@ -93,7 +92,3 @@ def _source(path: Path) -> Source:
     if not records:
         raise ValueError(f"{str(path)!r} holds no cells: {made}")
     return Source(suite, command, records)
-
-
-def _write(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")

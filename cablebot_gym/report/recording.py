@@ -11,7 +11,7 @@ from typing import Any
 
 from cablebot_gym import workers as processes
 from cablebot_gym.benchmark.cells import PolicyCell, canonical
-from cablebot_gym.files import write_whole
+from cablebot_gym.files import write_text_whole
 from cablebot_gym.report.replay import Replay, replays
 
 FOLDER = "episodes"
@@ -84,8 +84,4 @@ def _replay(data: Mapping[str, Any]) -> Replay:
 
 def _write(path: Path, seen: list[Replay]) -> None:
     text = json.dumps([replay.to_dict() for replay in seen], allow_nan=False)
-    write_whole(path, lambda temporary: _write_text(temporary, text))
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    write_text_whole(path, text)
