@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from baselines.classical.law import Array
 from cablebot_gym.envs.observation import observation_layout
@@ -79,3 +80,21 @@ def feature_values(names: Sequence[str], part: Mapping[str, Array], made: Mappin
     """
     values = [_MADE[name](part, made) if name in _MADE else part[name] for name in names]
     return np.concatenate(values, axis=-1)
+
+
+def feature_symmetry(names: Sequence[str], robot: Robot, move: Array) -> Array:
+    """What a turn or mirror image of the plane does to features of the motion ahead: a matrix (count, count).
+
+    Args:
+        names: of the features.
+        robot: planar.
+        move: (2, 2), orthogonal.
+
+    Raises:
+        ValueError: if a feature is neither a vector of the reference nor a time.
+    """
+    times = {"time_left": 1, "elapsed": len(CLOCK), "ending": len(CLOCK), "bells": BELLS}
+    vectors = [name for name in observation_layout(robot).slices() if name.startswith(("reference_", "preview_"))]
+    if other := [name for name in names if name not in times and name not in vectors]:
+        raise ValueError(f"it is not known how feature {other[0]!r} turns: leave it out, or leave symmetric out")
+    return block_diag(*(move if name in vectors else np.eye(times[name]) for name in names))

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,9 +28,10 @@ except ImportError as error:
 
 from baselines.classical.law import Array
 from baselines.learned.differentiable import asked
-from baselines.learned.features import feature_values
+from baselines.learned.features import feature_symmetry, feature_values
 from baselines.learned.network import Network
 from baselines.learned.steering import Shift
+from baselines.learned.symmetry import SymmetricLayers, symmetries
 from cablebot_gym.envs.references import observed_reference
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits
@@ -62,7 +62,9 @@ class GradientSettings:
     """
 
     hidden: tuple[int, ...] = ()
-    """Units of the network's layers; none for a linear one."""
+    """Units of the network's layers; none for a linear one. A ``symmetric`` one has as many for each symmetry."""
+    symmetric: bool = False
+    """Whether the network turns and mirrors with a planar robot, see :mod:`baselines.learned.symmetry`."""
     rounds: tuple[float, ...] = (30.0, 100.0, 300.0, 1000.0, 3000.0)
     """ρ of each round."""
     softness: tuple[float, ...] = ()
@@ -169,14 +171,16 @@ class GradientTraining:
         self._weights = torch.tensor(self.way.weights(within, self.way.hold)[:, : self._order + 1])
         self._motions = self._tabulated()
         seen = self._motions.inputs[self._motions.inside[..., 0]]
-        self._mean, scale = seen.mean(0), seen.std(0)
+        moves = symmetries(self.robot) if self.settings.symmetric else np.eye(n)[None]
+        reads = [feature_symmetry(self.features, self.robot, move) for move in moves]
+        self._layers = SymmetricLayers(np.array(reads), moves, self.settings.hidden)
+        self._mean, scale = self._layers.statistics(seen)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
-        sizes = [len(self._mean), *self.settings.hidden, n]
-        self._layers = [nn.Linear(inputs, outputs, dtype=torch.float64) for inputs, outputs in pairwise(sizes)]
+        last = self._layers.layers[-1]
         with torch.no_grad():
-            self._layers[-1].weight.normal_(std=self.settings.spread)
-            self._layers[-1].bias.zero_()
-        self._variables = [parameter for layer in self._layers for parameter in layer.parameters()]
+            last.weight.normal_(std=self.settings.spread)
+            last.bias.zero_()
+        self._variables = [parameter for layer in self._layers.layers for parameter in layer.parameters()]
         self._payloads = torch.full((len(self.trajectories),), self.payload, dtype=torch.float64, requires_grad=True)
         self.evaluations = 0
         """Of the objective, in the present round."""
@@ -207,9 +211,10 @@ class GradientTraining:
 
     def _actions(self, inputs: Tensor) -> Tensor:
         values = ((inputs - self._mean) / self._scale).clamp(-Network.CUT, Network.CUT)
-        for place, layer in enumerate(self._layers):
-            values = layer(values)
-            if place < len(self._layers) - 1:
+        weights = self._layers.weights()
+        for place, (weight, bias) in enumerate(weights):
+            values = nn.functional.linear(values, weight, bias)
+            if place < len(weights) - 1:
                 values = torch.tanh(values)
         lines = min(3, values.shape[-1])
         square = values[..., :lines].square().sum(-1, keepdim=True)
@@ -322,7 +327,7 @@ class GradientTraining:
     @property
     def network(self) -> Network:
         """As plain arrays."""
-        layers = [(layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in self._layers]
+        layers = [tuple(value.detach().numpy().copy() for value in layer) for layer in self._layers.weights()]
         return Network(
             mean=self._mean.numpy().copy(),
             scale=self._scale.numpy().copy(),
