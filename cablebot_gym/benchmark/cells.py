@@ -187,13 +187,22 @@ class BestCell:
         """Hash of the code that makes the number."""
         return source_hash("cablebot_gym.dlcc.optimum")
 
+    @property
+    def robot(self) -> Robot:
+        """The one that moves.
+
+        Raises:
+            ValueError: if it has no joint springs, and their stiffness is given.
+        """
+        return _robot(self.env_id, self.stiffness)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data; :func:`cell_from` reads it."""
         return {"kind": "best", **asdict(self)}
 
     def question(self) -> dict[str, Any]:
         """What :func:`cablebot_gym.dlcc.optimum.best_found` is asked: its keywords; JSON-able but for the robot."""
-        own = {} if self.stiffness is None else {"robot": _robot(self.env_id, self.stiffness)}
+        own = {} if self.stiffness is None else {"robot": self.robot}
         return own | {
             "trajectory": dict(self.trajectory),
             "limits": dict(self.limits),

@@ -27,7 +27,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.instants import import_casadi
-from cablebot_gym.planning.library import fingerprint, kept
+from cablebot_gym.planning.library import fingerprint, kept, known
 from cablebot_gym.planning.program import HEAVIEST
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import Limits, as_plain, find_limits
@@ -161,17 +161,44 @@ def best_found(
             is to blame.
     """
     import_casadi()
-    robot = find_robot(env_robot(env_id)) if robot is None else robot
-    check_robot(env_id, robot)
-    found = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.coordinates)
-    case = _Case(env_id, robot, found, find_limits(limits), float(control_frequency))
+    case = _case(env_id, robot, trajectory, limits, control_frequency)
     say: Progress = progress or (lambda _: None)
     if not cache:
         return case.solved(say)
-    data = {"env_id": env_id, "limits": case.limits, "control_frequency": case.control_frequency}
-    key = fingerprint("cablebot_gym.dlcc.optimum", robot, found, **data)
-    result: BestFound = kept(f"best-{key}.npz", _read, lambda: case.solved(say), _bytes)
+    result: BestFound = kept(case.file, _read, lambda: case.solved(say), _bytes)
     return result
+
+
+def known_best(
+    env_id: str,
+    *,
+    robot: Robot | None = None,
+    trajectory: Any = None,
+    limits: Limits | dict[str, float] | None = None,
+    control_frequency: float = 500.0,
+) -> BestFound | None:
+    """What :func:`best_found` keeps on disk of the same arguments; None if it has nothing.
+
+    Raises:
+        ImportError: if CasADi is missing; the message names the command that installs it.
+        ValueError: if an argument is not valid.
+    """
+    import_casadi()
+    found: BestFound | None = known(_case(env_id, robot, trajectory, limits, control_frequency).file, _read)
+    return found
+
+
+def _case(
+    env_id: str,
+    robot: Robot | None,
+    trajectory: Any,
+    limits: Limits | dict[str, float] | None,
+    control_frequency: float,
+) -> _Case:
+    robot = find_robot(env_robot(env_id)) if robot is None else robot
+    check_robot(env_id, robot)
+    found = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.coordinates)
+    return _Case(env_id, robot, found, find_limits(limits), float(control_frequency))
 
 
 @dataclass(frozen=True)
@@ -185,6 +212,12 @@ class _Case:
     @property
     def steps(self) -> int:
         return round(self.trajectory.duration * self.control_frequency)
+
+    @property
+    def file(self) -> str:
+        """Of the cache."""
+        data = {"env_id": self.env_id, "limits": self.limits, "control_frequency": self.control_frequency}
+        return f"best-{fingerprint('cablebot_gym.dlcc.optimum', self.robot, self.trajectory, **data)}.npz"
 
     def solved(self, say: Progress) -> BestFound:
         """Refines, verifies, and puts together what is known."""

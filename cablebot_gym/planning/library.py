@@ -66,14 +66,20 @@ def kept(name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write
 
     A file that cannot be read is made anew; a folder that cannot be written to keeps nothing.
     """
-    path = cache_folder() / name
-    with suppress(Exception):  # not there, half a file, something else by that name: whatever it is, make it
-        return read(path.read_bytes())
+    if (there := known(name, read)) is not None:
+        return there
     made = make()
     data = write(made)
     with suppress(OSError):
-        write_whole(path, lambda temporary: _write(temporary, data))
+        write_whole(cache_folder() / name, lambda temporary: _write(temporary, data))
     return made
+
+
+def known(name: str, read: Callable[[bytes], Any]) -> Any:
+    """What a file of the cache holds; None if it is not there, half a file, or something else by that name."""
+    with suppress(Exception):
+        return read((cache_folder() / name).read_bytes())
+    return None
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -69,7 +69,7 @@ def report(
         if isinstance(one, str):
             why[one] = why.get(one, 0) + 1
     for text, count in why.items():
-        errors.print(f"{count} cells: {text}")
+        errors.print(f"{count} {'cell' if count == 1 else 'cells'}: {text}")
     print(f"wrote {out}, {len(page.encode()) / 1e6:.1f} MB: open it in a browser")
 
 

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, canonical
+from cablebot_gym.benchmark.cells import BestCell, Cell, Record, canonical
+from cablebot_gym.benchmark.maps import unusual
 from cablebot_gym.benchmark.score import (
+    Best,
     Board,
     Column,
     PayloadMap,
@@ -36,6 +38,9 @@ NO_MAPS = (
     "cablebot report RESULTS maps puts them here."
 )
 
+
+BEST_FOUND = "best found"
+"""In place of a policy's name."""
 
 NOT_APPLICABLE = "The paper's criterion is about laws that do not clip their commands; this policy does not say so."
 
@@ -95,11 +100,18 @@ def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] 
     """Everything that the page's scripts draw, JSON-able. Arguments as of :func:`html`."""
     records = merged(sources)
     some = standings(records)
+    bests = [best for best in find_bests(records).values() if not unusual(best.cell)]
     by_key = {record.cell.key: record for record in records}
     robots, motions = _Numbered(), _Numbered()
     cells = [_cell(one, by_key[one.cell.key], replays, robots, motions) for one in some]
     places = {one.cell.key: place for place, one in enumerate(some)}
-    rows = [_row(board, policy, column, places) for board in boards(records) for policy, column in board.places]
+    rows = []
+    for board in boards(records):
+        rows += [_row(board, policy, column, places) for policy, column in board.places]
+        some_bests = [best for best in bests if _belongs(best.cell, board)]
+        if some_bests:
+            rows.append(_best_row(board, some_bests, range(len(cells), len(cells) + len(some_bests))))
+            cells += [_best_cell(best, by_key[best.cell.key], replays, robots, motions) for best in some_bests]
     return {
         "rows": rows,
         "cells": cells,
@@ -153,6 +165,30 @@ def _row(board: Board, policy: str, column: Column, places: Mapping[str, int]) -
     }
 
 
+def _belongs(cell: BestCell, board: Board) -> bool:
+    return (cell.env_id, str(cell.trajectory["name"])) == (board.env_id, board.motion)
+
+
+def _best_row(board: Board, some: Sequence[Best], places: Sequence[int]) -> dict[str, Any]:
+    payloads = [best.result["payload"] for best in some if best.result.get("verified")]
+    payload = median(payloads) if len(payloads) == len(some) else None
+    return {
+        "key": canonical([board.env_id, board.motion, BEST_FOUND]),
+        "id": board.env_id,
+        "policy": BEST_FOUND,
+        "motion": motion_title(board).removesuffix(": median and worst share"),
+        "condition": heading(board.columns[0]).removesuffix(" [kg]"),
+        "weight": "none" if payload is None else f"{payload:.2f}",
+        "payload": payload,
+        "share": None if payload is None else median(best.result["payload"] / (best.payload or 1.0) for best in some),
+        "interval": None,
+        "raised": False,
+        "note": "",
+        "limit": "",
+        "cells": [*places],
+    }
+
+
 def _interval(some: Sequence[Standing]) -> list[float] | None:
     """Shares from the worst to the best motion, or from the assured payload to the payload."""
     if len(some) > 1:
@@ -181,37 +217,53 @@ def _cell(
     motions: _Numbered,
 ) -> dict[str, Any]:
     cell = one.cell
-    seen = replays.get(cell.key, "")
-    drawn: dict[str, Any] = {
-        "replays": None,
-        "why": seen or (NO_EPISODE if one.result.get("applicable", True) else NOT_APPLICABLE),
-    }
-    if not isinstance(seen, str):
-        drawn = {
-            "replays": [replay.to_dict() for replay in seen],
-            "robot": robots.add(_robot(cell)),
-            "motion": motions.add(_motion(cell)),
-        }
-    return drawn | {
+    none = NO_EPISODE if one.result.get("applicable", True) else NOT_APPLICABLE
+    return _episodes(cell, replays.get(cell.key, ""), robots, motions, none) | {
         "title": task_title(cell),
         "carries": "not carried" if one.payload is None else "what it carries",
-        "code": _code(cell),
+        "code": _code("cablebot_gym.dlcc", "evaluate_dlcc", [cell.policy, cell.env_id], cell.question()),
         "facts": _facts(one, record),
     }
 
 
-def _code(cell: PolicyCell) -> str:
-    """What computes the cell."""
-    keywords = "".join(f"    {name}={value!r},\n" for name, value in cell.question().items() if value is not None)
-    return (
-        "import cablebot_gym\nfrom cablebot_gym.dlcc import evaluate_dlcc\n\n"
-        f"print(evaluate_dlcc(\n    {cell.policy!r},\n    {cell.env_id!r},\n{keywords}))"
-    )
+def _best_cell(
+    best: Best,
+    record: Record,
+    replays: Mapping[str, Sequence[Replay] | str],
+    robots: _Numbered,
+    motions: _Numbered,
+) -> dict[str, Any]:
+    return _episodes(best.cell, replays.get(best.cell.key, ""), robots, motions) | {
+        "title": task_title(best.cell),
+        "carries": "the best found",
+        "code": _code("cablebot_gym.dlcc.optimum", "best_found", [best.cell.env_id], best.cell.question()),
+        "facts": [["Best found", best_text(best)], _made_by(record)],
+    }
+
+
+def _episodes(
+    cell: Cell, seen: Sequence[Replay] | str, robots: _Numbered, motions: _Numbered, none: str = NO_EPISODE
+) -> dict[str, Any]:
+    if isinstance(seen, str):
+        return {"replays": None, "why": seen or none}
+    return {
+        "replays": [replay.to_dict() for replay in seen],
+        "robot": robots.add(_robot(cell)),
+        "motion": motions.add(_motion(cell)),
+    }
+
+
+def _code(module: str, function: str, asked: Sequence[str], question: Mapping[str, Any]) -> str:
+    """What computes a cell."""
+    lines = [repr(value) for value in asked]
+    lines += [f"{name}={value!r}" for name, value in question.items() if value is not None]
+    inner = "".join(f"    {line},\n" for line in lines)
+    return f"import cablebot_gym\nfrom {module} import {function}\n\nprint({function}(\n{inner}))"
 
 
 def _facts(one: Standing, record: Record) -> list[list[str]]:
     result, cell = one.result, one.cell
-    facts = [["Source", f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items())]]
+    facts = [_made_by(record)]
     if one.error is not None:
         return [["Failed", one.error], *facts]
     if not result.get("applicable", True):
@@ -234,7 +286,11 @@ def _facts(one: Standing, record: Record) -> list[list[str]]:
     return facts
 
 
-def _robot(cell: PolicyCell) -> dict[str, Any]:
+def _made_by(record: Record) -> list[str]:
+    return ["Source", f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items())]
+
+
+def _robot(cell: Cell) -> dict[str, Any]:
     robot = cell.robot
     points, cables = platform_points(robot)
     base = robot.base
@@ -254,7 +310,7 @@ def _robot(cell: PolicyCell) -> dict[str, Any]:
     }
 
 
-def _motion(cell: PolicyCell) -> dict[str, Any]:
+def _motion(cell: Cell) -> dict[str, Any]:
     robot = cell.robot
     trajectory = find_trajectory(dict(cell.trajectory), robot.coordinates)
     times = np.arange(np.ceil(trajectory.duration * RATE - 1e-9) + 1) / RATE
@@ -292,7 +348,7 @@ def _made(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str
                 "its bound and no slack cable at every physics step.",
                 "Shares are of the best found for the same robot, motion and limits; it is verified by replay.",
                 "Episodes are those at the payload, or at zero if none is carried, and at a little more; of cells "
-                "with draws, the first draw.",
+                "with draws, the first draw; of the best found, its own inputs without feedback.",
                 "Each row's number is computed by the lines under 'How this number was made'.",
             ],
         },
@@ -303,10 +359,15 @@ def _made(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str
     return parts + ([{"title": "Notes", "lines": notes}] if notes else [])
 
 
-def replayed(records: Sequence[Record]) -> dict[str, tuple[PolicyCell, float | None]]:
+def replayed(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
     """By key, the cells that have an episode, and the true payload that each carries [kg]."""
     return {
         record.cell.key: (record.cell, record.result.get("payload"))
         for record in records
-        if not isinstance(record.cell, BestCell) and record.error is None and record.result.get("applicable", True)
+        if record.error is None and record.result.get("applicable", True) and not _only_of_maps(record.cell)
     }
+
+
+def _only_of_maps(cell: Cell) -> bool:
+    """A best found of a map has no row, and so no place for an episode."""
+    return isinstance(cell, BestCell) and bool(unusual(cell))

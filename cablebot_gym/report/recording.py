@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from cablebot_gym import workers as processes
-from cablebot_gym.benchmark.cells import PolicyCell, canonical
+from cablebot_gym.benchmark.cells import BestCell, Cell, canonical
 from cablebot_gym.files import write_text_whole
-from cablebot_gym.report.replay import Replay, replays
+from cablebot_gym.report.replay import Replay, best_replays, replays
 
 FOLDER = "episodes"
 """Name of the folder beside the results."""
 
-Asked = tuple[PolicyCell, float | None]
+Asked = tuple[Cell, float | None]
 """A cell, and the true payload that it carries [kg]."""
 
 Seen = list[Replay] | str
@@ -53,20 +53,20 @@ def record_all(
         yield key, seen
 
 
-def _record(cell: PolicyCell, payload: float | None) -> Seen:
+def _record(cell: Cell, payload: float | None) -> Seen:
     """Whatever goes wrong is the cell's: it does not end the report."""
     try:
-        return replays(cell, payload)
+        return best_replays(cell) if isinstance(cell, BestCell) else replays(cell, payload)
     except Exception as error:
         return f"No episode: {' '.join(str(error).split())}"
 
 
 def _kind(task: partial[Seen]) -> str:
-    cell: PolicyCell = task.args[0]
+    cell: Cell = task.args[0]
     return cell.env_id
 
 
-def _path(folder: Path, cell: PolicyCell, payload: float | None) -> Path:
+def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
     asked = hashlib.sha256(canonical([cell.to_dict(), payload, cell.source]).encode()).hexdigest()[:16]
     return folder / f"{cell.stem}-{asked}.json"
 

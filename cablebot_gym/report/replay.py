@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import PolicyCell
+from cablebot_gym.benchmark.cells import BestCell, PolicyCell
 from cablebot_gym.dlcc.batch import draw_seeds
 from cablebot_gym.dlcc.monitor import DLCCMonitor
+from cablebot_gym.dlcc.optimum import known_best
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.policies import load_policy
 from cablebot_gym.rendering.moment import Moment, ball_radius
@@ -98,16 +99,50 @@ def replays(cell: PolicyCell, payload: float | None) -> list[Replay]:
     share, seed = cell.told_share, draw_seeds(cell.seed, cell.draws)[0]
     policy = load_policy(cell.policy, cell.robot)
     asked = [0.0] if payload is None else [payload, max(BEYOND * payload, payload + LEAST)]
-    return [_replay(policy, cell, true, told=share * true, seed=seed) for true in asked]
+    conditions = cell.conditions()
+    return [_replay(policy, cell, true, told=share * true, seed=seed, conditions=conditions) for true in asked]
 
 
-def _replay(policy: Any, cell: PolicyCell, payload: float, *, told: float, seed: int) -> Replay:
+def best_replays(cell: BestCell) -> list[Replay]:
+    """The episode of a best found: its inputs, replayed without feedback.
+
+    Raises:
+        ValueError: if they are not kept; the message says what finds them anew.
+        ImportError: if CasADi is missing.
+    """
+    question = cell.question()
+    found = known_best(cell.env_id, **question)
+    if found is None:
+        raise ValueError(
+            "the inputs of this best found are not kept on this machine, or other code found them; the lines under "
+            "'How this number was made' find them anew, in minutes, and then cablebot report shows them"
+        )
+    conditions = question | {"robot": cell.robot}
+    return [_replay(_Inputs(found.commands), cell, found.payload, told=found.payload, seed=0, conditions=conditions)]
+
+
+class _Inputs:
+    """A policy that gives commands (steps, m) one after the other, whatever happens."""
+
+    def __init__(self, commands: Array) -> None:
+        self._commands = commands
+
+    def predict(
+        self, observation: Array, state: int | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, int]:
+        step = state or 0
+        return self._commands[None, step], step + 1
+
+
+def _replay(
+    policy: Any, cell: PolicyCell | BestCell, payload: float, *, told: float, seed: int, conditions: Mapping[str, Any]
+) -> Replay:
     moments: list[Moment] = []
 
     def look(env: DLCCMonitor) -> None:
         moments.append(env.get_wrapper_attr("moment"))
 
-    recorded = record_rollout(policy, cell.env_id, payload=told, seed=seed, look=look, **cell.conditions())
+    recorded = record_rollout(policy, cell.env_id, payload=told, seed=seed, look=look, **conditions)
     channels = _channels(cell.robot, moments, recorded.arrays, max(1, round(cell.control_frequency / RATE)))
     table = np.concatenate(list(channels.values()), axis=1)
     low, high, data = _packed(table)
