@@ -53,7 +53,7 @@ def record_rollout(
         look(env)
         task: Task = env.get_wrapper_attr("task")
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
-        task.check_steps()
+        task.check_motion()
         progress(0, task.steps)
         label = name_of(policy)
         begin(loaded, label, (task,))

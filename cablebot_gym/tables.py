@@ -37,7 +37,7 @@ def print_payloads(results: list[DLCCResult], left_out: list[str]) -> None:
         if result.payload is None:
             payload, total = "none", "–"
             intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
-            margins = f"not even zero is carried; carried: {intervals or 'nothing'}"
+            margins = f"not even zero is carried{f'; carried: {intervals}' if intervals else ''}"
         else:
             payload, total = f"{result.payload:.3f} kg", f"{result.total_mass:.3f} kg"
             margins = _margins_text(result)

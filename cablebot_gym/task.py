@@ -85,15 +85,43 @@ class Task:
         """Control steps of the whole motion."""
         return round(self.trajectory.duration * self.control_frequency)
 
-    def check_steps(self) -> None:
-        """Refuses a motion that no drive command would move.
+    def check_motion(self) -> None:
+        """Refuses a motion that nobody can follow.
 
         Raises:
-            ValueError: if the motion is shorter than half a control period.
+            ValueError: if the motion is shorter than half a control period, or leaves the robot's workspace farther
+                than the limits let the robot stay behind.
         """
         if self.steps < 1:
             motion = f"trajectory {self.trajectory.name!r} of {self.trajectory.duration:g} s"
             raise ValueError(f"{motion} is shorter than a control period: give it a longer duration")
+        check_workspace(self.robot, self.trajectory, self.limits)
+
+
+def check_workspace(robot: Robot, trajectory: Trajectory, behind: Limits | None = None) -> None:
+    """Refuses a motion that leaves the workspace of a robot.
+
+    Args:
+        robot: nominal.
+        trajectory: the motion.
+        behind: how far it may leave it; None for not at all.
+
+    Raises:
+        ValueError: saying where, and what to do.
+    """
+    times = np.linspace(0.0, trajectory.duration, 1 + math.ceil(200 * trajectory.duration))
+    poses, (low, high) = trajectory(times).position, robot.pose_bounds
+    slack = np.zeros(robot.coordinates)
+    if behind is not None:
+        slack[:3], slack[3:] = behind.position, behind.rotation
+    outside = (poses < low - slack) | (poses > high + slack)
+    if np.any(outside):
+        place, channel = (int(index) for index in np.argwhere(outside)[0])
+        raise ValueError(
+            f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[place]:.3f} s: "
+            f"{'xyzψθφ'[channel]} = {poses[place][channel]:.3g} is not within {low[channel]:.3g} to "
+            f"{high[channel]:.3g}; make it smaller, move it, or give the robot a wider workspace"
+        )
 
 
 def as_plain(value: Any) -> Any:

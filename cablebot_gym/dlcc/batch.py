@@ -168,7 +168,7 @@ class Batch:
         try:
             self.env.reset(seed=self._lane_seeds)
             self.task: Task = self._plain.tasks[0]
-            self.task.check_steps()
+            self.task.check_motion()
             self.policy = load_policy(policy, self.task.robot) if isinstance(policy, str) else as_policy(policy)
             self.name = name or name_of(policy)
             if self.criterion == "paper" and not getattr(self.policy, "unclipped", False):

@@ -30,7 +30,7 @@ from cablebot_gym.planning.instants import import_casadi
 from cablebot_gym.planning.library import fingerprint, kept, known
 from cablebot_gym.planning.program import HEAVIEST
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.task import Limits, as_plain, find_limits
+from cablebot_gym.task import Limits, as_plain, check_workspace, find_limits
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 
 REFINED = 0.005
@@ -223,7 +223,7 @@ class _Case:
         """Refines, verifies, and puts together what is known."""
         if not 0 < self.control_frequency < math.inf or self.steps < 1:
             raise ValueError(f"control_frequency must give at least one step, not {self.control_frequency} Hz")
-        self._check_workspace()
+        check_workspace(self.robot, self.trajectory)
         meshes = list(self._refined(say))
         intervals, program = meshes[-1]
         motion, commands, margins, verified = self._verified(intervals, program, say)
@@ -256,20 +256,6 @@ class _Case:
             motion=motion,
             commands=commands,
         )
-
-    def _check_workspace(self) -> None:
-        times = np.linspace(0.0, self.trajectory.duration, 1 + math.ceil(200 * self.trajectory.duration))
-        poses, (low, high) = self.trajectory(times).position, self.robot.pose_bounds
-        outside = np.any((poses < low) | (poses > high), axis=1)
-        if np.any(outside):
-            place = int(np.argmax(outside))
-            channel = int(np.argmax((poses[place] < low) | (poses[place] > high)))
-            name = "xyzψθφ"[channel]
-            raise ValueError(
-                f"trajectory {self.trajectory.name!r} leaves the workspace of {self.robot.name!r} at "
-                f"t = {times[place]:.3f} s: {name} = {poses[place][channel]:.3g} is not within {low[channel]:.3g} to "
-                f"{high[channel]:.3g}; make it smaller, move it, or give the robot a wider workspace"
-            )
 
     # The program
 

@@ -1,0 +1,48 @@
+"""Motions that nobody can follow are refused before anything flies."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_gym.robots import PLANAR
+from cablebot_gym.rollout import record_rollout
+from cablebot_gym.task import Limits, check_workspace
+from cablebot_gym.trajectories import find_trajectory
+
+PLANAR_ID = "CableBot-Planar-v0"
+OUTSIDE = {"name": "circle-planar", "radius": 3.0}
+
+
+@pytest.mark.parametrize("fly", [evaluate_dlcc, record_rollout])
+def test_motion_outside_the_workspace_is_named_with_the_place(fly):
+    with pytest.raises(ValueError, match=r"'circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 "):
+        fly("fl", PLANAR_ID, trajectory=OUTSIDE)
+
+
+def test_robot_may_stay_behind_by_the_bounds_and_no_farther():
+    """A bound of another coordinate, or one side of the workspace alone."""
+    motion = find_trajectory("paper-spatial", 6)
+    poses = motion(np.linspace(0.0, motion.duration, 2001)).position
+    limits = Limits(position=0.01, rotation=0.02)
+    for channel in range(6):
+        for side in (0, 1):
+            for beyond, fits in ((0.0, True), (0.005, True), (0.015, channel >= 3), (0.03, False)):
+                bounds = np.array([poses.min(axis=0), poses.max(axis=0)])
+                bounds[side, channel] += beyond * (1 - 2 * side)
+                robot = SimpleNamespace(name="box", coordinates=6, pose_bounds=bounds)
+                if fits:
+                    check_workspace(robot, motion, limits)
+                else:
+                    with pytest.raises(ValueError, match="leaves the workspace"):
+                        check_workspace(robot, motion, limits)
+                if beyond > 0:
+                    with pytest.raises(ValueError, match="leaves the workspace"):
+                        check_workspace(robot, motion)
+
+
+def test_motion_inside_is_not_refused():
+    check_workspace(PLANAR, find_trajectory("paper-planar", 2))
