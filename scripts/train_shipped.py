@@ -28,10 +28,12 @@ from baselines.learned.cards import (
     Evaluate,
     card_markdown,
     draw_curves,
+    has_loops,
     make_card,
     read_bests,
     read_cards,
     with_bests,
+    with_searched,
 )
 from baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, find_shipped, stem
 from cablebot_gym.benchmark.cells import Cell, Record
@@ -76,13 +78,19 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=1, help="trainings, or evaluations, at a time (%(default)s)")
     parser.add_argument("--page", action="store_true", help="only render page and figure anew")
+    parser.add_argument(
+        "--search", action="store_true", help="only search the best found on held-out motions that cards lack it for"
+    )
     given = parser.parse_args()
     try:
         import_matplotlib()
-        if not given.page:
-            chosen = [find_shipped(given.policy)] if given.policy else list(SHIPPED.values())
+        chosen = [find_shipped(given.policy)] if given.policy else list(SHIPPED.values())
+        pairs = wanted(chosen, given.env_id)
+        if given.search:
+            search_missing(pairs, runs=given.runs, jobs=given.jobs)
+        elif not given.page:
             ship_all(
-                wanted(chosen, given.env_id),
+                pairs,
                 seeds=given.seeds,
                 runs=given.runs,
                 draws=given.draws,
@@ -179,6 +187,32 @@ def ship_all(
         _write_bytes(weights / f"{name}.zip", best.read_bytes())
         replace(card, sb3=model is not None).save(weights)
         _errors.print(f"{name}: seed {card.shipped_seed} of {seeds} ships, {card.shipped.payloads[0] or 0:.2f} kg")
+
+
+def search_missing(
+    pairs: Sequence[tuple[Shipped, str]],
+    *,
+    runs: Path,
+    jobs: int = 1,
+    weights: Path = WEIGHTS,
+    results: Path = RESULTS,
+) -> None:
+    """Searches the best found that the cards lack: what a smaller ``--searched`` left out. Arguments as there.
+
+    Raises:
+        ValueError: if a card cannot be read.
+        RuntimeError: if a search failed.
+    """
+    check_workers(jobs)
+    usable_folder(runs / JUDGED)
+    bests = read_bests(results)
+    wanted_stems = {stem(shipped.name, env_id) for shipped, env_id in pairs}
+    for card in read_cards(weights):
+        name = stem(card.policy, card.env_id)
+        if name not in wanted_stems or not has_loops(card.motions):
+            continue
+        found = with_searched(card, _judge(name, runs, jobs), bests)
+        replace(found, command=card.command.partition(" --searched")[0]).save(weights)
 
 
 def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:

@@ -27,6 +27,7 @@ from baselines.learned.cards import (
     read_cards,
     typical,
     with_bests,
+    with_searched,
 )
 from baselines.learned.runs import BEST
 from baselines.learned.shipped import SHIPPED
@@ -189,8 +190,13 @@ def test_of_what_was_trained_on_loops_the_best_found_is_searched_for_on_every_he
     assert "| 1.00 | 0 of 6, 20% | ships |" in page
 
     evaluate, cells = judged(best)
-    make_card(CURVE, PLANAR_ID, folders, evaluate=evaluate, bests=bests, command="", held_out=6, searched=4)
+    few, _ = make_card(CURVE, PLANAR_ID, folders, evaluate=evaluate, bests=bests, command="", held_out=6, searched=4)
     assert [cell.trajectory["seed"] for cell in cells if isinstance(cell, BestCell)] == [10_003]
+    assert few.held_out[4].best_found is None
+
+    evaluate, cells = judged(best)
+    assert with_searched(few, evaluate, bests) == card
+    assert [cell.trajectory["seed"] for cell in cells] == [10_004, 10_005], "what is known is not searched for again"
 
     evaluate, _ = judged(lambda cell: {"error": "no casadi"})
     with pytest.raises(RuntimeError, match="best found on CableBot-Planar-v0 could not be searched for: no casadi"):

@@ -5,9 +5,9 @@ bootstrap interval, as rliable has them (Agarwal et al., *Deep Reinforcement Lea
 Precipice*, 2021). The seed with the median payload ships. Making a card needs torch; reading and rendering does not.
 """
 
-from baselines.learned.cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, read_cards
+from baselines.learned.cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, has_loops, read_cards
 from baselines.learned.cards.figure import draw_curves
-from baselines.learned.cards.making import Evaluate, base_text, make_card, read_bests, with_bests
+from baselines.learned.cards.making import Evaluate, base_text, make_card, read_bests, with_bests, with_searched
 from baselines.learned.cards.page import card_markdown
 from baselines.learned.cards.statistics import iqm, iqm_interval, typical
 
@@ -20,6 +20,7 @@ __all__ = [
     "base_text",
     "card_markdown",
     "draw_curves",
+    "has_loops",
     "iqm",
     "iqm_interval",
     "make_card",
@@ -27,4 +28,5 @@ __all__ = [
     "read_cards",
     "typical",
     "with_bests",
+    "with_searched",
 ]

@@ -150,7 +150,7 @@ def with_bests(card: Card, bests: Mapping[str, float]) -> Card:
     law, env_id = card.law, card.env_id
 
     def best(place: int, one: HeldOut) -> float | None:
-        known = bests.get(motion_key(BestCell(env_id=env_id, trajectory=_loop(env_id, one.seed))), one.best_found)
+        known = bests.get(motion_key(_best_cell(env_id, one.seed)), one.best_found)
         carried = [one.law_payload, *(run.held_out[place] for run in card.judged)]
         return None if known is None else max(known, *(payload or 0.0 for payload in carried))
 
@@ -158,9 +158,26 @@ def with_bests(card: Card, bests: Mapping[str, float]) -> Card:
     return replace(card, best_found=bests.get(motion_key(_cell(law, env_id, TOLD))), held_out=held_out)
 
 
+def with_searched(card: Card, evaluate: Evaluate, bests: Mapping[str, float]) -> Card:
+    """The card with the best found searched for on those of its held-out motions on which none is known.
+
+    Arguments as of :func:`make_card`; needs the extra ``optimal``.
+
+    Raises:
+        RuntimeError: if a search failed, with its reason.
+    """
+    own = {motion_key(_best_cell(card.env_id, one.seed)): one.best_found for one in card.held_out}
+    known = {key: value for key, value in own.items() if value is not None} | {**bests}
+    return with_bests(card, _searched(card.env_id, len(card.held_out), known, evaluate) | {**bests})
+
+
+def _best_cell(env_id: str, seed: int) -> BestCell:
+    return BestCell(env_id=env_id, trajectory=_loop(env_id, seed))
+
+
 def _searched(env_id: str, count: int, bests: Mapping[str, float], evaluate: Evaluate) -> dict[str, float]:
     """The best found on held-out motions on which none is known."""
-    cells = [BestCell(env_id=env_id, trajectory=_loop(env_id, seed)) for seed in held_out_seeds(count)]
+    cells = [_best_cell(env_id, seed) for seed in held_out_seeds(count)]
     records = evaluate({cell.key: cell for cell in cells if motion_key(cell) not in bests})
     if lost := [record for record in records if record.error is not None and not record.final]:
         raise RuntimeError(f"the best found on {env_id} could not be searched for: {lost[0].error}")
