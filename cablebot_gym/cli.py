@@ -110,7 +110,7 @@ def dlcc(
     """
     from cablebot_gym.dlcc import CRITERIA, evaluate_dlcc
     from cablebot_gym.envs import env_robot
-    from cablebot_gym.files import usable_folder, write_whole
+    from cablebot_gym.files import usable_file, usable_folder, write_text_whole
     from cablebot_gym.policies import load_policy
     from cablebot_gym.robots import find_robot
     from cablebot_gym.tables import print_payloads
@@ -121,7 +121,7 @@ def dlcc(
 
         import_matplotlib()
         usable_folder(out)
-        _no_folder(out / "result.json")
+        usable_file(out / "result.json")
     loaded = load_policy(policy, find_robot(env_robot(env_id)))
     _note_purpose([policy], env_id)
     chosen = list(CRITERIA) if criterion.value == _BOTH else [criterion.value]
@@ -154,7 +154,7 @@ def dlcc(
             )
     text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
     if out is not None and save_figures is not None:
-        write_whole(out / "result.json", lambda path: _write_text(path, text + "\n"))
+        write_text_whole(out / "result.json", text + "\n")
         written = [out / "result.json", *(path for result in results for path in save_figures(result, out))]
         _errors.print("wrote " + ", ".join(str(path) for path in written), soft_wrap=True, highlight=False)
     if as_json:
@@ -187,7 +187,7 @@ def compare(
     """
     from cablebot_gym.dlcc.comparison import compare_policies
     from cablebot_gym.envs import env_robot
-    from cablebot_gym.files import usable_folder, write_whole
+    from cablebot_gym.files import usable_file, usable_folder, write_text_whole
     from cablebot_gym.policies import load_policy
     from cablebot_gym.robots import find_robot
     from cablebot_gym.tables import print_comparison
@@ -199,8 +199,8 @@ def compare(
 
         import_matplotlib()
         usable_folder(out)
-        _no_folder(out / "comparison.json")
-        _no_folder(out / "comparison.png")
+        usable_file(out / "comparison.json")
+        usable_file(out / "comparison.png")
     names, robot = [name.strip() for name in policies.split(",") if name.strip()], find_robot(env_robot(env_id))
     _note_purpose(names, env_id)
     with _progress() as step:
@@ -219,7 +219,7 @@ def compare(
             progress=partial(step, "comparing", 0, 1),
         )
     if out is not None and save_comparison is not None:
-        write_whole(out / "comparison.json", lambda path: _write_text(path, comparison.to_json() + "\n"))
+        write_text_whole(out / "comparison.json", comparison.to_json() + "\n")
         written = (out / "comparison.json", save_comparison(comparison, out))
         _errors.print("wrote " + ", ".join(str(path) for path in written), soft_wrap=True, highlight=False)
     if as_json:
@@ -315,14 +315,12 @@ def rollout(
 
     Example: cablebot rollout CableBot-Planar-v0 --policy fl --payload 1.5 --out run.csv
     """
-    from cablebot_gym.files import usable_folder
+    from cablebot_gym.files import usable_file
     from cablebot_gym.rollout import check_suffix, record_rollout
     from cablebot_gym.terminal import counting
 
     check_suffix(out)
-    usable_folder(out.parent)
-    if out.is_dir():
-        raise ValueError(f"cannot write {str(out)!r}: it is a folder; name a file in it")
+    usable_file(out)
     with counting(_errors, "steps") as bar:
         task = bar.add_task(policy, total=1)
         record = record_rollout(
@@ -368,15 +366,6 @@ def _note_purpose(names: list[str], env_id: str) -> None:
         if name in entries and env_id not in entries[name].env_ids:
             meant = ", ".join(entries[name].env_ids)
             _errors.print(f"note: {name} is made for {meant}, not for {env_id}", soft_wrap=True, highlight=False)
-
-
-def _no_folder(path: Path) -> None:
-    if path.is_dir():
-        raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another --out")
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 @contextmanager

@@ -26,6 +26,17 @@ def usable_folder(folder: Path) -> None:
         ) from error
 
 
+def usable_file(path: Path) -> None:
+    """Finds out whether a file can be written; leaves nothing behind.
+
+    Raises:
+        ValueError: if its folder cannot be written to, or it is a folder itself.
+    """
+    usable_folder(path.parent)
+    if path.is_dir():
+        raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another name")
+
+
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Lets ``write`` fill a temporary file beside ``path`` and moves it there when it is complete.
 

@@ -40,7 +40,7 @@ from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.run import local, run_cells
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.dlcc.figures import DPI, import_matplotlib
-from cablebot_gym.files import usable_folder, write_whole
+from cablebot_gym.files import usable_folder, write_text_whole, write_whole
 from cablebot_gym.terminal import counting, notes_console
 from cablebot_gym.workers import check_workers
 from cablebot_gym.workers import run as run_tasks
@@ -379,7 +379,7 @@ def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
         if cards[place] != card:
             cards[place].save(weights)
     text, figure = card_markdown(cards), draw_curves(cards)
-    write_whole(docs / PAGE, lambda path: _write_text(path, text))
+    write_text_whole(docs / PAGE, text)
     write_whole(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
     _errors.print(f"wrote {PAGE} and {FIGURE}, of {len(cards)} cards")
 
@@ -389,10 +389,6 @@ def _write_bytes(path: Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
     write_whole(path, write)
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ import numpy as np
 
 from baselines.learned.base import Base, find_base
 from baselines.learned.bundle import Bundle
+from baselines.learned.cards.statistics import rank
 from baselines.learned.config import read_yaml
 from baselines.learned.export import silent_network
 from baselines.learned.features import check_features
@@ -31,7 +32,6 @@ from baselines.learned.runs import (
     Interrupted,
     Trained,
     check_new,
-    rank,
     torch_threads,
     versions,
     write_evaluations,

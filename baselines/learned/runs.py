@@ -16,6 +16,7 @@ try:
 except ImportError as error:
     raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
+from baselines.learned.cards.statistics import rank
 from cablebot_gym.files import write_whole
 
 CHECKPOINT, BEST, LAST = "checkpoint.zip", "best.zip", "last.zip"
@@ -116,11 +117,6 @@ def torch_threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def rank(payload: float | None) -> float:
-    """For comparing payloads: None, where not even zero is carried, is the least."""
-    return -1.0 if payload is None else payload
 
 
 def kg(payload: float | None) -> str:

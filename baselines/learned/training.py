@@ -30,6 +30,7 @@ except ImportError as error:
     raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
 from baselines.learned.bundle import Bundle
+from baselines.learned.cards.statistics import rank
 from baselines.learned.checkpoint import Checkpoint, Settings, model_parts
 from baselines.learned.config import Config, algorithm_class, make_config, read_config
 from baselines.learned.export import bundle_from_sb3, silent_network
@@ -46,7 +47,6 @@ from baselines.learned.runs import (
     Progress,
     Trained,
     check_new,
-    rank,
     torch_threads,
     versions,
     write_evaluations,

@@ -23,7 +23,7 @@ from baselines.reproduction.part import Cell, Found, Number, Part, cell_key
 from baselines.reproduction.readings import NoRobot, Readings
 from cablebot_gym.dlcc.batch import versions
 from cablebot_gym.dlcc.figures import DPI, import_matplotlib
-from cablebot_gym.files import usable_folder, write_whole
+from cablebot_gym.files import usable_folder, write_text_whole, write_whole
 from cablebot_gym.workers import check_workers, run
 
 RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
@@ -168,9 +168,9 @@ class _Results:
             results["errata"] = _ERRATA
         impossible = {name: part["impossible"] for name, part in self._parts.items() if "impossible" in part}
         results["rows"] = rows(self._readings, results["numbers"], impossible)
-        write_text(self._out / RESULTS, json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-        write_text(self._out / MARKDOWN, markdown(results))
-        write_text(self._out / HTML, html(results))
+        write_text_whole(self._out / RESULTS, json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        write_text_whole(self._out / MARKDOWN, markdown(results))
+        write_text_whole(self._out / HTML, html(results))
         return results
 
 
@@ -203,15 +203,6 @@ def source_hash() -> str:
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a text file whole or not at all."""
-    write_whole(path, lambda temporary: _write(temporary, text))
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _computed(

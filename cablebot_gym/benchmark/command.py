@@ -116,13 +116,11 @@ def _backend(workers: int | None, ray: str | None) -> Backend:
 
 def _check_writable(out: Path, files: tuple[Path, ...]) -> None:
     from cablebot_gym.benchmark.store import FOLDER
-    from cablebot_gym.files import usable_folder
+    from cablebot_gym.files import usable_file, usable_folder
 
     usable_folder(out / FOLDER)
     for path in files:
-        usable_folder(path.parent)
-        if path.is_dir():
-            raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another place")
+        usable_file(path)
 
 
 def _command(**options: str | None) -> str:

@@ -100,13 +100,11 @@ def video(
 
     cablebot video CableBot-Spatial-v0 both.gif --policies fl,tube --payload 6 --size 480x360
     """
-    from cablebot_gym.files import usable_folder
     from cablebot_gym.films.film import check_film, check_speed, write_film
 
     each = _size(size)
     check_film(out)
     check_speed(speed)
-    usable_folder(out.parent)
     films = _films(
         env_id,
         _names(policy, policies),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.dlcc.monitor import DLCCMonitor, Verdict
-from cablebot_gym.files import write_whole
+from cablebot_gym.files import usable_file, write_whole
 from cablebot_gym.films import SPEED
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
@@ -139,8 +139,7 @@ def check_film(path: Path) -> None:
     """
     if path.suffix not in SUFFIXES:
         raise ValueError(f"cannot film to {str(path)!r}: the file name has to end in {' or '.join(SUFFIXES)}")
-    if path.is_dir():
-        raise ValueError(f"cannot write {str(path)!r}: it is a folder; name a file in it")
+    usable_file(path)
     try:
         if path.suffix == ".gif":
             import PIL.Image  # noqa: F401

@@ -38,7 +38,7 @@ def report(
     cablebot report results maps --title "My controller" --workers 8 --out report.html
     """
     from cablebot_gym.benchmark.command import JSON
-    from cablebot_gym.files import usable_folder, write_text_whole
+    from cablebot_gym.files import usable_file, usable_folder, write_text_whole
     from cablebot_gym.report.page import html, merged, replayed
     from cablebot_gym.report.recording import FOLDER, record_all
     from cablebot_gym.workers import check_workers
@@ -46,11 +46,9 @@ def report(
     processes = check_workers(workers)
     if out.suffix != ".html":
         raise ValueError(f"--out: the page's name has to end in .html, not {str(out)!r}")
-    if out.is_dir():
-        raise ValueError(f"cannot write {str(out)!r}: it is a folder; name a file in it")
     paths = [path / JSON if path.is_dir() else path for path in results]
     sources = [_source(path) for path in paths]
-    usable_folder(out.parent)
+    usable_file(out)
     folder = paths[0].parent / FOLDER
     errors = notes_console()
     seen: dict[str, Seen] = {}

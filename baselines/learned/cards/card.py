@@ -12,7 +12,7 @@ from typing import Any
 from baselines.learned.cards.statistics import iqm, iqm_interval, rank, scores
 from baselines.learned.shipped import SHIPPED, WEIGHTS, Condition, stem
 from cablebot_gym.envs import ENV_IDS
-from cablebot_gym.files import write_whole
+from cablebot_gym.files import write_text_whole
 
 LEAST_SEEDS = 5
 """Training seeds of a card."""
@@ -208,7 +208,7 @@ class Card:
     def save(self, folder: Path) -> Path:
         """Writes ``NAME-KIND.json``, whole or not at all."""
         path, text = folder / f"{self.stem}.json", self.to_json()
-        write_whole(path, lambda temporary: _write(temporary, text))
+        write_text_whole(path, text)
         return path
 
 
@@ -254,7 +254,3 @@ def read_cards(folder: Path = WEIGHTS) -> list[Card]:
                 again = f"python scripts/train_shipped.py --policy {name}"
                 raise ValueError(f"card {str(path)!r} cannot be read ({error}): make it anew, {again}") from error
     return cards
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
