@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from baselines.reproduction.contents import PARTS
-from baselines.reproduction.engine import MARKDOWN, RESULTS, reproduce
+from baselines.reproduction.engine import MARKDOWN, RESULTS
 from baselines.reproduction.findings import rows
 from baselines.reproduction.page import markdown
 from baselines.reproduction.published import PUBLISHED
@@ -37,11 +37,6 @@ def golden():
     return json.loads((FOLDER / RESULTS).read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    return reproduce(Readings(), tmp_path_factory.mktemp("reproduction"))
-
-
 def close(name, golden, made):
     if isinstance(golden, float) or isinstance(made, float):
         if golden is None or made is None:
@@ -54,12 +49,12 @@ def close(name, golden, made):
     return golden == made
 
 
-def test_no_number_is_stale(golden, made):
-    assert list(golden["numbers"]) == list(made["numbers"]), AGAIN
+def test_no_number_is_stale(golden, reproduced):
+    assert list(golden["numbers"]) == list(reproduced["numbers"]), AGAIN
     stale = {
-        name: (value, made["numbers"][name])
+        name: (value, reproduced["numbers"][name])
         for name, value in golden["numbers"].items()
-        if not close(name, value, made["numbers"][name])
+        if not close(name, value, reproduced["numbers"][name])
     }
     assert not stale, AGAIN
 
@@ -73,9 +68,9 @@ def test_tolerance_does_not_let_another_number_pass():
     assert not close("fig5.slack", False, True)
 
 
-def test_no_verdict_is_stale(golden, made):
+def test_no_verdict_is_stale(golden, reproduced):
     told = ("key", "place", "says", "printed", "kind", "reading", "verdict", "command")
-    for before, now in zip(golden["rows"], made["rows"], strict=True):
+    for before, now in zip(golden["rows"], reproduced["rows"], strict=True):
         assert {name: before[name] for name in told} == {name: now[name] for name in told}, AGAIN
 
 
@@ -83,8 +78,8 @@ def test_no_evidence_is_stale(golden):
     assert rows(Readings(), golden["numbers"]) == golden["rows"], AGAIN
 
 
-def test_no_cell_of_a_table_is_stale(golden, made):
-    for before, now in zip(golden["parts"], made["parts"], strict=True):
+def test_no_cell_of_a_table_is_stale(golden, reproduced):
+    for before, now in zip(golden["parts"], reproduced["parts"], strict=True):
         name = "map-_kg" if before["name"].startswith("map-") else "_kg"
         for old, new in zip(before["tables"], now["tables"], strict=True):
             for left, right in zip(old["rows"], new["rows"], strict=True):
@@ -92,8 +87,8 @@ def test_no_cell_of_a_table_is_stale(golden, made):
                     assert isinstance(one, str) or close(name, one, other), (before["name"], old["title"], left, right)
 
 
-def test_no_text_is_stale(golden, made):
-    for before, now in zip(golden["parts"], made["parts"], strict=True):
+def test_no_text_is_stale(golden, reproduced):
+    for before, now in zip(golden["parts"], reproduced["parts"], strict=True):
         assert {name: before[name] for name in ("name", "title", "text", "figure")} == {
             name: now[name] for name in ("name", "title", "text", "figure")
         }, AGAIN
@@ -111,12 +106,12 @@ def test_no_figure_of_the_page_is_missing_and_none_is_left_over(golden):
     assert shown == {path.name for path in FOLDER.glob("*.svg")}
 
 
-def test_every_part_is_there_and_possible(made):
-    assert [part["name"] for part in made["parts"]] == [part.name for part in PARTS]
-    assert not [part["impossible"] for part in made["parts"] if "impossible" in part]
-    assert made["missing"] == []
+def test_every_part_is_there_and_possible(reproduced):
+    assert [part["name"] for part in reproduced["parts"]] == [part.name for part in PARTS]
+    assert not [part["impossible"] for part in reproduced["parts"] if "impossible" in part]
+    assert reproduced["missing"] == []
 
 
-def test_every_published_number_has_a_row_with_a_verdict(made):
-    assert [row["key"] for row in made["rows"]] == list(PUBLISHED)
-    assert all(row["verdict"] and row["evidence"] and row["command"] for row in made["rows"])
+def test_every_published_number_has_a_row_with_a_verdict(reproduced):
+    assert [row["key"] for row in reproduced["rows"]] == list(PUBLISHED)
+    assert all(row["verdict"] and row["evidence"] and row["command"] for row in reproduced["rows"])
