@@ -14,7 +14,10 @@ import pytest
 
 from baselines.reproduction.engine import RESULTS
 
-_COMMAND = [sys.executable, "-c", "from cablebot_gym.cli import main; main()", "reproduce"]
+_CODE = "import os; getattr(os, 'nice', int)(10); from cablebot_gym.cli import main; main()"
+"""Politely: the other tests come first where cores are few."""
+
+_COMMAND = [sys.executable, "-c", _CODE, "reproduce"]
 
 
 class Reproduction:
