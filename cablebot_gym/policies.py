@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -121,7 +122,7 @@ class CallablePolicy:
             try:
                 actions.append(np.asarray(self._function(item), float))
             except Exception as error:
-                raise LaneError(lane, f"it raised {type(error).__name__}: {error}") from error
+                raise LaneError(lane, f"it raised {type(error).__name__}: {error}{_line(error)}") from error
             if actions[lane].shape != actions[0].shape:
                 raise LaneError(lane, f"it returned shape {actions[lane].shape} after {actions[0].shape}")
         return np.stack(actions), state
@@ -182,7 +183,8 @@ def commands(
         lane = f"with a payload of {payloads[error.lane]:g} kg"
         raise PolicyError(f"policy {name!r} failed {at} {lane}: {error}") from error.__cause__
     except Exception as error:
-        raise PolicyError(f"policy {name!r} raised {type(error).__name__} {at} {everyone}: {error}") from error
+        what = f"raised {type(error).__name__} {at} {everyone}: {error}{_line(error)}"
+        raise PolicyError(f"policy {name!r} {what}") from error
     if action.shape != (len(payloads), cables):
         expected = (len(payloads), cables)
         raise PolicyError(f"policy {name!r} returned shape {action.shape} {at} {everyone}; needed: {expected}")
@@ -205,7 +207,18 @@ def begin(policy: Policy, name: str, tasks: tuple[Task, ...]) -> None:
     try:
         policy.begin(tasks)
     except Exception as error:
-        raise PolicyError(f"policy {name!r} raised {type(error).__name__} in begin(): {error}") from error
+        what = f"raised {type(error).__name__} in begin(): {error}{_line(error)}"
+        raise PolicyError(f"policy {name!r} {what}") from error
+
+
+def _line(error: BaseException) -> str:
+    """Where somebody's own code raised, for those who see no traceback."""
+    frames = [
+        frame
+        for frame in extract_tb(error.__traceback__)
+        if frame.filename != __file__ and "site-packages" not in frame.filename
+    ]
+    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 
 
 def name_of(policy: Any) -> str:
@@ -247,7 +260,8 @@ def load_policy(name: str, robot: Robot) -> Policy:
         try:
             made = factory(robot)
         except Exception as error:
-            raise ValueError(f"policy {name!r}: the factory raised {type(error).__name__}: {error}") from error
+            what = f"{type(error).__name__}: {error}{_line(error)}"
+            raise ValueError(f"policy {name!r}: the factory raised {what}") from error
         try:
             return as_policy(made)
         except TypeError as error:
@@ -264,7 +278,9 @@ def _load_factory(name: str) -> Callable[[Robot], Any]:
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
-        raise ValueError(f"policy {name!r}: cannot import {module_name!r} ({error})") from error
+        meant = f"; a module is named without .py: {module_name.removesuffix('.py')}:{attribute}"
+        hint = meant if module_name.endswith(".py") else ""
+        raise ValueError(f"policy {name!r}: cannot import {module_name!r} ({error}){hint}") from error
     if not hasattr(module, attribute):
         raise ValueError(f"policy {name!r}: {module_name!r} has no {attribute!r}")
     factory = getattr(module, attribute)

@@ -111,6 +111,9 @@ def limp(robot):
     return lambda observation: np.zeros(robot.cables)
 """
 
+LOST = 1 + next(place for place, line in enumerate(TOYS.splitlines()) if "lost" in line)
+"""Line of the toys that raises."""
+
 
 def one_line(ended, status):
     """The sentence on standard error; asserts that there is nothing else."""
@@ -546,7 +549,7 @@ def test_policy_that_fails_in_a_comparison_is_not_without_its_name(cablebot, toy
     ended = cablebot(*PAIR, f"fl,{toys('raises')}", "--payload", "0.5", "--out", tmp_path / "out")
     line = one_line(ended, 1)
     assert line.startswith("cablebot: policy 'cli_toys:raises' raised RuntimeError at t = 0.020 s with ")
-    assert line.endswith("0.5 kg: lost")
+    assert line.endswith(f"0.5 kg: lost (cli_toys.py, line {LOST})")
     assert names(tmp_path) == ["modules"]
 
 
@@ -635,7 +638,7 @@ def test_ctrl_c_does_not_end_with_another_status_than_130(toys, tmp_path, comman
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("raises", "raised RuntimeError at t = 0.020 s with payloads of 0 to 10 kg: lost"),
+        ("raises", f"raised RuntimeError at t = 0.020 s with payloads of 0 to 10 kg: lost (cli_toys.py, line {LOST})"),
         ("short", "returned shape (64, 2) at t = 0.020 s with payloads of 0 to 10 kg; needed: (64, 3)"),
         ("nan", "returned NaN or infinity at t = 0.020 s with a payload of 0 kg"),
     ],
@@ -671,6 +674,7 @@ BAD = [
     (("dlcc", SPATIAL, "--policy", "lqr"), "unknown policy 'lqr'; choose one of "),
     (("dlcc", SPATIAL, "--policy", "nowhere.zip"), "'nowhere.zip' does not exist"),
     (("dlcc", SPATIAL, "--policy", "nowhere:make"), "cannot import 'nowhere'"),
+    (("dlcc", SPATIAL, "--policy", "nowhere.py:make"), "a module is named without .py: nowhere:make"),
     (("dlcc", SPATIAL, "--policy", "json:make"), "'json' has no 'make'"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", "spiral"), "unknown trajectory 'spiral'; choose one of paper"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", "paper-planar"), "paper-spatial, circle-spatial"),
