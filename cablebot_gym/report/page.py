@@ -159,7 +159,7 @@ def _row(board: Board, policy: str, column: Column, places: Mapping[str, int]) -
         "share": None if share is None else share.median,
         "interval": _interval(some),
         "raised": any(one.raised for one in some),
-        "note": "" if applicable else "does not declare unclipped",
+        "note": _note(some, applicable, failed),
         "limit": _gives_way(some),
         "cells": [places[one.cell.key] for one in some],
     }
@@ -187,6 +187,14 @@ def _best_row(board: Board, some: Sequence[Best], places: Sequence[int]) -> dict
         "limit": "",
         "cells": [*places],
     }
+
+
+def _note(some: Sequence[Standing], applicable: bool, failed: bool) -> str:
+    """Why there is no share; nothing where there is one, or another column says so."""
+    if not applicable:
+        return "does not declare unclipped"
+    searched = all(one.best is not None for one in some) or some[0].cell.criterion != "task"
+    return "" if failed or searched else "no best found"
 
 
 def _interval(some: Sequence[Standing]) -> list[float] | None:

@@ -309,6 +309,22 @@ def test_page_without_episodes_has_the_table(results, command, browser, tmp_path
     page.close()
 
 
+def test_without_a_best_found_payloads_give_the_order(results, command, browser, tmp_path):
+    data = json.loads((results / "results.json").read_text(encoding="utf-8"))
+    data["cells"] = [entry for entry in data["cells"] if entry["cell"]["kind"] == "policy"]
+    (tmp_path / "results.json").write_text(json.dumps(data), encoding="utf-8")
+    out = tmp_path / "unknown.html"
+    assert command(tmp_path, "--out", out, "--no-episodes").status == 0
+    page = browser.new_page()
+    page.goto(out.as_uri())
+    assert policies(page) == ["adaptive", "fl", "nobody</script>"]
+    rows = page.locator("#board tbody tr").all_inner_texts()
+    assert ["no best found" in row for row in rows] == [True, True, False], "what failed says so beside it"
+    page.locator("#board th", has_text="share").locator("button").click()
+    assert policies(page) == ["fl", "adaptive", "nobody</script>"]
+    page.close()
+
+
 def test_second_report_records_nothing_anew_and_is_the_same(results, command, written, tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "replays", None)  # of a policy; lost inputs are looked for each time
     out = tmp_path / "again.html"

@@ -44,7 +44,9 @@ function makeBoard(rows, open) {
   }
 
   function compare(one, other) {
-    const a = one[state.sort], b = other[state.sort];
+    // Where there is no best found, and so no share, payloads tell the rows apart.
+    const key = state.sort === "share" && one.share === null && other.share === null ? "payload" : state.sort;
+    const a = one[key], b = other[key];
     if (a === null || b === null) return (a === null) - (b === null);  // what has no number comes last either way
     const order = typeof a === "number" ? a - b : String(a).localeCompare(String(b));
     return state.descending ? -order : order;
