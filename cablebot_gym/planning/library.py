@@ -76,7 +76,10 @@ def kept(name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write
 
 
 def known(name: str, read: Callable[[bytes], Any]) -> Any:
-    """What a file of the cache holds; None if it is not there, half a file, or something else by that name."""
+    """What a file of the cache holds, which ``read`` makes of its bytes.
+
+    None if it is not there, half a file, or something else by that name.
+    """
     with suppress(Exception):
         return read((cache_folder() / name).read_bytes())
     return None

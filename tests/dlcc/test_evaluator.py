@@ -814,7 +814,8 @@ def test_robot_of_another_kind_does_not_pass_under_the_id(run):
 
 
 def test_end_by_the_environment_is_not_left_without_its_reason():
-    narrow = PLANAR.replace(workspace=((-0.1, 0.1), (-0.1, 0.1)))
+    # The circle leaves it by less than the bound of the error, so that somebody could stay inside.
+    narrow = PLANAR.replace(workspace=((-0.212, 0.212), (-0.212, 0.212)))
     result = evaluate_dlcc("fl", "CableBot-Planar-v0", robot=narrow)
     assert (result.payload, result.limit.kind, result.limit.reason) == (None, "terminated", "workspace")
     assert "workspace" in str(result)
