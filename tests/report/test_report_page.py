@@ -197,12 +197,12 @@ def test_robot_is_turned_by_keys_and_by_the_mouse(opened):
     page.keyboard.press("+")
     near = picture(page)
     assert near != turned
-    box = page.locator("#scene").bounding_box()
-    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    scene = page.locator("#scene")
+    scene.hover(position={"x": 100, "y": 100})  # brings it into the window first
     page.mouse.down()
-    page.mouse.move(box["x"] + 160, box["y"] + 100)
+    scene.hover(position={"x": 160, "y": 100})
     page.mouse.up()
-    assert picture(page) != near
+    page.wait_for_function("near => document.getElementById('scene').toDataURL() !== near", arg=near)
 
 
 def test_playing_ends_at_the_end(opened):
