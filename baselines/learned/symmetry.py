@@ -8,8 +8,7 @@ symmetries permute (group-equivariant layers: T. Cohen, M. Welling, ICML 2016). 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import permutations
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -41,16 +40,26 @@ def symmetries(robot: Robot) -> Array:
     if robot.flexible:
         motors += [robot.stiffness, robot.motor_inertia, robot.motor_damping]
     cables, kinds = robot.base, np.stack(motors, axis=1)
-    found = []
-    for order in permutations(range(robot.cables)):
-        places = list(order)
-        # The turn or mirror image that comes nearest to moving each anchor to another one's place.
-        left, _, right = np.linalg.svd(cables[places].T @ cables)
+    found = {}
+    for places in _permutations(cables):
+        left, _, right = np.linalg.svd(cables[list(places)].T @ cables)  # the move that comes nearest to it
         move = left @ right
-        there = np.allclose(cables @ move.T, cables[places], rtol=0, atol=_SAME * np.abs(cables).max())
-        if there and np.allclose(kinds, kinds[places], rtol=_SAME, atol=0):
-            found.append(move)
-    return np.array(found)
+        there = np.allclose(cables @ move.T, cables[list(places)], rtol=0, atol=_SAME * np.abs(cables).max())
+        if there and np.allclose(kinds, kinds[list(places)], rtol=_SAME, atol=0):
+            found[places] = move
+    return np.array([found[places] for places in sorted(found)])
+
+
+def _permutations(cables: Array) -> Iterator[tuple[int, ...]]:
+    """Whose place each anchor takes in the moves that bring the outermost one to some other's place."""
+    angles, radii = np.arctan2(cables[:, 1], cables[:, 0]), np.linalg.norm(cables, axis=1)
+    outermost = int(np.argmax(radii))
+    for angle in angles:
+        for turned in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):
+            moved = radii[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=1)
+            places = np.linalg.norm(moved[:, None] - cables, axis=-1).argmin(axis=1)
+            if len(set(places.tolist())) == len(cables):
+                yield tuple(places.tolist())
 
 
 class SymmetricLayers:

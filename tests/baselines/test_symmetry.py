@@ -58,6 +58,9 @@ def test_robots_that_are_not_regular_have_fewer():
 
     assert len(symmetries(one_motor(stiffness=(9.0, 9.0, 8.0)))) == 2, "the two lower cables may be swapped"
     assert len(symmetries(one_motor(stiffness=(9.0, 8.0, 7.0)))) == 1
+    corners = 2 * np.pi * np.arange(12) / 12
+    twelve = PLANAR.replace(base_anchors=np.stack([np.cos(corners), np.sin(corners)], axis=1))
+    assert len(symmetries(twelve)) == 24, "and nobody tries all orders of twelve cables"
     for shift, count in (((0.0, 0.1), 2), ((0.01, 0.1), 1)):
         anchors = np.array(PLANAR.base_anchors)
         anchors[2] += shift
