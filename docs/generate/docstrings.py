@@ -31,7 +31,7 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", docstring, priority=400)  # before napoleon reads it, at 500
     app.connect("autodoc-process-signature", signature)
     app.connect("autodoc-process-bases", bases)
-    app.connect("doctree-read", annotations)
+    app.connect("doctree-read", shorter)
 
 
 def docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
@@ -56,8 +56,8 @@ def bases(app: Sphinx, name: str, obj: Any, options: Any, classes: list[Any]) ->
     classes[:] = [getattr(one, "__origin__", one) for one in classes]
 
 
-def annotations(app: Sphinx, doctree: nodes.document) -> None:
-    """The same in the annotations of attributes, which have no signature; values that fill half a page are left out."""
+def shorter(app: Sphinx, doctree: nodes.document) -> None:
+    """Types so in the annotations of attributes, which have no signature; values that fill half a page are left out."""
     for node in list(doctree.findall(addnodes.desc_annotation)):
         text = node.astext()
         if len(text) > LONGEST_VALUE:

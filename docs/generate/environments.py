@@ -7,9 +7,11 @@ import re
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from PIL import Image
 
 from cablebot_gym import ENV_IDS
+from cablebot_gym.benchmark.tables import motion_title
 from cablebot_gym.dlcc.evaluator import PAYLOAD_MAX
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS, Settings
@@ -18,7 +20,7 @@ from cablebot_gym.policies import PolicyEntry, load_policy, policy_entries
 from cablebot_gym.robots import RPM, Robot
 from cablebot_gym.trajectories import trajectory_names
 from generate.folder import Folder, number, numbers, table
-from generate.results import all_boards, env_link, env_rows, motion_title
+from generate.results import all_boards, env_link, env_rows
 
 PICTURED = 0.3, 0.5
 """Share of the motion at which the picture is taken, and of the payload that the policy carries there [kg]."""
@@ -75,7 +77,7 @@ def picture(env: gym.Env[Any, Any], env_id: str) -> Image.Image:
     policy = load_policy(made_for(env_id)[0].name, task.robot)
     for _ in range(round(PICTURED[0] * task.steps)):
         observation, *_ = env.step(policy.predict(observation)[0])
-    return Image.fromarray(env.render())
+    return Image.fromarray(np.asarray(env.render()))
 
 
 def made_for(env_id: str) -> list[PolicyEntry]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.leaderboard import read_results
 from cablebot_gym.report.page import Source, html, replayed
 from cablebot_gym.report.replay import replays
@@ -24,7 +25,8 @@ def write(app: Sphinx) -> None:
     seen = {
         key: replays(cell, payload)
         for key, (cell, payload) in replayed(source.records).items()
-        if cell.policy in SEEN
+        if isinstance(cell, PolicyCell)
+        and cell.policy in SEEN
         and str(cell.trajectory["name"]).startswith("paper-")
         and all(getattr(cell, name) == value for name, value in usual.items())
     }
