@@ -7,6 +7,7 @@ standard error.
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -415,6 +416,8 @@ def main() -> None:
         if message.startswith("No such command"):
             added = (point.name for point in entry_points(group=COMMAND_GROUP))
             message += f" The commands are {', '.join(dict.fromkeys([*_command_names(), *added]))}."
+        elif example := _example(sys.argv[1]):
+            message = f"{message.rstrip('.')}; for example: {example}"
         _fail(message, getattr(error, "exit_code", 2))
 
 
@@ -428,7 +431,18 @@ def _add_commands() -> None:
 
 def _command_names() -> list[str]:
     """Of this module, and once they are looked for, of other packages."""
-    return [item.name or str(getattr(item.callback, "__name__", "")) for item in app.registered_commands]
+    return [_name(item) for item in app.registered_commands]
+
+
+def _name(item: typer.models.CommandInfo) -> str:
+    return item.name or str(getattr(item.callback, "__name__", ""))
+
+
+def _example(name: str) -> str:
+    """The first in the docstring of a command; empty if there is no such command."""
+    texts = [item.callback.__doc__ or "" for item in app.registered_commands if _name(item) == name and item.callback]
+    found = re.search(r"^ *(?:Example: )?(cablebot .+)$", "\n".join(texts), re.MULTILINE)
+    return found[1] if found else ""
 
 
 def _fail(message: str, status: int) -> None:

@@ -70,6 +70,14 @@ def test_help_has_no_example_that_cannot_be_typed(name):
         parsed(example)
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_the_parser_refuses_comes_with_an_example_of_the_command(cablebot, name):
+    status, _, said = cablebot(name, "--no-such-option")
+    assert status == 2
+    assert said.startswith("cablebot: No such option: --no-such-option")
+    assert said.rstrip().partition("; for example: cablebot ")[2] == examples_of(COMMANDS[name].help)[0]
+
+
 def test_readme_has_no_command_that_cannot_be_typed():
     lines = re.findall(r"^cablebot ((?!--).+)$", README, re.MULTILINE)
     assert len(lines) > 10
