@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,10 @@ class Pictures:
         self._painters: dict[int, Painter] = {}
         self._window: Window | None = None
         self._shown = -math.inf
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickles: painters are made anew where they are needed, and the window stays here."""
+        return {**self.__dict__, "_painters": {}, "_window": None}
 
     def begun(self, lanes: Iterable[int]) -> None:
         """Episodes have started in ``lanes``."""

@@ -93,6 +93,11 @@ class CableBotEnv(gym.Env[Array, Array]):
     By `TimeLimit` alone, after the spec's `max_episode_steps` (500). A motion may be longer or shorter: after its
     duration the reference holds its last pose.
 
+    ## Copies
+
+    `copy.deepcopy(env)` and pickling branch an episode where it is: each copy goes on by itself, to the bit as the
+    original does under the same commands and with the same draws.
+
     ## Info
 
     The same keys at reset and at every step. Of the present instant: `time`, `tracking_error` [m], `rotation_error`

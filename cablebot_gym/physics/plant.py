@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -66,8 +67,7 @@ class Plant:
         self._parameters = kernel_memory(tiles, kernel.parameter_rows(robot.cables) * self.lanes)
         self.record = kernel_memory(tiles, kernel.record_rows(robot.cables) * self.lanes)
         """The kernel's record, see :mod:`kernel` for its rows."""
-        first_demand = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
-        self._demand = self._view(self.record, first_demand, robot.cables, kernel.CABLE_RECORDS)
+        self._demand = self._demand_view()
         self._scratch = kernel_memory(kernel.scratch_rows(robot.cables) * self.lanes)
         self.which = np.zeros(self.width, np.int64)
         """The reference that each lane follows, shape (width,)."""
@@ -77,6 +77,19 @@ class Plant:
         single, kind = self.lanes == 1, _kind(robot)
         self._advance = getattr(kernel, f"advance_{'one_' if single else ''}{kind}")
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """For copies and pickles: their memory begins at cache lines too, and their demand is a view of theirs."""
+        self.__dict__.update(state)
+        for name in ("_parameters", "record", "_scratch"):
+            memory = kernel_memory(*state[name].shape)
+            memory[...] = state[name]
+            setattr(self, name, memory)
+        self._demand = self._demand_view()
+
+    def _demand_view(self) -> Array:
+        first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
+        return self._view(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
 
     @property
     def _parameter_rows(self) -> int:

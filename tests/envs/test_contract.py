@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib
 import inspect
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -556,3 +558,41 @@ def test_the_public_task_has_no_place_for_the_true_payload_or_a_seed():
     assert fields["robot"].mass == SPATIAL.mass
     assert "3.25" not in repr(env.task)
     assert "12345" not in repr(env.task)
+
+
+COPIES = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.dumps(env))}
+
+
+@pytest.mark.parametrize("how", COPIES)
+@pytest.mark.parametrize("count", [None, 2, 40])
+@each_id
+def test_copy_in_mid_episode_goes_on_by_itself_as_the_original_would(env_id, count, how):
+    """Excludes a copy whose kernel reads other memory than its commands are written to."""
+    keywords = {"uncertainty": "table6+sensors", "payload": 1.0}
+    if count != 40:  # so many pictures take long
+        keywords["render_mode"] = "rgb_array"
+    env = gym.make(env_id, **keywords) if count is None else gym.make_vec(env_id, count, **keywords)
+    commands = np.random.default_rng(0).uniform(-0.2, 0.2, (12, *env.action_space.shape))
+
+    def go_on(env, commands):
+        return [value for command in commands for value in flat(env.step(command))] + flat(env.reset())
+
+    env.reset(seed=3)
+    env.step(commands[0])
+    if env.render_mode:
+        env.render()
+    one, other = COPIES[how](env), COPIES[how](env)
+    elsewhere = go_on(other, -commands)  # first, so that what is shared shows
+    original, again = go_on(env, commands), go_on(one, commands)
+    assert len(original) == len(again)
+    for value, same in zip(original, again, strict=True):
+        np.testing.assert_array_equal(value, same)
+    assert any(not np.array_equal(value, different) for value, different in zip(original, elsewhere, strict=True))
+    if env.render_mode:
+        np.testing.assert_array_equal(env.render(), one.render())
+
+
+def flat(outcome):
+    """The arrays of what reset or step returned."""
+    *values, info = outcome
+    return [np.asarray(value) for value in (*values, *(info[name] for name in sorted(info)))]
