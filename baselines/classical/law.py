@@ -120,9 +120,17 @@ class ClassicalLaw:
 
 
 def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which observations of a batch of this shape have no past; without a state, all."""
-    start = False if episode_start is None else episode_start
-    return np.broadcast_to(np.asarray(True if state is None else start, np.bool_), shape)
+    """Which observations of a batch of this shape have no past; without a state, all.
+
+    Raises:
+        ValueError: if ``episode_start`` is neither one boolean, in an array of any shape, nor one for each observation.
+    """
+    start = np.asarray(False if episode_start is None else episode_start, np.bool_)
+    if start.size == 1:  # Stable-Baselines3 has an array of one for a single observation
+        start = start.reshape(())
+    elif start.shape != shape:
+        raise ValueError(f"episode_start must be one boolean or have shape {shape}, not {start.shape}")
+    return np.broadcast_to(start if state is not None else np.True_, shape)
 
 
 def _difference(robot: Robot, other: Robot) -> str | None:

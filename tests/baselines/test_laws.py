@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import baselines.classical
+from baselines.classical.law import first_steps
 from cablebot_gym import ENV_IDS
 from cablebot_gym.policies import PolicyEntry, PolicyError, begin
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL
@@ -124,3 +125,17 @@ def test_robots_are_not_all_without_a_law():
     named = {robot_of(env_id).name for entry in ENTRIES for env_id in entry.env_ids}
     assert named == set(ROBOTS)
     assert FLEX_PLANAR.name in named
+
+
+@pytest.mark.parametrize("start", [True, np.array([True]), np.array([[True]])])
+def test_start_of_one_observation_is_not_refused_in_an_array_of_one(start):
+    """Stable-Baselines3 gives it so."""
+    assert first_steps("a state", start, ()).item()
+    assert not first_steps("a state", ~np.asarray(start), ()).item()
+
+
+def test_starts_of_another_batch_are_not_taken():
+    with pytest.raises(ValueError, match=r"one boolean or have shape \(3,\), not \(2,\)"):
+        first_steps("a state", [True, False], (3,))
+    assert first_steps("a state", [True, False, True], (3,)).tolist() == [True, False, True]
+    assert first_steps(None, None, (2,)).tolist() == [True, True]
