@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
 
 ENV_ROBOTS = {
     "CableBot-Planar-v0": "planar",
@@ -71,6 +72,16 @@ def check_robot(env_id: str, robot: Any) -> None:
     if not _same_kind(own, wanted):
         fits = next(i for i, name in ENV_ROBOTS.items() if _same_kind(own, find_robot(name)))
         raise ValueError(f"robot {own.name!r} does not fit {env_id}: use {fits}")
+
+
+def check_spec(spec: EnvSpec | None, robot: Any) -> None:
+    """Refuses a robot of another kind than that of the id by which Gymnasium made an environment.
+
+    Raises:
+        ValueError: naming the id that fits the robot.
+    """
+    if spec is not None and spec.id in ENV_ROBOTS:
+        check_robot(spec.id, robot)
 
 
 def _same_kind(one: Any, other: Any) -> bool:

@@ -10,6 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_gym.envs import check_spec
 from cablebot_gym.envs.outcome import (
     FIRST_CABLE_INFO,
     INFO_NAMES,
@@ -247,8 +248,11 @@ class CableBotEnv(gym.Env[Array, Array]):
         """Starts an episode; ``options`` hold for this episode only, see the class.
 
         Raises:
-            ValueError: if an option is unknown or not valid; the present episode goes on then.
+            ValueError: if an option is unknown or not valid; the present episode goes on then. At the first reset, if
+                the robot is of another kind than the id's.
         """
+        if not self._started:
+            check_spec(self.spec, self.settings.robot)
         if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
             raise ValueError(SEED_MESSAGE.format(seed))
         before = self._np_random, self._np_random_seed, self._simulation.streams.standing()

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_gym.envs import check_spec
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.settings import check_keywords, make_settings
@@ -123,8 +124,11 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             options: as for the single environment, and ``reset_mask``, N booleans.
 
         Raises:
-            ValueError: if an option or the number of seeds is not valid; nothing has changed then.
+            ValueError: if an option or the number of seeds is not valid; nothing has changed then. At the first reset,
+                if the robot is of another kind than the id's.
         """
+        if not self._started:
+            check_spec(self.spec, self.settings.robot)
         lanes = self._masked(options)
         seeds = self._seeds(seed)
         if not self._started:

@@ -596,3 +596,23 @@ def flat(outcome):
     """The arrays of what reset or step returned."""
     *values, info = outcome
     return [np.asarray(value) for value in (*values, *(info[name] for name in sorted(info)))]
+
+
+@pytest.mark.parametrize("make", [gym.make, lambda *a, **k: gym.make_vec(*a, num_envs=2, **k)], ids=["one", "vector"])
+@each_id
+def test_id_is_not_that_of_another_kind_of_robot(env_id, make):
+    for other_id, robot in ROBOTS.items():
+        if other_id == env_id:
+            make(env_id, robot=robot.replace(mass=2.0, name="mine")).reset(seed=0)
+            continue
+        with pytest.raises(ValueError, match=rf"^robot '{robot.name}' does not fit {env_id}: use {other_id}$"):
+            make(env_id, robot=robot).reset(seed=0)
+
+
+def test_ids_of_others_and_classes_without_id_take_any_robot():
+    gym.register("Mine-v0", entry_point=CableBotEnv, kwargs={"robot": "planar"})
+    try:
+        gym.make("Mine-v0", robot=SPATIAL).reset(seed=0)
+    finally:
+        del gym.registry["Mine-v0"]
+    CableBotEnv(robot=SPATIAL).reset(seed=0)
