@@ -12,6 +12,9 @@ from cablebot_gym.trajectories import Reference, Trajectory
 LONGEST_MOTION = 1000.0
 """Longest motion that is tabulated [s]; the observation's clock ends there too."""
 
+MOST_STEPS = 1_000_000
+"""Of a motion, at the control frequency: beyond, tables would take gigabytes."""
+
 
 def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
     """What an observation says of the reference at each time (K,): its blocks by name, each (K, size), in order.
@@ -51,7 +54,8 @@ class ReferenceTables:
         """Tabulates a motion, if it is new, for the next :meth:`follow`.
 
         Raises:
-            ValueError: if the motion is too long, or not finite numbers of the right shape; nothing has changed then.
+            ValueError: if the motion is too long, has too many steps, or is not finite numbers of the right shape;
+                nothing has changed then.
         """
         if not any(table[0] is trajectory for table in self._tables):
             self._tables = [*self._tables, (trajectory, *self._tabulate(trajectory))]
@@ -74,6 +78,11 @@ class ReferenceTables:
         if not 0 < trajectory.duration <= LONGEST_MOTION:
             raise ValueError(f"a motion lasts up to {LONGEST_MOTION:g} s here, not {trajectory.duration} s")
         steps = int(np.ceil(trajectory.duration * self._frequency - 1e-9)) + 1
+        if steps > MOST_STEPS:
+            raise ValueError(
+                f"a motion has up to {MOST_STEPS:,} control steps here, not {steps:,} ({trajectory.duration:g} s at "
+                f"{self._frequency:g} Hz): choose a lower control_frequency"
+            )
         rate = self._frequency * self._substeps
         times = np.arange(steps + 1) / self._frequency
         now = trajectory(times)

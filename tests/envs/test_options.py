@@ -558,6 +558,15 @@ def test_a_bad_option_is_named_and_the_episode_goes_on_to_the_last_bit(name):
     same_step(env, twin, action)
 
 
+def test_motion_of_more_steps_than_memory_holds_is_not_begun():
+    make("planar", control_frequency=5e5).reset(seed=0)
+    with pytest.raises(ValueError, match=r"1,000,000 control steps") as caught:
+        make("planar", control_frequency=5e6).reset(seed=0)
+    check_message(caught.value, ("5,000,001", "1 s at 5e+06 Hz", "lower control_frequency"))
+    with pytest.raises(ValueError, match=r"up to 1000 s here, not 10000"):
+        make("planar", trajectory={"name": "hold-planar", "duration": 1e4}).reset(seed=0)
+
+
 def same_step(env, twin, action):
     ours, theirs = env.step(action), twin.step(action)
     np.testing.assert_array_equal(ours[0], theirs[0])
