@@ -67,8 +67,8 @@ def check_same_info(ours, theirs):
         if name == "final_info":
             check_same_info(ours[name], theirs[name])
             continue
-        for lane in lanes:
-            np.testing.assert_array_equal(ours[name][lane], theirs[name][lane], err_msg=f"{name} of lane {lane}")
+        one, other = (np.array([values[name][lane] for lane in lanes]) for values in (ours, theirs))
+        np.testing.assert_array_equal(one, other, err_msg=f"{name} of lanes {lanes}")
 
 
 def check_same(ours, theirs):
@@ -228,9 +228,10 @@ def test_every_lane_is_the_single_environment_under_uncertainty_too(env_id, mode
         restarts, truncations = restarts + ended.sum(), truncations + one[3].sum()
         if mode is AutoresetMode.DISABLED and ended.any():
             check_same(ours.reset(options={"reset_mask": ended}), theirs.reset(options={"reset_mask": ended}))
-        for lane, env in enumerate(theirs.envs):
-            for name, value in env.unwrapped.truth.items():
-                np.testing.assert_array_equal(ours.truth[name][lane], value, err_msg=name)
+        truth, singles = ours.truth, [env.unwrapped.truth for env in theirs.envs]
+        for name, values in truth.items():
+            np.testing.assert_array_equal(values, [single[name] for single in singles], err_msg=name)
+        assert truth.keys() == singles[0].keys()
     assert restarts >= count
     assert truncations or not planar  # planar ones last until the time limit
 
