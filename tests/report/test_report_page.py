@@ -15,6 +15,7 @@ from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, compute
 from cablebot_gym.benchmark.leaderboard import results_json
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.report import recording
+from cablebot_gym.report.page import Source, html
 
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "paper-planar"}
@@ -31,34 +32,35 @@ def best(motion, payload, **more):
     return record(BestCell(env_id=PLANAR, trajectory=motion, **more), **result)
 
 
+def carried(cell, payload, **more):
+    rest = {
+        "assured_payload": None,
+        "applicable": True,
+        "total_mass": 2.0,
+        "resolution": 1e-3,
+        "limit": {"kind": "position", "index": None, "time": 0.5, "excess": 1e-6, "reason": ""},
+        "failures": {},
+        "fallbacks": None,
+    }
+    return record(cell, payload=payload, feasible=[[0.0, payload]], **(rest | more))
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     """A small benchmark: true payloads on the circle, made-up ones elsewhere."""
     folder = tmp_path_factory.mktemp("results")
     fl, adaptive = (PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy=name) for name in ("fl", "adaptive"))
     wide = AXES["position"].put(fl, 0.02)
-    limit = {"kind": "position", "index": None, "time": 0.5, "excess": 1e-6, "reason": ""}
-    rest = {
-        "applicable": True,
-        "total_mass": 2.0,
-        "resolution": 1e-3,
-        "limit": limit,
-        "failures": {},
-        "fallbacks": None,
-    }
     drawn = PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl", uncertainty="table6", draws=4)
     records = [
         compute(BestCell(env_id=PLANAR, trajectory=CIRCLE)),
         best(CIRCLE, 3.5, limits=dict(wide.limits)),
         *(best(motion, 4.0) for motion in LOOPS),
         *(compute(cell) for cell in (fl, adaptive)),
-        record(wide, payload=2.5, assured_payload=None, feasible=[[0.0, 2.5]], **rest),
-        record(drawn, payload=1.0, assured_payload=0.5, feasible=[[0.0, 1.0]], **rest),
+        carried(wide, 2.5),
+        carried(drawn, 1.0, assured_payload=0.5),
         *(
-            record(
-                PolicyCell(env_id=PLANAR, trajectory=motion, policy="fl"),
-                **(rest | {"payload": payload, "assured_payload": None, "feasible": [[0.0, payload]]}),
-            )
+            carried(PolicyCell(env_id=PLANAR, trajectory=motion, policy="fl"), payload)
             for motion, payload in zip(LOOPS, (1.0, 2.0), strict=True)
         ),
         record(PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy="nobody</script>"), error="it raised <b>"),
@@ -111,7 +113,7 @@ def opened(browser, written):
     """The page, in a window of a size; a complaint of the browser is an error at the end."""
     complaints, contexts = [], []
 
-    def load(width=1200, height=900, scheme="light", at=""):
+    def load(width=1200, height=900, scheme="light", at="", file=written):
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme))
         page = contexts[-1].new_page()
         page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
@@ -119,7 +121,7 @@ def opened(browser, written):
         page.on(
             "request", lambda asked: asked.url.startswith(("file:", "data:", "blob:")) or complaints.append(asked.url)
         )
-        page.goto(written.as_uri() + at)
+        page.goto(file.as_uri() + at)
         page.wait_for_function("document.getElementById('replay').frames || document.getElementById('replay').hidden")
         return page
 
@@ -288,6 +290,28 @@ def test_map_has_both_bounds_and_its_numbers(opened):
         ["best", "found", "2.87", "3.50"],
         ["fl", "1.92", "2.50"],
     ]
+
+
+def test_policy_looks_the_same_in_every_map(opened, tmp_path):
+    asked = {PLANAR: ("fl", "preview"), "CableBot-Spatial-v0": ("adaptive", "fl", "preview")}
+    records = [
+        carried(AXES["position"].put(PolicyCell(env_id=env_id, trajectory=motion, policy=name), bound), 1.0)
+        for (env_id, names), motion in zip(asked.items(), (CIRCLE, {"name": "paper-spatial"}), strict=True)
+        for name in names
+        for bound in (0.005, 0.01)
+    ]
+    file = tmp_path / "maps.html"
+    file.write_text(html("maps", [Source("maps", "cablebot benchmark", records)], {}), encoding="utf-8")
+    legends = opened(file=file).evaluate(
+        """[...document.querySelectorAll("#maps .legend li")].map((item) => {
+          const line = item.querySelector("line");
+          return [item.textContent.trim(), line.getAttribute("stroke") + line.getAttribute("stroke-dasharray")];
+        })"""
+    )
+    assert [name for name, _ in legends] == [name for names in asked.values() for name in sorted(names)]
+    looks = {name: {look for other, look in legends if other == name} for name, _ in legends}
+    assert all(len(found) == 1 for found in looks.values())
+    assert len(set.union(*looks.values())) == 3
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -29,7 +29,7 @@ function ticks(low, high, count) {
   return found;
 }
 
-/* options: x (numbers), series ([{name, values, note}], a value may be null), label, range [low, high] of y,
+/* options: x (numbers), series ([{name, values, note, style}], a value may be null; style: its number, if not the place), label, range [low, high] of y,
    bounds ([y]), tube ([low, high]), log (x on a logarithmic scale), points (mark them), unit.
    Returns {node, at(x)}: at moves the cursor. */
 function lineChart(options) {
@@ -91,5 +91,6 @@ function lineChart(options) {
 
 function strokeOf(one, number) {
   if (one.plain) return { stroke: "currentColor", "stroke-dasharray": "" };
-  return { stroke: COLOURS[number % COLOURS.length], "stroke-dasharray": DASHES[number % DASHES.length] };
+  const style = one.style ?? number;
+  return { stroke: COLOURS[style % COLOURS.length], "stroke-dasharray": DASHES[style % DASHES.length] };
 }

@@ -180,13 +180,15 @@ function drawMaps() {
     body.append(element("p", { text: data.words.no_maps }));
     return;
   }
+  const names = [...new Set(data.maps.flatMap((map) => map.policies.map((one) => one.name)))];
   for (const id of new Set(data.maps.map((map) => map.id))) {
     body.append(element("h3", { text: id }));
     const charts = element("div", { class: "charts" });
     for (const map of data.maps.filter((one) => one.id === id)) {
       const figure = element("figure");
       const best = { name: "best found", values: map.bests, plain: true };
-      const series = [...(map.bests.some((value) => value !== null) ? [best] : []), ...map.policies];
+      const policies = map.policies.map((one) => ({ ...one, style: names.indexOf(one.name) })); // in all maps the same
+      const series = [...(map.bests.some((value) => value !== null) ? [best] : []), ...policies];
       figure.append(element("figcaption", { text: `Payload [kg] against ${map.label}` }),
         lineChart({ x: map.x, series, points: true, log: true, range: [0, 1.05 * Math.max(0.1, ...series.flatMap((one) => one.values.filter((value) => value !== null)))], label: `Payload against ${map.label}, ${id}` }).node,
         numbers(map, series));
