@@ -40,7 +40,8 @@ app = typer.Typer(
     help=(
         "How many kilograms does a controller carry on a cable robot?\n\n"
         "Exit status: 0 done, whatever is carried; 1 ran and failed: a policy raised, a file could not be written, a "
-        "cell of the benchmark failed, a best payload was not verified, or doctor found something wrong; 2 bad input; "
+        "cell of the benchmark failed, a best payload was not verified, or doctor found something wrong; 2 bad input, "
+        "a folder that cannot be written to too; "
         "130 interrupted."
     ),
     no_args_is_help=True,

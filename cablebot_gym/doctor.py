@@ -131,7 +131,7 @@ def _hangs_still(env_id: str) -> str:
         raise ArithmeticError(
             f"held by the torques of statics it moves by {moved:.3g} m: do not trust what is compiled"
         )
-    return f"{PAYLOAD:g} kg hang still to {moved:.0e} m"
+    return f"{PAYLOAD:g} kg held still to {moved:.0e} m"
 
 
 def print_findings(findings: Iterable[Finding]) -> bool:

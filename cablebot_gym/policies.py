@@ -120,9 +120,13 @@ class CallablePolicy:
         actions: list[Array] = []
         for lane, item in enumerate(observation):
             try:
-                actions.append(np.asarray(self._function(item), float))
+                returned = self._function(item)
             except Exception as error:
                 raise LaneError(lane, f"it raised {type(error).__name__}: {error}{_line(error)}") from error
+            try:
+                actions.append(_numbers(returned))
+            except ValueError as error:
+                raise LaneError(lane, f"it returned {error}") from error
             if actions[lane].shape != actions[0].shape:
                 raise LaneError(lane, f"it returned shape {actions[lane].shape} after {actions[0].shape}")
         return np.stack(actions), state
@@ -177,14 +181,21 @@ def commands(
     if len(payloads) == 1:
         everyone = f"with a payload of {payloads[0]:g} kg"
     try:
-        raw, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
-        action = np.array(raw, dtype=float)
+        returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
     except LaneError as error:
         lane = f"with a payload of {payloads[error.lane]:g} kg"
         raise PolicyError(f"policy {name!r} failed {at} {lane}: {error}") from error.__cause__
     except Exception as error:
         what = f"raised {type(error).__name__} {at} {everyone}: {error}{_line(error)}"
         raise PolicyError(f"policy {name!r} {what}") from error
+    if not isinstance(returned, tuple) or len(returned) != 2:
+        what = f"{len(returned)} things" if isinstance(returned, tuple) else f"one {type(returned).__name__}"
+        raise PolicyError(f"policy {name!r} returned {what} {at}: predict() has to return (commands, state)")
+    raw, state = returned
+    try:
+        action = _numbers(raw)
+    except ValueError as error:
+        raise PolicyError(f"policy {name!r} returned {error} {at} {everyone}") from error
     if action.shape != (len(payloads), cables):
         expected = (len(payloads), cables)
         raise PolicyError(f"policy {name!r} returned shape {action.shape} {at} {everyone}; needed: {expected}")
@@ -209,6 +220,22 @@ def begin(policy: Policy, name: str, tasks: tuple[Task, ...]) -> None:
     except Exception as error:
         what = f"raised {type(error).__name__} in begin(): {error}{_line(error)}"
         raise PolicyError(f"policy {name!r} {what}") from error
+
+
+def _numbers(returned: Any) -> Array:
+    """Drive commands as floats of their own.
+
+    Raises:
+        ValueError: if they are not real numbers; the message says what they are.
+    """
+    kind = type(returned).__name__
+    try:
+        values = np.asarray(returned)
+    except Exception as error:  # rows of different lengths, a tensor with gradients
+        raise ValueError(f"{kind} instead of real numbers: {error}") from error
+    if values.dtype.kind not in "biuf":
+        raise ValueError(f"{'complex' if values.dtype.kind == 'c' else kind} instead of real numbers")
+    return values.astype(float)
 
 
 def _line(error: BaseException) -> str:

@@ -148,7 +148,7 @@ class RobotArrays(Protocol):
 class Robot:
     """One cable robot. Planar: a point mass in the horizontal plane, no gravity; spatial: a hanging rigid platform.
 
-    The number of columns of ``base_anchors`` decides: 2 planar (n = 2 coordinates, m ≥ 2 cables), 3 spatial (n = 6,
+    The number of columns of ``base_anchors`` decides: 2 planar (n = 2 coordinates, m ≥ 3 cables), 3 spatial (n = 6,
     m = 6).
 
     Raises:
@@ -302,16 +302,20 @@ class Robot:
         Raises:
             ValueError: if a key is unknown or missing, or the robot is not physical.
         """
-        known = {field.name for field in dataclasses.fields(cls)}
+        fields = dataclasses.fields(cls)
+        known = {field.name for field in fields}
         if unknown := set(data) - known:
             raise ValueError(f"unknown robot field {sorted(unknown)[0]!r}; the fields are {', '.join(sorted(known))}")
+        needed = [field.name for field in fields if field.default is field.default_factory is dataclasses.MISSING]
+        if missing := [name for name in needed if name not in data]:
+            raise ValueError(f"a robot needs the field {missing[0]!r}; see Robot.to_dict() for the form")
         try:
             values = {key: _as_tuples(value) for key, value in data.items()}
             values["motors"] = Motors(**{key: _as_tuples(value) for key, value in data["motors"].items()})
             transmission = {key: _as_tuples(value) for key, value in data["transmission"].items()}
             values["transmission"] = Transmission(**transmission)
             return cls(**values)
-        except (KeyError, TypeError, AttributeError) as error:
+        except (TypeError, AttributeError) as error:
             raise ValueError(f"this is no robot: {error}; see Robot.to_dict() for the form") from error
 
 
@@ -426,12 +430,13 @@ def _check_values(robot: Robot) -> None:
 def _check_home(robot: Robot) -> None:
     low, high = robot.pose_bounds
     if np.any(robot.home < low) or np.any(robot.home > high):
-        raise ValueError(f"home_pose {robot.home_pose} lies outside the workspace {robot.workspace or low.tolist()}")
+        raise ValueError(f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}")
     if np.any(cable_lengths(robot.base, robot.platform, robot.home) < 1e-6):
         raise ValueError("a cable has no length at home_pose: move the pose off its base anchor")
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home)
     if np.linalg.matrix_rank(jacobian, tol=1e-9) < robot.coordinates or not _positively_held(robot, jacobian):
-        raise ValueError(f"{robot.name}: no positive tensions hold home_pose {robot.home_pose}; move it or the anchors")
+        why = "the cables do not surround" if robot.planar else "no positive tensions hold"
+        raise ValueError(f"{robot.name}: {why} home_pose {robot.home_pose}; move it or the anchors")
 
 
 def _positively_held(robot: Robot, jacobian: Array) -> bool:

@@ -472,7 +472,8 @@ def test_callable_does_not_lose_what_it_declares():
     ("returns", "message"),
     [
         (lambda lane: [1.0, 2.0] if lane != 2 else [1.0], r"shape \(1,\) after \(2,\)"),
-        (lambda lane: [1.0, 2.0] if lane != 2 else "x", "raised ValueError"),
+        (lambda lane: [1.0, 2.0] if lane != 2 else "x", "returned str instead of real numbers"),
+        (lambda lane: [1.0, 2.0] if lane != 2 else None, "returned NoneType instead of real numbers"),
         (lambda lane: [1.0, 2.0] if lane != 2 else [][1], "raised IndexError"),
     ],
 )

@@ -120,8 +120,8 @@ def observation_layout(robot: Robot) -> ObservationLayout:
         ("motor_speed", robot.cables, wide[1], "rad/s", "β̇′"),
     ]
     higher = [
-        ("reference_jerk", n, symmetric[3], f"{units[2][:-1]}³", "third derivative of X_d"),
-        ("reference_snap", n, symmetric[4], f"{units[2][:-1]}⁴", "fourth derivative of X_d"),
+        ("reference_jerk", n, symmetric[3], units[2].replace("²", "³"), "third derivative of X_d"),
+        ("reference_snap", n, symmetric[4], units[2].replace("²", "⁴"), "fourth derivative of X_d"),
     ]
     parts = [
         ("pose", n, pose, units[0], "X, measured: exact unless sensors are noisy"),

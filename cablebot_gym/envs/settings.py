@@ -243,14 +243,16 @@ def _payload(value: Any, count: int) -> Array:
 def _known(value: Any, count: int) -> Array:
     known = np.array(value)
     if known.dtype != np.bool_ or known.shape not in ((), (count,)):
-        raise ValueError(f"payload_known must be True or False, or {count} of them, not {value!r}")
+        several = f", or {count} of them" if count > 1 else ""
+        raise ValueError(f"payload_known must be True or False{several}, not {value!r}")
     return known
 
 
 def _initial_error(value: Any, n: int, count: int) -> Array:
     error = _numbers("initial_error", value)
     if error.shape not in ((n,), (count, n)) and not (error.shape == () and error == 0):
-        raise ValueError(f"initial_error must hold {n} coordinates, or {count} rows of {n}, not shape {error.shape}")
+        several = f", or {count} rows of {n}" if count > 1 else ""
+        raise ValueError(f"initial_error must hold {n} coordinates{several}, not shape {error.shape}")
     if not np.all(np.isfinite(error)):
         raise ValueError("initial_error must be finite")
     return np.zeros(n) if error.shape == () else error

@@ -70,9 +70,9 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     ## Reward
 
-    The weighted sum of `1/(1 + e/R)` for the position error e, the same for the rotation error (spatial), minus the
-    mean of |a| beyond 1, minus the share of slack cables, minus one when the episode fails. Each term stands in `info`
-    as `reward_…`, weighted.
+    The weighted sum of `1/(1 + e/R)` for the position error e and its bound R (`limits`), the same for the rotation
+    error (spatial), minus the mean of |a| beyond 1, minus the share of slack cables, minus one when the episode fails.
+    Each term stands in `info` as `reward_…`, weighted.
 
     ## Start
 
@@ -110,12 +110,13 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     ## Arguments
 
-    All keyword-only, all JSON-able. Those marked * are also reset options, which hold for one episode.
+    All keyword-only, and each can be given as JSON has it. Those marked * are also reset options, which hold for one
+    episode.
 
     | name | default | meaning |
     |---|---|---|
     | `payload`* | 0 | payload [kg]; the true one too, unless it is uncertain |
-    | `payload_range` | None | (low, high): uniform payload, drawn anew each episode |
+    | `payload_range` | None | (low, high): uniform, drawn anew each episode, in place of `payload` |
     | `payload_known`* | True | whether the observation tells the payload |
     | `trajectory`* | the paper's circle | a name, `{"name": …, …}` or a `Trajectory` |
     | `initial_error`* | 0 | start pose less reference, n values |
@@ -138,7 +139,8 @@ class CableBotEnv(gym.Env[Array, Array]):
     external wrench acts on the platform; sensor noise is added to `pose`, `velocity`, `motor_angle`, `motor_speed`;
     commands arrive `delay` control steps late, until then the motors hold the start, and `info["drive_demand"]` is what
     arrives. The observation and the
-    task keep telling the nominal robot and payload; `info` and `env.unwrapped.truth` tell the true ones.
+    task keep telling the nominal robot and payload; `env.unwrapped.truth` has all that was drawn, `info["payload"]` the
+    true payload.
 
     The fields; what is left out has the default given. In `parameters`, one of these for each name:
 
@@ -170,7 +172,9 @@ class CableBotEnv(gym.Env[Array, Array]):
     the payload is drawn as a steel ball that hangs below the platform, though it acts at its centre of mass; the tube
     around the path is R wide to either side. A bar for each motor stands within its present U⁻ and U⁺, and is red where
     more was asked for; the gauges show the errors against their bounds. A recording of every step, 500 a second, played
-    with `metadata["render_fps"]` shows an episode ten times as long. Needs the extra `render`.
+    with `metadata["render_fps"]` shows an episode ten times as long. Needs the extra `render`; Gymnasium's
+    `RecordVideo` needs `moviepy` besides, which `cablebot video` does not. On a machine without display, Gymnasium's
+    checker is called `check_env(…, skip_render_check=True)`.
 
     ## Version history
 

@@ -526,12 +526,14 @@ def raising(action):
         (raising, r"raised KeyError at t = 0\.020 s with payloads of 0 to 6\.3 kg: 'lost'"),
         (lambda action: action[:, :5], r"returned shape \(64, 5\) at t = 0\.020 s with .*needed: \(64, 6\)"),
         (lambda action: action[0], r"returned shape \(6,\) at t = 0\.020 s with payloads of 0 to 6\.3 kg"),
-        (lambda action: [1, [2, 3]], r"raised ValueError at t = 0\.020 s with payloads of 0 to 6\.3 kg"),
-        (lambda action: None, r"at t = 0\.020 s with payloads of 0 to 6\.3 kg"),
+        (lambda action: [1, [2, 3]], r"returned list instead of real numbers: .* at t = 0\.020 s"),
+        (lambda action: None, r"returned NoneType instead of real numbers at t = 0\.020 s"),
+        (lambda action: action + 1j, r"returned complex instead of real numbers at t = 0\.020 s"),
+        (lambda action: np.full(action.shape, "1"), r"returned ndarray instead of real numbers at t = 0\.020 s"),
         (nan_beyond, r"returned NaN or infinity at t = 0\.020 s with a payload of 2 kg"),
         (infinite_beyond, r"returned NaN or infinity at t = 0\.020 s with a payload of 2 kg"),
     ],
-    ids=["raises", "one motor short", "one for all", "ragged", "none", "nan", "inf"],
+    ids=["raises", "one motor short", "one for all", "ragged", "none", "complex", "text", "nan", "inf"],
 )
 def test_error_of_a_policy_names_time_and_payload(wrong, message):
     with pytest.raises(PolicyError, match=message) as caught:
@@ -541,11 +543,25 @@ def test_error_of_a_policy_names_time_and_payload(wrong, message):
 
 
 @pytest.mark.parametrize(
+    ("returned", "what"),
+    [(np.zeros((64, 6)), "one ndarray"), (None, "one NoneType"), ((1, 2, 3), "3 things")],
+    ids=["no state", "nothing", "three"],
+)
+def test_predict_without_a_state_is_not_taken_for_commands(returned, what):
+    class Plain:
+        def predict(self, observation, **keywords):
+            return returned
+
+    with pytest.raises(PolicyError, match=rf"returned {what} at t = 0\.000 s: predict\(\) has to return \(comm"):
+        evaluate_dlcc(Plain(), SPATIAL_ID, trajectory=HANG, payload_max=6.3)
+
+
+@pytest.mark.parametrize(
     ("fails", "message"),
     [
         (lambda action: 1 / 0, "it raised ZeroDivisionError: division by zero"),
         (lambda action: action[:2], r"it returned shape \(2,\) after \(6,\)"),
-        (lambda action: "nonsense", "it raised ValueError: could not convert"),
+        (lambda action: "nonsense", "it returned str instead of real numbers"),
     ],
 )
 def test_error_of_a_callable_names_its_own_payload(fails, message):

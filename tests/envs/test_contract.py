@@ -397,6 +397,16 @@ def test_layout_table_has_one_line_for_each_block_and_covers_the_observation(env
 
 
 @each_id
+def test_unit_of_a_derivative_has_its_power_of_the_second_for_angles_too(env_id):
+    robot = ROBOTS[env_id]
+    orders = {"velocity": "", "acceleration": "²", "jerk": "³", "snap": "⁴"}
+    for block in observation_layout(robot).blocks:
+        order = orders.get(block.name.removeprefix("reference_"))
+        if order is not None:
+            assert block.unit == (f"m/s{order}" if robot.planar else f"m/s{order}, rad/s{order}")
+
+
+@each_id
 @pytest.mark.parametrize("motion", ["paper", "line", "lemniscate"])
 def test_reference_blocks_are_the_motion_now_and_ahead_not_one_step_off(env_id, motion):
     robot = ROBOTS[env_id]
