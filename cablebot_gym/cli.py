@@ -404,7 +404,7 @@ def main() -> None:
     except KeyboardInterrupt:
         _fail("interrupted: nothing was left half-written", INTERRUPTED)
     except (ValueError, ImportError) as error:
-        _fail(str(error), 2)
+        _fail(_as_typed(str(error)), 2)
     except OSError as error:
         _fail(f"cannot write {error.filename!r}: {error.strerror}", 1)
     except PolicyError as error:
@@ -444,6 +444,14 @@ def _example(name: str) -> str:
     texts = [item.callback.__doc__ or "" for item in app.registered_commands if _name(item) == name and item.callback]
     found = re.search(r"^ *(?:Example: )?(cablebot .+)$", "\n".join(texts), re.MULTILINE)
     return found[1] if found else ""
+
+
+def _as_typed(message: str) -> str:
+    """A message about a keyword, about the option instead, where the two are spelt differently."""
+    keyword = re.match(r"([a-z]+(?:_[a-z]+)+) must ", message)
+    option = f"--{keyword[1].replace('_', '-')}" if keyword else ""
+    typed = (argument.partition("=")[0] for argument in sys.argv)
+    return option + message[len(keyword[1]) :] if keyword and option in typed else message
 
 
 def _fail(message: str, status: int) -> None:

@@ -9,7 +9,6 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
 from traceback import extract_tb
@@ -19,6 +18,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from cablebot_gym.choices import no_such
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot, find_robot
@@ -293,11 +293,8 @@ def load_policy(name: str, robot: Robot) -> Policy:
             return as_policy(made)
         except TypeError as error:
             raise ValueError(f"policy {name!r} must be a function robot -> policy, but: {error}") from None
-    close = "".join(f"; did you mean {found!r}?" for found in get_close_matches(name.strip().lower(), entries, 1))
-    raise ValueError(
-        f"unknown policy {name!r}; choose one of {', '.join(entries)}, a learned bundle or an SB3 file ending in .zip, "
-        f"or package.module:factory{close}"
-    )
+    otherwise = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
+    raise ValueError(no_such("policy", name, entries, otherwise))
 
 
 def _load_factory(name: str) -> Callable[[Robot], Any]:

@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from cablebot_gym.choices import no_such
 from cablebot_gym.kinematics import SPATIAL_COORDINATES, Array, cable_lengths, structure_jacobian
 
 RPM = 2 * math.pi / 60
@@ -527,5 +528,5 @@ def find_robot(robot: str | dict[str, Any] | Robot) -> Robot:
     if isinstance(robot, dict):
         return Robot.from_dict(robot)
     if not isinstance(robot, str) or robot not in ROBOTS:
-        raise ValueError(f"unknown robot {robot!r}; choose one of {', '.join(ROBOTS)}, or pass a Robot")
+        raise ValueError(no_such("robot", robot, ROBOTS, ", or pass a Robot"))
     return ROBOTS[robot]

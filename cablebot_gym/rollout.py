@@ -27,6 +27,7 @@ def record_rollout(
     *,
     payload: float = 0.0,
     seed: int = 0,
+    name: str | None = None,
     look: Callable[[DLCCMonitor], None] = lambda env: None,
     progress: Callable[[int, int], None] = lambda done, expected: None,
     **keywords: Any,
@@ -38,6 +39,7 @@ def record_rollout(
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: [kg].
         seed: of the environment.
+        name: of the policy in messages; its own if not given.
         look: gets the environment after the reset and after every step.
         progress: gets the number of control steps done and to be done, after the reset and after every step.
         keywords: for the environment.
@@ -55,7 +57,7 @@ def record_rollout(
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
         task.check_motion()
         progress(0, task.steps)
-        label = name_of(policy)
+        label = name or name_of(policy)
         begin(loaded, label, (task,))
         layout = env.get_wrapper_attr("layout")
         rows: list[dict[str, Any]] = []

@@ -17,6 +17,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_gym.choices import no_such
+
 Array = NDArray[np.float64]
 
 KINDS = {2: "planar", 6: "spatial"}
@@ -585,7 +587,7 @@ def _make(data: dict[str, Any], coordinates: int) -> Trajectory:
         raise ValueError(f"a trajectory's dict needs a 'name': {_choices(coordinates)}")
     name, fields = data["name"], {key: value for key, value in data.items() if key != "name"}
     if name not in trajectory_names():
-        raise ValueError(f"unknown trajectory {name!r}; choose {_choices(coordinates)}")
+        raise ValueError(no_such("trajectory", name, trajectory_names(coordinates)))
     if TRAJECTORIES[name]().coordinates != coordinates:
         raise ValueError(f"trajectory {name!r} is not for {coordinates} coordinates; choose {_choices(coordinates)}")
     known = [key for key in inspect.signature(TRAJECTORIES[name]).parameters if key != "name"]

@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from cablebot_gym.choices import no_such
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 
@@ -484,9 +485,7 @@ def _joined(names: str, robot: Robot) -> Uncertainty:
     merged: dict[str, Any] = {}
     for name in names.split("+"):
         if name not in UNCERTAINTIES:
-            raise ValueError(
-                f"unknown uncertainty {name!r}; choose one of {', '.join(UNCERTAINTIES)}, or join some by '+'"
-            )
+            raise ValueError(no_such("uncertainty", name, UNCERTAINTIES, ", or join some by '+'"))
         one = UNCERTAINTIES[name](robot)
         given = {key: getattr(one, key) for key in _FIELDS if getattr(one, key)}
         if twice := set(given) & set(merged):

@@ -114,7 +114,7 @@ def test_what_no_replay_carries_does_not_end_with_status_0(bound: Any, monkeypat
         ((PLANAR, "--trajectory", "nowhere"), "unknown trajectory 'nowhere'"),
         ((PLANAR, "--trajectory", '{"name": "paper-planar", "duration": 0.5}'), "not even the empty platform"),
         ((PLANAR, "--trajectory", "hold-planar"), "nothing limits the payload"),
-        ((PLANAR, "--control-frequency", "0"), "control_frequency must give at least one step"),
+        ((PLANAR, "--control-frequency", "0"), "--control-frequency must give at least one step"),
         (("CableBot-Cubic-v0",), "CableBot-Planar-v0"),
     ],
 )

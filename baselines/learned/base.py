@@ -12,6 +12,7 @@ from baselines.classical.adaptive import Adaptive
 from baselines.classical.feedback_linearization import FeedbackLinearization
 from baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from baselines.classical.law import ClassicalLaw
+from cablebot_gym.choices import no_such
 from cablebot_gym.robots import Robot
 
 
@@ -40,7 +41,7 @@ class Base:
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, str) or self.law not in _LAWS:
-            raise ValueError(f"unknown base law {self.law!r}; choose one of {', '.join(_LAWS)}")
+            raise ValueError(no_such("base law", self.law, _LAWS))
         for name, laws in (("gains", ("fl", "composite")), ("frequency", ("motor-pd",))):
             if getattr(self, name) is not None and self.law not in laws:
                 raise ValueError(f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}")

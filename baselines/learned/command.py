@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cablebot_gym.choices import no_such
 from cablebot_gym.terminal import counting, notes_console
 
 
@@ -56,8 +57,7 @@ def train(
     from baselines.learned.runs import Interrupted
 
     if algo not in (None, *ALGORITHMS, gradient_run.ALGORITHM):
-        known = ", ".join((*ALGORITHMS, gradient_run.ALGORITHM))
-        raise ValueError(f"unknown algorithm {algo!r}; choose one of {known}")
+        raise ValueError(no_such("algorithm", algo, (*ALGORITHMS, gradient_run.ALGORITHM)))
     console = notes_console()
     with counting(console, "timesteps") as bar:
         task = bar.add_task("starting", total=1)

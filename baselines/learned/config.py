@@ -27,6 +27,7 @@ from baselines.learned.base import Base, find_base
 from baselines.learned.features import check_features
 from baselines.learned.network import Network
 from baselines.learned.steering import Residual, Shift, find_way
+from cablebot_gym.choices import no_such
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
 
@@ -86,7 +87,7 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
         ImportError: if it needs a package that is not there, naming the extra.
     """
     if name not in ALGORITHMS:
-        raise ValueError(f"unknown algorithm {name!r}; choose one of {', '.join(ALGORITHMS)}")
+        raise ValueError(no_such("algorithm", name, ALGORITHMS))
     if name == "tqc":
         try:
             from sb3_contrib import TQC

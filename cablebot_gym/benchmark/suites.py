@@ -10,6 +10,7 @@ from typing import Any
 
 from cablebot_gym.benchmark.cells import BestCell, Cell, PolicyCell
 from cablebot_gym.benchmark.maps import AXES
+from cablebot_gym.choices import no_such
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
@@ -109,7 +110,7 @@ def find_suite(name: str) -> Suite:
         ValueError: if there is none of this name, naming those there are.
     """
     if name not in SUITES:
-        raise ValueError(f"unknown suite {name!r}; choose one of {', '.join(SUITES)}")
+        raise ValueError(no_such("suite", name, SUITES))
     return SUITES[name]
 
 

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_gym.choices import no_such
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Limits, find_limits
 
@@ -30,7 +31,7 @@ def find_criterion(criterion: str) -> Criterion:
     for known in CRITERIA:
         if criterion == known:
             return known
-    raise ValueError(f"unknown criterion {criterion!r}; choose one of {', '.join(CRITERIA)}")
+    raise ValueError(no_such("criterion", criterion, CRITERIA))
 
 
 @dataclass(frozen=True, kw_only=True)

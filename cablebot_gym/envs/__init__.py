@@ -7,6 +7,8 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
+from cablebot_gym.choices import no_such
+
 ENV_ROBOTS = {
     "CableBot-Planar-v0": "planar",
     "CableBot-Spatial-v0": "spatial",
@@ -48,7 +50,7 @@ def env_robot(env_id: str) -> str:
         ValueError: if the id is unknown, naming the known ones.
     """
     if env_id not in ENV_ROBOTS:
-        raise ValueError(f"unknown environment {env_id!r}; choose one of {', '.join(ENV_IDS)}")
+        raise ValueError(no_such("environment", env_id, ENV_IDS))
     return ENV_ROBOTS[env_id]
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import fields
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +18,19 @@ LONGEST_MOTION = 1000.0
 
 MOST_STEPS = 1_000_000
 """Of a motion, at the control frequency: beyond, tables would take gigabytes."""
+
+ORDERS = tuple(field.name for field in fields(Reference))
+"""Of a motion: its position and the derivatives of it."""
+
+CHANGE_ERROR = 0.05
+"""A derivative is doubted where its integral over a physics step is further than this from the change of what it is
+the derivative of, as a share of the largest change."""
+
+STANDING = 1e-9
+"""After its duration a motion moves less than this, m/s or m and rad/s or rad."""
+
+DOUBTED_STEPS = 0.1
+"""Share of the steps from which on a doubt is told: a jump concerns single ones."""
 
 
 def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
@@ -85,17 +102,58 @@ class ReferenceTables:
             )
         rate = self._frequency * self._substeps
         times = np.arange(steps + 1) / self._frequency
-        now = trajectory(times)
-        if not isinstance(now, Reference):
-            raise ValueError(f"trajectory {trajectory.name!r} must return a Reference, not {type(now).__name__}")
-        physics = trajectory(np.arange(steps * self._substeps + 1) / rate).position
+        physics_times = np.arange(steps * self._substeps + 1) / rate
+        checked = _checked(trajectory, physics_times, ORDERS if self._to_snap else ORDERS[:3])
         blocks = observed_reference(trajectory, times, to_snap=self._to_snap)
         control = np.concatenate(list(blocks.values()), axis=1)
-        if physics.shape != (steps * self._substeps + 1, trajectory.coordinates) or not np.all(np.isfinite(physics)):
-            raise ValueError(f"trajectory {trajectory.name!r} must give finite poses (..., {trajectory.coordinates})")
         if not np.all(np.isfinite(control)):
-            raise ValueError(f"trajectory {trajectory.name!r} must give finite velocities and accelerations")
-        return np.ascontiguousarray(physics), control
+            raise ValueError(
+                f"trajectory {trajectory.name!r} is not finite after its duration: hold its last pose there, at rest"
+            )
+        after = [blocks["reference_velocity"][-1], *(blocks[preview_name(ahead)][-1] for ahead in PREVIEWS)]
+        if np.max(np.abs(after)) > STANDING:
+            warnings.warn(
+                f"trajectory {trajectory.name!r} moves on after its duration of {trajectory.duration:g} s: hold its "
+                "last pose there, at rest",
+                stacklevel=2,
+            )
+        return np.ascontiguousarray(checked[0]), control
+
+
+def _checked(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> list[Array]:
+    """A motion's ``orders`` at each time, (K, n) each; warns of a derivative that is none.
+
+    Raises:
+        ValueError: if one is not finite numbers of the right shape.
+    """
+    who = f"trajectory {trajectory.name!r}"
+    motion = trajectory(times)
+    if not isinstance(motion, Reference):
+        raise ValueError(f"{who} must return a Reference, not {type(motion).__name__}")
+    shape = (len(times), trajectory.coordinates)
+    checked = [np.asarray(getattr(motion, name)) for name in orders]
+    for name, values in zip(orders, checked, strict=True):
+        if values.shape != shape:
+            raise ValueError(
+                f"{who} must give each {name} as (..., {shape[1]}): at {shape[0]} times {shape}, not {values.shape}"
+            )
+        if not np.all(np.isfinite(values)):
+            late = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
+            raise ValueError(f"{who} must give finite numbers, and its {name} at {late:g} s is not")
+    for (below, before), (name, values) in pairwise(zip(orders, checked, strict=True)):
+        change = np.diff(before, axis=0)
+        integral = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
+        largest = np.max(np.maximum(np.abs(change), np.abs(integral)), axis=0)
+        rounding = 1e-12 * (1 + np.max(np.abs(before), axis=0))
+        doubted = np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1)
+        if np.count_nonzero(doubted) > max(DOUBTED_STEPS * len(doubted), 5):
+            place = np.flatnonzero(doubted)[0]
+            warnings.warn(
+                f"the {name} of {who} is not the time derivative of its {below}, first at {times[place]:.3g} s: laws "
+                "feed it forward",
+                stacklevel=2,
+            )
+    return checked
 
 
 def _stacked(tables: list[Array]) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from cablebot_gym.choices import no_such
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import Cable, fastest_motor_rate, highest_frequency
@@ -144,7 +145,7 @@ def make_settings(
     )
     modes: tuple[Cable, ...] = get_args(Cable)
     if cable not in modes:
-        raise ValueError(f"unknown cable {cable!r}; choose one of {', '.join(modes)}")
+        raise ValueError(no_such("cable", cable, modes))
     frequency = _positive("control_frequency", control_frequency)
     if substeps is None:
         longest = LONGEST_PHYSICS_STEP

@@ -41,8 +41,8 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     `Box(-1, 1, (m,))`: the drive command of each motor. +1 is U⁺, the torque-speed line at the motor's present speed,
     −1 is U⁻: the requested torque τ_s a − (τ_s/ω_n)·β̇ is held for the control period and clipped to U± at the start
-    of each physics step. Commands beyond ±1 are accepted, recorded as `info["drive_demand"]`, and clipped by the line:
-    |a| > 1 is the paper's torque violation.
+    of each physics step. Commands beyond ±1, up to ±10⁶, are accepted, recorded as `info["drive_demand"]`, and clipped
+    by the line: |a| > 1 is the paper's torque violation.
 
     ## Observation space
 
@@ -198,7 +198,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         self._lane = np.zeros(1, np.int64)
         title = self.settings.robot.name
         self._pictures = None if render_mode is None else Pictures(self._simulation, title)
-        self._started = False
+        self._started = self._terminated = False
 
     @property
     def task(self) -> Task:
@@ -269,7 +269,7 @@ class CableBotEnv(gym.Env[Array, Array]):
             self._np_random, self._np_random_seed, streams = before
             self._simulation.streams.restore(streams)
             raise
-        self._started = True
+        self._started, self._terminated = True, False
         if self._pictures is not None:
             self._pictures.begun([0])
             if self.render_mode == "human":
@@ -286,13 +286,16 @@ class CableBotEnv(gym.Env[Array, Array]):
         """
         if not self._started:
             raise ResetNeeded("call reset() before step()")
-        self._simulation.step(check_action(action, (self._cables,)))
+        checked = check_action(action, (self._cables,))
+        if self._terminated:
+            gym.logger.warn("step() after the episode was terminated: what follows is no episode, call reset()")
+        self._simulation.step(checked)
         if self._pictures is not None:
             self._pictures.stepped()
             if self.render_mode == "human":
                 self._pictures.show()
-        observation, reward, terminated, info = self._result()
-        return observation, reward, terminated, False, info
+        observation, reward, self._terminated, info = self._result()
+        return observation, reward, self._terminated, False, info
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation = self._simulation

@@ -158,12 +158,12 @@ def _films(env_id: str, names: list[str], **keywords: Any) -> list[Film]:
     import_pygame()
     robot = find_robot(env_robot(env_id))
     loaded = [load_policy(name, robot) for name in names]
-    titles = [f"{name} on {env_id}" for name in names]
     films = []
     with counting(notes_console(), "steps") as bar:
-        for policy, title in zip(loaded, titles, strict=True):
+        for name, policy in zip(names, loaded, strict=True):
+            title = f"{name} on {env_id}"
             step = partial(_advance, bar, bar.add_task(title, total=1))
-            films.append(film(policy, env_id, title=title, progress=step, **keywords))
+            films.append(film(policy, env_id, title=title, name=name, progress=step, **keywords))
     return films
 
 

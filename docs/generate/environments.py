@@ -154,9 +154,10 @@ def _robot(robot: Robot) -> str:
             ["motor friction c′", f"{number(robot.motor_damping[0])} N·m·s/rad"],
         ]
     low, high = robot.pose_bounds
+    units = "m" if robot.planar else "m, rad"
     rows += [
-        ["home pose X₀", numbers(robot.home)],
-        ["workspace", f"{numbers(low)} to {numbers(high)}"],
+        [f"home pose X₀ [{units}]", numbers(robot.home)],
+        [f"workspace [{units}]", f"{numbers(low)} to {numbers(high)}"],
     ]
     source = "The tables of the paper that these are from stand beside the values in `cablebot_gym/robots.py`."
     return f"{table(rows)}\n{table(anchors)}\n{source} [Another robot](/your-own/robot.md) is a keyword."

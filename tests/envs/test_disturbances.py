@@ -459,7 +459,8 @@ class Drift:
         center = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])[: self.coordinates]
         position = center + np.clip(times, 0, self.duration)[..., None] * rate
         zero = np.zeros_like(position)
-        return Reference(position=position, velocity=rate + zero, acceleration=zero, jerk=zero, snap=zero)
+        velocity = np.where(times <= self.duration, 1.0, 0.0)[..., None] * rate
+        return Reference(position=position, velocity=velocity, acceleration=zero, jerk=zero, snap=zero)
 
 
 def holding(robot, payload, pose, velocity):

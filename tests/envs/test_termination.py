@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -44,6 +46,15 @@ def last_step(env, command, steps, seed=None, **options):
         if terminated:
             return number, reward, info
     raise AssertionError("no step ended the episode")
+
+
+def test_a_step_after_the_end_does_not_pass_in_silence_and_one_after_a_reset_does():
+    env = make("planar")
+    last_step(env, 0.3, 1, initial_error=displaced("planar", 0.1001))
+    with pytest.warns(UserWarning, match=r"after the episode was terminated.*reset\(\)"):
+        step(env, 0.3)
+    env.reset()
+    step(env, 0.3)
 
 
 # ------------------------------------------------------------------------------------------------------- reasons
@@ -168,7 +179,9 @@ def spatial_blow_up():
     rng = np.random.default_rng(0)
     env.reset()
     for _ in range(2000):
-        _, reward, terminated, truncated, info = env.step(rng.choice([-5.0, 5.0], 6))
+        with warnings.catch_warnings():  # on purpose beyond the first termination
+            warnings.simplefilter("ignore")
+            _, reward, terminated, truncated, info = env.step(rng.choice([-5.0, 5.0], 6))
         if info["termination_reason"] == "non_finite":
             assert (terminated, truncated) == (True, False)
             return reward, info
