@@ -447,8 +447,8 @@ def _example(name: str) -> str:
 
 
 def _as_typed(message: str) -> str:
-    """A message about a keyword, about the option instead, where the two are spelt differently."""
-    keyword = re.match(r"([a-z]+(?:_[a-z]+)+) must ", message)
+    """A message about a keyword, about the option instead that gave it."""
+    keyword = re.match(r"([a-z][a-z0-9_]*) must ", message)
     option = f"--{keyword[1].replace('_', '-')}" if keyword else ""
     typed = (argument.partition("=")[0] for argument in sys.argv)
     return option + message[len(keyword[1]) :] if keyword and option in typed else message

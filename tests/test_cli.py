@@ -931,7 +931,7 @@ def test_reading_is_not_read_and_then_discarded(cablebot, tmp_path):
 def test_no_reading_lacks_its_option(cablebot, tmp_path, name):
     option = f"--{name.replace('_', '-')}"
     message = one_line(cablebot("reproduce", option, "sideways", "--out", tmp_path), 2)
-    assert f"{name} must be one of" in message
+    assert f"cablebot: {option} must be one of" in message
     assert names(tmp_path) == []
 
 
@@ -946,7 +946,7 @@ def test_rows_as_json_are_not_mixed_with_anything_else(cablebot, tmp_path):
         (("--only", "fig4"), "there is no part 'fig4'; the parts are fig1, fig2"),
         (("--only", ""), "there is no part ''"),
         (("--workers", "0"), "workers must be at least 1"),
-        (("--minimum-tension", "-1"), "minimum_tension must be at least 0 N"),
+        (("--minimum-tension", "-1"), "--minimum-tension must be at least 0 N"),
     ],
 )
 def test_bad_input_of_a_reproduction_does_not_leave_a_file(cablebot, tmp_path, arguments, message):

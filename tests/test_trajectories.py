@@ -349,7 +349,7 @@ SPATIAL_CHOICES = (
 @pytest.mark.parametrize(
     ("trajectory", "coordinates", "message"),
     [
-        ("cirle-spatial", 6, f"unknown trajectory 'cirle-spatial'; {SPATIAL_CHOICES}"),
+        ("fall", 6, f"unknown trajectory 'fall'; {SPATIAL_CHOICES}"),
         ("circle-planar", 6, f"'circle-planar' is not for 6 coordinates; {SPATIAL_CHOICES}"),
         ({"name": "circle-planar", "center": POSE}, 6, f"not for 6 coordinates; {SPATIAL_CHOICES}"),
         (Drift(), 6, f"'drift' has 2 coordinates and the robot has 6; {SPATIAL_CHOICES}"),

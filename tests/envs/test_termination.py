@@ -54,7 +54,9 @@ def test_a_step_after_the_end_does_not_pass_in_silence_and_one_after_a_reset_doe
     with pytest.warns(UserWarning, match=r"after the episode was terminated.*reset\(\)"):
         step(env, 0.3)
     env.reset()
-    step(env, 0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        step(env, 0.3)
 
 
 # ------------------------------------------------------------------------------------------------------- reasons
@@ -179,9 +181,7 @@ def spatial_blow_up():
     rng = np.random.default_rng(0)
     env.reset()
     for _ in range(2000):
-        with warnings.catch_warnings():  # on purpose beyond the first termination
-            warnings.simplefilter("ignore")
-            _, reward, terminated, truncated, info = env.step(rng.choice([-5.0, 5.0], 6))
+        _, reward, terminated, truncated, info = env.step(rng.choice([-5.0, 5.0], 6))
         if info["termination_reason"] == "non_finite":
             assert (terminated, truncated) == (True, False)
             return reward, info
