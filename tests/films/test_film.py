@@ -164,6 +164,17 @@ def cablebot(monkeypatch, capsys):
     return run
 
 
+def test_failure_in_a_film_names_the_policy_as_it_was_typed(cablebot, tmp_path, monkeypatch):
+    (tmp_path / "film_toys.py").write_text(
+        "def broken(robot):\n    return lambda observation: None\n", encoding="utf-8"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    status, _, err = cablebot("video", PLANAR, tmp_path / "film.gif", "--policy", "film_toys:broken")
+    assert status == 1
+    assert "policy 'film_toys:broken' failed at t = 0.000 s" in " ".join(err.split())
+    assert not (tmp_path / "film.gif").exists()
+
+
 def test_video_of_two_policies(cablebot, tmp_path):
     out = tmp_path / "new" / "both.mp4"
     arguments = ("--policies", "fl, robust", "--payload", "3", "--speed", "4", "--size", "320x240")
