@@ -63,7 +63,7 @@ class Simulation:
         self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
         space = self.layout.space()
         self._bounds = np.array([space.low, space.high])
-        self._workspace = np.array(robot.pose_bounds)
+        self._workspace = np.array(robot.pose_bounds, order="C")  # each order of an array is compiled for anew
         self._stall = np.tile(robot.stall_torque, (count, 1))
         self._lane_settings = np.zeros((count, outcome.LANE_SETTINGS))
         self._slack_for = np.zeros(count)

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 import cablebot_gym
 from baselines.classical import FeedbackLinearization, MotorPD
-from cablebot_gym.envs import register_envs
+from cablebot_gym.envs import outcome, register_envs
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout
 from cablebot_gym.envs.outcome import TERMINATION_REASONS
 from cablebot_gym.envs.settings import make_settings
@@ -481,6 +481,14 @@ def test_an_episode_starts_on_the_references_pose_and_velocity(env_id):
     assert not info["slack"].any()
     for name in ("drive_demand", "torques", "tensions", "motor_speeds"):
         assert not info[name].any(), name
+
+
+def test_a_workspace_of_ones_own_is_not_compiled_for():
+    gym.make("CableBot-Planar-v0").reset()
+    before = list(outcome.outcome.signatures)
+    walled = PLANAR.replace(name="walled", workspace=((-0.3, 0.3), (-0.2, 0.4)))
+    gym.make("CableBot-Planar-v0", robot=walled).reset()
+    assert outcome.outcome.signatures == before
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)
