@@ -423,6 +423,11 @@ def test_policy_is_not_wrapped_a_second_time():
     assert as_policy(policy) is policy
 
 
+def test_class_in_place_of_a_policy_is_not_called_for_commands():
+    with pytest.raises(TypeError, match=r"not the class Constant: make one, Constant\(…\)"):
+        as_policy(Constant)
+
+
 @pytest.mark.parametrize("thing", [None, 3, "fl", np.zeros(3)])
 def test_what_is_neither_policy_nor_callable_is_not_accepted(thing):
     with pytest.raises(TypeError, match=rf"{type(thing).__name__} is neither"):

@@ -501,6 +501,7 @@ BAD_ACTIONS = {
 
 BAD_KEYWORDS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     **{name: (options, words) for name, (options, words) in BAD_OPTIONS.items() if not name.startswith("unknown key")},
+    "weights in a list": ({"reward_weights": [1.0]}, ("reward_weights", "dict", "position")),
     "unknown cable": ({"cable": "rope"}, ("rope", "unilateral", "bilateral")),
     "no substeps": ({"substeps": 0}, ("substeps", "at least 1", "0")),
     "half a substep": ({"substeps": 1.5}, ("substeps", "whole", "1.5")),
@@ -648,6 +649,13 @@ def test_a_bad_keyword_is_named_together_with_what_would_do(name):
 def from_class(robot="planar", **keywords):
     """Without gym.make, which has words of its own about a render mode."""
     return CableBotEnv(robot=robot, **keywords)
+
+
+@pytest.mark.parametrize("options", [3, "payload", [("payload", 1.0)]])
+def test_options_that_are_no_dict_are_refused_with_the_keys_of_one(options):
+    with pytest.raises(ValueError, match="options must be a dict with keys out of payload, ") as caught:
+        make("planar").reset(options=options)
+    check_message(caught.value, tuple(ALL_OPTIONS))
 
 
 def test_a_misspelt_keyword_does_not_pass_in_silence():

@@ -99,6 +99,15 @@ def test_the_librarys_motions_are_not_doubted(kind, frequency, duration):
         gym.make(f"CableBot-Flex{kind}-v0", trajectory=motion, control_frequency=frequency).reset()
 
 
+def test_arrays_by_name_are_not_taken_for_a_reference():
+    class Named(Own):
+        def __call__(self, times):
+            return vars(super().__call__(times))
+
+    with pytest.raises(ValueError, match="trajectory 'own' must return a Reference, not dict"):
+        gym.make(RIGID, trajectory=Named(lambda times, arrays: None)).reset()
+
+
 def nan_at(name, time):
     def spoil(times, arrays):
         arrays[name][times >= time - 1e-9, 1] = np.nan
