@@ -359,7 +359,7 @@ class _Run:
 
     @contextmanager
     def _signals(self) -> Iterator[None]:
-        """Within, the first SIGINT or SIGTERM is noted, and a second SIGINT raises."""
+        """Within, the first SIGINT or SIGTERM is noted, and a second SIGINT raises. Ignored signals stay ignored."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -370,7 +370,8 @@ class _Run:
             self._signal = number
             self._say("stopping when this rollout is done; Ctrl-C again stops at once, at the last checkpoint")
 
-        before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+        heeded = [one for one in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(one) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, note) for number in heeded}
         try:
             yield
         finally:

@@ -7,6 +7,7 @@ import itertools
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,7 +155,7 @@ def judged(best):
     cells = []
 
     def payload(policy):
-        return 3.0 if policy == "fl" else 4.0 if re.search(r"-[023]/", policy) else 1.0
+        return 3.0 if policy == "fl" else 4.0 if re.search(r"-[023]$", Path(policy).parent.name) else 1.0
 
     def evaluate(asked):
         cells.extend(asked.values())
