@@ -105,15 +105,14 @@ class Pictures:
     def show(self) -> None:
         """The first lane in a window: every 1/:data:`RATE` s of its own time, and no faster than it passes.
 
-        Raises:
-            RuntimeError: if there is no display.
+        Without a display the pictures are drawn all the same, see :class:`~cablebot_gym.rendering.window.Window`.
         """
         now = moment(self._simulation, 0)
         if now.time < self._shown + 1 / RATE - 1e-9:
             return
         self._shown = now.time
         if self._window is None:
-            self._window = Window(self._title)
+            self._window = Window(self._title, needs_display=False)
         if not self._window.closed:
             self._window.show(self._painter(0).paint(now, self._trails[0], self._note(0)), RATE)
 

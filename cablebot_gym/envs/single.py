@@ -173,8 +173,8 @@ class CableBotEnv(gym.Env[Array, Array]):
     around the path is R wide to either side. A bar for each motor stands within its present U⁻ and U⁺, and is red where
     more was asked for; the gauges show the errors against their bounds. A recording of every step, 500 a second, played
     with `metadata["render_fps"]` shows an episode ten times as long. Needs the extra `render`; Gymnasium's
-    `RecordVideo` needs `moviepy` besides, which `cablebot video` does not. On a machine without display, Gymnasium's
-    checker is called `check_env(…, skip_render_check=True)`.
+    `RecordVideo` needs `moviepy` besides, which `cablebot video` does not. On a machine without display, "human" draws
+    its pictures without showing them, and a log message says so.
 
     ## Version history
 
@@ -231,7 +231,6 @@ class CableBotEnv(gym.Env[Array, Array]):
 
         Raises:
             ResetNeeded: before the first reset.
-            RuntimeError: with ``human`` where there is no display.
         """
         if self._pictures is None:
             gym.logger.warn('render() shows nothing: make the environment with render_mode="rgb_array" or "human"')

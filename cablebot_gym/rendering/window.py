@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -11,6 +12,10 @@ from cablebot_gym.rendering.painter import import_pygame
 if TYPE_CHECKING:
     import pygame
 
+_LOGGER = logging.getLogger("cablebot_gym")
+
+_NO_DISPLAY = "No display to open a window on. Use render_mode='rgb_array', or `cablebot video`."
+
 
 class NoDisplayError(RuntimeError):
     """There is no display to open a window on."""
@@ -19,13 +24,18 @@ class NoDisplayError(RuntimeError):
 class Window:
     """Opens with the first picture, under a caption.
 
+    Args:
+        caption: title of the window.
+        needs_display: whether to raise an error where there is no display. Otherwise the window opens on SDL's dummy
+            driver, as the windows of Gymnasium's own environments do, and a log message says so.
+
     Raises:
         ImportError: without pygame.
     """
 
-    def __init__(self, caption: str) -> None:
+    def __init__(self, caption: str, *, needs_display: bool = True) -> None:
         self._pygame = import_pygame()
-        self._caption = caption
+        self._caption, self._needs_display = caption, needs_display
         self._screen: pygame.Surface | None = None
         self._clock = self._pygame.time.Clock()
         self.closed = False
@@ -57,16 +67,32 @@ class Window:
 
     def _opened(self, size: tuple[int, int]) -> pygame.Surface:
         pygame = self._pygame
-        missing = NoDisplayError("no display to open a window on: use render_mode='rgb_array', or `cablebot video`")
         variables = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-        if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
-            raise missing  # SDL would draw where nobody looks
         try:
-            pygame.display.init()
-            pygame.display.set_caption(self._caption)
-            return pygame.display.set_mode(size)
-        except pygame.error as error:
-            raise missing from error
+            if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
+                raise NoDisplayError(_NO_DISPLAY)  # SDL would choose a driver that shows nothing
+            try:
+                pygame.display.init()
+            except pygame.error as error:
+                raise NoDisplayError(_NO_DISPLAY) from error
+        except NoDisplayError:
+            if self._needs_display:
+                raise
+            _LOGGER.warning("%s Pictures are drawn where nobody sees them.", _NO_DISPLAY)
+            self._init_without_display()
+        pygame.display.set_caption(self._caption)
+        return pygame.display.set_mode(size)
+
+    def _init_without_display(self) -> None:
+        before = os.environ.get("SDL_VIDEODRIVER")
+        os.environ["SDL_VIDEODRIVER"] = "dummy"
+        try:
+            self._pygame.display.init()
+        finally:
+            if before is None:
+                del os.environ["SDL_VIDEODRIVER"]
+            else:
+                os.environ["SDL_VIDEODRIVER"] = before
 
     def close(self) -> None:
         """Closes the window, if it is open; it stays closed."""

@@ -156,11 +156,6 @@ def test_ids_and_their_robots_are_the_contracts():
 
 
 @each_id
-def test_gymnasium_check_env_finds_nothing_even_as_warning(env_id):
-    check_env(gym.make(env_id).unwrapped)
-
-
-@each_id
 def test_sb3_check_env_finds_nothing_even_as_warning(env_id):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make(env_id).unwrapped, warn=True)

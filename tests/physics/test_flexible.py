@@ -10,7 +10,6 @@ from itertools import pairwise
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from scipy.linalg import block_diag, eigh
 
 from cablebot_gym import kinematics
@@ -657,12 +656,6 @@ def test_the_bound_of_the_substeps_excludes_one_that_refuses_or_admits_the_wrong
         growth.append(np.abs(state_of(plant).angle - state.angle).max())
     assert growth[0] < 1e-6
     assert not growth[1] < 1e-3
-
-
-@each_id
-def test_check_env_excludes_an_environment_gymnasium_would_warn_about(env_id):
-    """Warnings are errors here."""
-    check_env(gym.make(env_id).unwrapped)
 
 
 @each_id

@@ -55,11 +55,11 @@ def test_without_a_display_the_error_says_what_to_do_instead(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RuntimeError, match=r"no display .* render_mode='rgb_array', or `cablebot video`"):
+    with pytest.raises(RuntimeError, match=r"No display .* render_mode='rgb_array', or `cablebot video`"):
         Window("a test").show(picture("black"), 1000)
 
 
 def test_display_that_cannot_be_opened_is_no_display(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "no such driver")
-    with pytest.raises(RuntimeError, match="no display"):
+    with pytest.raises(RuntimeError, match="No display"):
         Window("a test").show(picture("black"), 1000)
