@@ -31,6 +31,60 @@ These parameters mean the same everywhere. A docstring names them only where the
 from cablebot_gym.envs import ENV_IDS, register_envs
 
 __version__ = "0.1.0"
-__all__ = ["ENV_IDS", "__version__"]
+__all__ = ["ENV_IDS", "PUBLIC", "__version__"]
+
+PUBLIC = (
+    "cablebot_gym",
+    "cablebot_gym.bounds",
+    "cablebot_gym.bounds.best_known",
+    "cablebot_gym.bounds.certificate",
+    "cablebot_gym.bounds.closed_form",
+    "cablebot_gym.envs",
+    "cablebot_gym.envs.observation",
+    "cablebot_gym.envs.settings",
+    "cablebot_gym.envs.single",
+    "cablebot_gym.envs.streams",
+    "cablebot_gym.envs.vector",
+    "cablebot_gym.evaluation",
+    "cablebot_gym.evaluation.batch",
+    "cablebot_gym.evaluation.comparison",
+    "cablebot_gym.evaluation.constraints",
+    "cablebot_gym.evaluation.evaluator",
+    "cablebot_gym.evaluation.result",
+    "cablebot_gym.evaluation.rollout",
+    "cablebot_gym.evaluation.statistics",
+    "cablebot_gym.kinematics",
+    "cablebot_gym.physics.inverse",
+    "cablebot_gym.physics.plant",
+    "cablebot_gym.physics.textbook",
+    "cablebot_gym.planning",
+    "cablebot_gym.planning.following",
+    "cablebot_gym.planning.library",
+    "cablebot_gym.planning.motion",
+    "cablebot_gym.planning.program",
+    "cablebot_gym.planning.stage_functions",
+    "cablebot_gym.plotting",
+    "cablebot_gym.plotting.comparison",
+    "cablebot_gym.plotting.figures",
+    "cablebot_gym.policies",
+    "cablebot_gym.policies.protocol",
+    "cablebot_gym.rendering",
+    "cablebot_gym.rendering.camera",
+    "cablebot_gym.rendering.moment",
+    "cablebot_gym.rendering.painter",
+    "cablebot_gym.rendering.window",
+    "cablebot_gym.robots",
+    "cablebot_gym.task",
+    "cablebot_gym.trajectories",
+    "cablebot_gym.uncertainty",
+    "cablebot_gym.utils.console",
+    "cablebot_gym.utils.files",
+    "cablebot_gym.utils.palette",
+    "cablebot_gym.utils.suggestions",
+    "cablebot_gym.utils.workers",
+    "cablebot_gym.video",
+    "cablebot_gym.video.recording",
+)
+"""The public modules. Their names without a leading underscore are the public API, and nothing else is."""
 
 register_envs()

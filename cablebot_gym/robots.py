@@ -14,8 +14,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from cablebot_gym.choices import no_such
 from cablebot_gym.kinematics import SPATIAL_COORDINATES, Array, cable_lengths, structure_jacobian
+from cablebot_gym.utils.suggestions import no_such
 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""
@@ -24,6 +24,9 @@ STANDARD_GRAVITY = 9.81
 """Gravitational acceleration along +z [m/s²]."""
 
 PerMotor = float | tuple[float, ...]
+
+Cable = Literal["unilateral", "bilateral"]
+"""Whether cables can only pull, or push too, as the paper's equations let them."""
 
 
 @dataclass(frozen=True, kw_only=True)

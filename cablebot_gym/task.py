@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.physics.textbook import Cable
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.trajectories import Trajectory
 
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.choices import no_such
+from cablebot_gym.utils.suggestions import no_such
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from cablebot_gym.choices import no_such
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
+from cablebot_gym.utils.suggestions import no_such
 
 Distribution = Literal["uniform", "normal"]
 

@@ -27,7 +27,7 @@ myst_heading_anchors = 3
 autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None]
 # References are checked, but for classes of other packages, short names of types, and what is private.
 nitpicky = True
-nitpick_ignore_regex = [(r"py:(class|exc)", r"(?!cablebot_gym|baselines).*"), (r"py:.*", r"(.*\.)?_.*")]
+nitpick_ignore_regex = [(r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"), (r"py:.*", r"(.*\.)?_.*")]
 
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True

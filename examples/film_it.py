@@ -6,7 +6,7 @@ Run it: python examples/film_it.py [FILE.gif]
 import sys
 from pathlib import Path
 
-from cablebot_gym.films.film import film, write_film
+from cablebot_gym.video.recording import film, write_film
 
 if __name__ == "__main__":
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "film").with_suffix(".gif")

@@ -6,7 +6,7 @@ Run it: python examples/first_steps.py
 import gymnasium as gym
 
 import cablebot_gym  # noqa: F401 - registers the environments
-from cablebot_gym.dlcc import DLCCMonitor
+from cablebot_gym.evaluation import DLCCMonitor
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import SPATIAL
 

@@ -9,8 +9,8 @@ Run it: python examples/train_in_a_minute.py [FOLDER]
 import sys
 from pathlib import Path
 
-from baselines.learned.gradient_run import train_gradient
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_baselines.learned.gradient_run import train_gradient
+from cablebot_gym.evaluation import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"
 

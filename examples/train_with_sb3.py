@@ -11,8 +11,8 @@ from pathlib import Path
 import torch
 from stable_baselines3 import PPO
 
-from baselines.learned.vec_env import make_sb3_vec_env
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_baselines.learned.vec_env import make_sb3_vec_env
+from cablebot_gym.evaluation import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"
 

@@ -3,8 +3,8 @@
 Run it: python examples/what_if_it_is_heavier.py
 """
 
-from cablebot_gym.dlcc import evaluate_dlcc
-from cablebot_gym.dlcc.comparison import compare_policies
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.comparison import compare_policies
 
 UNKNOWN = {
     "parameters": {"platform_mass": {"low": 0.0, "high": 0.2}},

@@ -3,8 +3,8 @@
 Run it: python examples/your_controller.py
 """
 
-from cablebot_gym.dlcc import evaluate_dlcc
 from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics.textbook import drive_command, inverse_dynamics
 from cablebot_gym.robots import SPATIAL
 

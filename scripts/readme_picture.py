@@ -14,12 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cablebot_gym.dlcc.evaluator import evaluate_dlcc
-from cablebot_gym.dlcc.figures import demanded_torque, torque_limits
-from cablebot_gym.dlcc.result import DLCCResult
-from cablebot_gym.files import write_whole
+from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.kinematics import cable_vectors
-from cablebot_gym.palette import BLUE, GREEN, SHADE, VERMILLION
+from cablebot_gym.plotting.figures import demanded_torque, torque_limits
+from cablebot_gym.utils.files import write_whole
+from cablebot_gym.utils.palette import BLUE, GREEN, SHADE, VERMILLION
 
 Array = NDArray[np.float64]
 

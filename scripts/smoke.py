@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env
 
 import cablebot_gym
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_gym.evaluation import evaluate_dlcc
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -66,11 +66,11 @@ def try_policies() -> None:
 
 def try_commands() -> None:
     """The parser makes helps of every kind of option, one command runs, and one that is none ends with status 2."""
-    from cablebot_gym import cli
+    from cablebot_gym.cli.app import command_points
     from cablebot_gym.report.page import html
 
     assert "<canvas" in html("smoke", [], {}), "the wheel lacks the report's page"
-    names = [*cli._command_names(), *(point.name for point in entry_points(group=cli.COMMAND_GROUP))]
+    names = list(command_points())
     program = Path(sys.executable).with_name("cablebot")
     for arguments in (("--help",), ("list", "--json"), *((name, "--help") for name in names[:2]), ("nosuch",)):
         ran = subprocess.run([program, *arguments], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)

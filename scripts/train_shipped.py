@@ -20,8 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.learned.bundle import Bundle
-from baselines.learned.cards import (
+from cards import (
     DRAWS,
     HELD_OUT,
     LEAST_SEEDS,
@@ -35,15 +34,17 @@ from baselines.learned.cards import (
     with_bests,
     with_searched,
 )
-from baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, find_shipped, stem
+
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, find_shipped, stem
 from cablebot_gym.benchmark.cells import Cell, Record
-from cablebot_gym.benchmark.run import local, run_cells
+from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.dlcc.figures import DPI, import_matplotlib
-from cablebot_gym.files import usable_folder, write_text_whole, write_whole
-from cablebot_gym.terminal import counting, notes_console
-from cablebot_gym.workers import check_workers
-from cablebot_gym.workers import run as run_tasks
+from cablebot_gym.plotting.figures import DPI, import_matplotlib
+from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.utils.files import usable_folder, write_text_whole, write_whole
+from cablebot_gym.utils.workers import check_workers
+from cablebot_gym.utils.workers import run as run_tasks
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -244,7 +245,7 @@ def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Pat
 
 def is_finished(folder: Path) -> bool:
     """Whether a training has ended."""
-    from baselines.learned.runs import BEST, LAST
+    from cablebot_baselines.learned.runs import BEST, LAST
 
     return (folder / LAST).is_file() and (folder / BEST).is_file()
 
@@ -255,8 +256,8 @@ def check_run(folder: Path, shipped: Shipped, env_id: str, seed: int) -> None:
     Raises:
         ValueError: saying what to do.
     """
-    from baselines.learned.config import read_yaml
-    from baselines.learned.runs import LAST
+    from cablebot_baselines.learned.config import read_yaml
+    from cablebot_baselines.learned.runs import LAST
 
     card = Bundle.load(folder / LAST).card
     config = read_yaml(env_id, Path(shipped.config or shipped.algorithm))
@@ -280,8 +281,8 @@ def _env_id(task: partial[str]) -> str:
 
 def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
     """One training, as `cablebot train` does it, to its end; says what came of it."""
-    from baselines.learned import gradient_run, training
-    from baselines.learned.runs import CHECKPOINT, Interrupted
+    from cablebot_baselines.learned import gradient_run, training
+    from cablebot_baselines.learned.runs import CHECKPOINT, Interrupted
 
     shipped = SHIPPED[name]
     common: dict[str, Any] = {"out": folder, "seed": seed, "resume": (folder / CHECKPOINT).is_file()}
@@ -336,7 +337,7 @@ def sb3_model(best: Path) -> bytes | None:
     The checkpoint is of the end of the run, the bundle of its best evaluation: critic and optimiser are those of the
     end. None if the run has no model of PPO.
     """
-    from baselines.learned.runs import CHECKPOINT
+    from cablebot_baselines.learned.runs import CHECKPOINT
 
     path = best.parent / CHECKPOINT
     if Bundle.load(best).card.get("algorithm") != "ppo" or not path.is_file():

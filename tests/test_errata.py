@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
+from oracles.mujoco_model import MujocoRobot
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import linprog
 
-from baselines.classical import PD, RobustPD
-from cablebot_gym.dlcc.exact import exact_payload
-from cablebot_gym.dlcc.paper_algorithm import iterate_load, load_coefficient
+from cablebot_baselines.classical import PD, RobustPD
+from cablebot_baselines.paper.load_iteration import iterate_load, load_coefficient
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.mujoco_model import MujocoRobot
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, RPM, SPATIAL, Motors
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import UNCERTAINTIES

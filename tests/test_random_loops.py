@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.optimize import linprog
 
-from cablebot_gym.dlcc.exact import exact_payload
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
 from cablebot_gym.task import as_plain

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.robots import PLANAR
-from cablebot_gym.rollout import record_rollout
 from cablebot_gym.task import Limits, check_workspace
 from cablebot_gym.trajectories import find_trajectory
 

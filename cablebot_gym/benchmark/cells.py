@@ -10,16 +10,16 @@ from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from cablebot_gym.benchmark.source import policy_source
-from cablebot_gym.dlcc import evaluate_dlcc
-from cablebot_gym.dlcc.batch import BATCH, versions
-from cablebot_gym.dlcc.evaluator import DEFAULT_RESOLUTION, DRAWN_RESOLUTION, PAYLOAD_MAX, SCAN_POINTS
+from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.batch import BATCH, versions
+from cablebot_gym.evaluation.evaluator import DEFAULT_RESOLUTION, DRAWN_RESOLUTION, PAYLOAD_MAX, SCAN_POINTS
 from cablebot_gym.policies import Policy, load_policy
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.source import source_hash
 from cablebot_gym.task import Limits, as_plain
 from cablebot_gym.uncertainty import Spread, find_uncertainty
+from cablebot_gym.utils.code_hash import source_hash
 
 DEFAULT_LIMITS = MappingProxyType(as_plain(Limits()))
 """Bounds of the errors in every suite [m, rad]."""
@@ -82,7 +82,7 @@ class PolicyCell:
     def source(self) -> str:
         """Hash of the code that makes the number: this package's and the policy's."""
         modules, data = policy_source(self.policy)
-        return source_hash("cablebot_gym.dlcc.evaluator", *modules, data=data)
+        return source_hash("cablebot_gym.evaluation.evaluator", *modules, data=data)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data; :func:`cell_from` reads it."""
@@ -114,7 +114,7 @@ class PolicyCell:
         }
 
     def question(self) -> dict[str, Any]:
-        """What :func:`~cablebot_gym.dlcc.evaluator.evaluate_dlcc` is asked: its keywords, JSON-able."""
+        """What :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc` is asked: its keywords, JSON-able."""
         usual = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
         return self.conditions() | {
             "criterion": self.criterion,
@@ -185,7 +185,7 @@ class BestCell:
     @property
     def source(self) -> str:
         """Hash of the code that makes the number."""
-        return source_hash("cablebot_gym.dlcc.optimum")
+        return source_hash("cablebot_gym.bounds.best_known")
 
     @property
     def robot(self) -> Robot:
@@ -201,7 +201,7 @@ class BestCell:
         return {"kind": "best", **asdict(self)}
 
     def question(self) -> dict[str, Any]:
-        """What :func:`cablebot_gym.dlcc.optimum.best_found` is asked: its keywords; JSON-able but for the robot."""
+        """What :func:`cablebot_gym.bounds.best_known.best_found` is asked: its keywords; JSON-able but for the robot."""
         own = {} if self.stiffness is None else {"robot": self.robot}
         return own | {
             "trajectory": dict(self.trajectory),
@@ -210,8 +210,8 @@ class BestCell:
         }
 
     def compute(self) -> dict[str, Any]:
-        """What :func:`cablebot_gym.dlcc.optimum.best_found` says."""
-        from cablebot_gym.dlcc.optimum import best_found
+        """What :func:`cablebot_gym.bounds.best_known.best_found` says."""
+        from cablebot_gym.bounds.best_known import best_found
 
         return dict(best_found(self.env_id, **self.question()).to_dict())
 

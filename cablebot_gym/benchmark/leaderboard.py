@@ -8,7 +8,7 @@ from typing import Any
 
 from cablebot_gym.benchmark.cells import Record, cell_from
 from cablebot_gym.benchmark.maps import unusual
-from cablebot_gym.benchmark.score import Best, Board, boards, find_bests, payload_maps, standings
+from cablebot_gym.benchmark.scores import Best, Board, boards, find_bests, payload_maps, standings
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.benchmark.tables import (
     failures,

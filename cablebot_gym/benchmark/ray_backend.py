@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Record
-from cablebot_gym.benchmark.run import Backend, Say, Task
-from cablebot_gym.workers import WorkerDied, cores
+from cablebot_gym.benchmark.engine import Backend, Say, Task
+from cablebot_gym.utils.workers import WorkerDied, cores
 
 RETRIES = 3
 """How often a cell is tried again after its worker or its node was lost."""

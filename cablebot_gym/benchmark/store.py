@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Cell, Record, canonical, cell_from
-from cablebot_gym.files import write_text_whole
+from cablebot_gym.utils.files import write_text_whole
 
 FOLDER = "cells"
 """Name of the folder beside the tables."""

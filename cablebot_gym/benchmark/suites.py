@@ -10,11 +10,11 @@ from typing import Any
 
 from cablebot_gym.benchmark.cells import BestCell, Cell, PolicyCell
 from cablebot_gym.benchmark.maps import AXES
-from cablebot_gym.choices import no_such
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
+from cablebot_gym.utils.suggestions import no_such
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.maps import AXES, unusual
-from cablebot_gym.benchmark.score import (
+from cablebot_gym.benchmark.scores import (
     Best,
     Board,
     Column,
@@ -24,7 +24,7 @@ from cablebot_gym.benchmark.score import (
     payload_maps,
     standings,
 )
-from cablebot_gym.terminal import results_console
+from cablebot_gym.utils.console import results_console
 
 _INFORMATION = {"told": "told", "untold": "not told", "told-0.9": "told 0.9 ×", "told-1.1": "told 1.1 ×"}
 

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from cablebot_gym.choices import no_such
+from cablebot_gym.utils.suggestions import no_such
 
 ENV_ROBOTS = {
     "CableBot-Planar-v0": "planar",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
+from cablebot_gym.trajectories import Trajectory
 
 PREVIEWS = (0.02, 0.05, 0.1, 0.2)
 """How far ahead the reference is previewed [s]."""
@@ -145,3 +146,22 @@ def observation_layout(robot: Robot) -> ObservationLayout:
         blocks.append(Block(name=name, start=start, size=size, low=lows, high=highs, unit=unit, meaning=meaning))
         start += size
     return ObservationLayout(blocks=tuple(blocks))
+
+
+def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
+    """What an observation says of the reference at each time (K,): its blocks by name, each (K, size), in order.
+
+    Args:
+        trajectory: the reference.
+        times: since the episode's start [s].
+        to_snap: whether the robot is flexible.
+    """
+    now = trajectory(times)
+    derivatives = {"pose": now.position, "velocity": now.velocity, "acceleration": now.acceleration}
+    if to_snap:
+        derivatives |= {"jerk": now.jerk, "snap": now.snap}
+    return {
+        "time_left": np.maximum(trajectory.duration - times, 0.0)[:, None],
+        **{f"reference_{name}": values for name, values in derivatives.items()},
+        **{preview_name(ahead): trajectory(times + ahead).position - now.position for ahead in PREVIEWS},
+    }

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.envs.observation import PREVIEWS, preview_name
+from cablebot_gym.envs.observation import PREVIEWS, observed_reference, preview_name
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Reference, Trajectory
 
@@ -31,25 +31,6 @@ STANDING = 1e-9
 
 DOUBTED_STEPS = 0.1
 """Share of the steps from which on a doubt is told: a jump concerns single ones."""
-
-
-def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
-    """What an observation says of the reference at each time (K,): its blocks by name, each (K, size), in order.
-
-    Args:
-        trajectory: the reference.
-        times: since the episode's start [s].
-        to_snap: whether the robot is flexible.
-    """
-    now = trajectory(times)
-    derivatives = {"pose": now.position, "velocity": now.velocity, "acceleration": now.acceleration}
-    if to_snap:
-        derivatives |= {"jerk": now.jerk, "snap": now.snap}
-    return {
-        "time_left": np.maximum(trajectory.duration - times, 0.0)[:, None],
-        **{f"reference_{name}": values for name, values in derivatives.items()},
-        **{preview_name(ahead): trajectory(times + ahead).position - now.position for ahead in PREVIEWS},
-    }
 
 
 class ReferenceTables:

@@ -11,14 +11,14 @@ from typing import Any, get_args
 
 import numpy as np
 
-from cablebot_gym.choices import no_such
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.textbook import Cable, fastest_motor_rate, highest_frequency
-from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.physics.textbook import fastest_motor_rate, highest_frequency
+from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.task import Limits, find_limits
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
+from cablebot_gym.utils.suggestions import no_such
 
 LONGEST_PHYSICS_STEP = 1e-3
 """Default bound of the physics step [s]. RK4's error over 0.5 s is below 1e-9 there on the paper's robots; the bound is

@@ -9,8 +9,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.textbook import Cable
-from cablebot_gym.robots import Robot, RobotArrays
+from cablebot_gym.robots import Cable, Robot, RobotArrays
 
 
 def pack_parameters(robot: RobotArrays) -> Array:
@@ -191,6 +190,16 @@ class Plant:
     def velocity(self) -> Array:
         """Ẋ, shape (N, n)."""
         return self._read(self.record, kernel.VELOCITY, self.robot.coordinates)
+
+    @property
+    def motor_angle(self) -> Array:
+        """β′ of robots with joint springs, shape (N, m) [rad]."""
+        return self.per_cable(kernel.MOTOR_ANGLE)
+
+    @property
+    def motor_speed(self) -> Array:
+        """β̇′ of robots with joint springs, shape (N, m) [rad/s]."""
+        return self.per_cable(kernel.MOTOR_SPEED)
 
     def per_cable(self, row: int) -> Array:
         """A cable row of the record, such as ``kernel.TENSION``, shape (N, m)."""

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
-from cablebot_gym.robots import Robot, RobotArrays
-
-Cable = Literal["unilateral", "bilateral"]
+from cablebot_gym.robots import Cable, Robot, RobotArrays
 
 MINIMUM_TENSION = 5.0
 """Default T_min of planar robots [N], in laws and in springs wound at rest. At 0 the cables slacken at once in closed

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.files import write_whole
-from cablebot_gym.planning.instants import import_casadi
 from cablebot_gym.planning.motion import Margins, PlannedMotion
 from cablebot_gym.planning.program import MotionProgram
+from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.robots import Robot
-from cablebot_gym.source import source_hash
 from cablebot_gym.task import Limits, as_plain
 from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.utils.code_hash import source_hash
+from cablebot_gym.utils.files import write_whole
 
 CACHE_VARIABLE = "CABLEBOT_CACHE"
 """Environment variable that names another folder for the cache."""

@@ -20,9 +20,9 @@ from scipy.sparse import csr_matrix
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
-from cablebot_gym.planning.instants import TENSION, derivatives, flexible_instant, import_casadi, rigid_instant
-from cablebot_gym.planning.interrupts import Interrupts
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
+from cablebot_gym.planning.signals import Interrupts
+from cablebot_gym.planning.stage_functions import TENSION, derivatives, flexible_instant, import_casadi, rigid_instant
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import Trajectory

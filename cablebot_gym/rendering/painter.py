@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym import palette
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.rendering.camera import fitted
 from cablebot_gym.rendering.moment import HANG, Moment, Scene, ball_radius, full_tension
+from cablebot_gym.utils import palette
 
 if TYPE_CHECKING:
     import pygame

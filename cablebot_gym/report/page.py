@@ -13,7 +13,7 @@ import numpy as np
 
 from cablebot_gym.benchmark.cells import BestCell, Cell, Record, canonical
 from cablebot_gym.benchmark.maps import unusual
-from cablebot_gym.benchmark.score import (
+from cablebot_gym.benchmark.scores import (
     Best,
     Board,
     Column,
@@ -25,7 +25,7 @@ from cablebot_gym.benchmark.score import (
     standings,
 )
 from cablebot_gym.benchmark.tables import best_text, failures, fallbacks, heading, motion_title, task_title
-from cablebot_gym.dlcc.monitor import Limit
+from cablebot_gym.evaluation.constraints import Limit
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
 from cablebot_gym.trajectories import find_trajectory
@@ -229,7 +229,7 @@ def _cell(
     return _episodes(cell, replays.get(cell.key, ""), robots, motions, none) | {
         "title": task_title(cell),
         "carries": "not carried" if one.payload is None else "what it carries",
-        "code": _code("cablebot_gym.dlcc", "evaluate_dlcc", [cell.policy, cell.env_id], cell.question()),
+        "code": _code("cablebot_gym.evaluation", "evaluate_dlcc", [cell.policy, cell.env_id], cell.question()),
         "facts": _facts(one, record),
     }
 
@@ -244,7 +244,7 @@ def _best_cell(
     return _episodes(best.cell, replays.get(best.cell.key, ""), robots, motions) | {
         "title": task_title(best.cell),
         "carries": "the best found",
-        "code": _code("cablebot_gym.dlcc.optimum", "best_found", [best.cell.env_id], best.cell.question()),
+        "code": _code("cablebot_gym.bounds.best_known", "best_found", [best.cell.env_id], best.cell.question()),
         "facts": [["Best found", best_text(best)], _made_by(record)],
     }
 

@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym import workers as processes
 from cablebot_gym.benchmark.cells import BestCell, Cell, canonical
-from cablebot_gym.files import write_text_whole
 from cablebot_gym.report.replay import Replay, best_replays, replays
+from cablebot_gym.utils import workers as processes
+from cablebot_gym.utils.files import write_text_whole
 
 FOLDER = "episodes"
 """Name of the folder beside the results."""

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell
-from cablebot_gym.dlcc.batch import draw_seeds
-from cablebot_gym.dlcc.monitor import DLCCMonitor
-from cablebot_gym.dlcc.optimum import known_best
+from cablebot_gym.bounds.best_known import known_best
+from cablebot_gym.evaluation.batch import draw_seeds
+from cablebot_gym.evaluation.constraints import DLCCMonitor
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.policies import load_policy
 from cablebot_gym.rendering.moment import Moment, ball_radius
 from cablebot_gym.robots import Robot
-from cablebot_gym.rollout import record_rollout
 
 RATE = 100
 """Frames a second."""

@@ -12,10 +12,10 @@ from PIL import Image
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.tables import motion_title
-from cablebot_gym.dlcc.evaluator import PAYLOAD_MAX
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS, Settings
 from cablebot_gym.envs.single import CableBotEnv
+from cablebot_gym.evaluation.evaluator import PAYLOAD_MAX
 from cablebot_gym.policies import PolicyEntry, load_policy, policy_entries
 from cablebot_gym.robots import RPM, Robot
 from cablebot_gym.trajectories import trajectory_names

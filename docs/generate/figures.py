@@ -7,14 +7,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cablebot_gym.dlcc import evaluate_dlcc
-from cablebot_gym.dlcc.figures import DPI, Travelled, draw_success, new_figure, path_panels
-from cablebot_gym.palette import BLUE, GREEN, GREY, ORANGE, SHADE, VERMILLION
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.rollout import Rollout, record_rollout
+from cablebot_gym.plotting.figures import DPI, Travelled, draw_success, new_figure, path_panels
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import SPATIAL
-from cablebot_gym.rollout import Rollout, record_rollout
 from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.utils.palette import BLUE, GREEN, GREY, ORANGE, SHADE, VERMILLION
 from generate.folder import Folder
 
 ENV_ID, POLICY = "CableBot-Spatial-v0", "fl"

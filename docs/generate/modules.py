@@ -3,59 +3,50 @@
 from __future__ import annotations
 
 import importlib
+import pkgutil
 from types import ModuleType
 
+import cablebot_gym
 from generate.folder import Folder
 
-MODULES: dict[str, tuple[str, ...]] = {
-    "cablebot_gym": ("",),
-    "cablebot_gym.envs": ("", "single", "vector", "observation", "settings"),
-    "cablebot_gym.robots": ("",),
-    "cablebot_gym.trajectories": ("",),
-    "cablebot_gym.uncertainty": ("",),
-    "cablebot_gym.task": ("",),
-    "cablebot_gym.policies": ("",),
-    "cablebot_gym.rollout": ("",),
-    "cablebot_gym.dlcc": (
-        *("", "evaluator", "result", "monitor", "comparison", "exact", "optimum", "certificate"),
-        *("paper_algorithm", "probability", "batch"),
-    ),
-    "cablebot_gym.benchmark": ("", "suites", "cells", "run", "store", "score", "maps", "leaderboard", "ray_backend"),
-    "cablebot_gym.planning": ("", "program", "motion", "following", "library"),
-    "cablebot_gym.kinematics": ("",),
-    "cablebot_gym.physics": ("textbook", "inverse"),
-    "cablebot_gym.rendering": ("", "moment", "painter", "camera", "window"),
-    "cablebot_gym.films": ("", "film"),
-    "cablebot_gym.report": ("", "page", "replay", "recording"),
-    "baselines.classical": (
-        *("", "law", "outer_loop", "feedback_linearization", "robust", "adaptive", "allocation"),
-        *("flexible", "flex_eq22"),
-    ),
-    "baselines.optimal": ("", "tube", "nmpc", "horizon"),
-    "baselines.learned": ("", "shipped", "policy", "bundle", "network", "features", "steering", "base", "vec_env"),
-    "baselines.learned.wrappers": ("", "limits", "curriculum", "steered", "batch", "layers"),
-}
-"""Pages, and what stands on each: the package itself ("") and its modules."""
+BASELINES = (
+    "cablebot_baselines.classical",
+    "cablebot_baselines.optimal",
+    "cablebot_baselines.learned",
+    "cablebot_baselines.learned.wrappers",
+)
+"""Packages of the baselines that have a page; each shows all modules that stand directly in it."""
+
+
+def pages() -> dict[str, list[str]]:
+    """Pages, and the modules on each: a package comes first, and its public modules follow."""
+    listed: dict[str, list[str]] = {}
+    for module in cablebot_gym.PUBLIC:
+        parts = module.split(".")
+        listed.setdefault(".".join(parts[:2]), []).append(module)
+    for package in BASELINES:
+        found = pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}.")
+        listed[package] = [package, *(one.name for one in found if not one.ispkg)]
+    return listed
 
 
 def write(folder: Folder) -> None:
     """All pages."""
-    for name, parts in MODULES.items():
-        folder.write(f"api/{name}.rst", page(name, parts))
+    for name, modules in pages().items():
+        folder.write(f"api/{name}.rst", page(name, modules))
 
 
-def page(name: str, parts: tuple[str, ...]) -> str:
+def page(name: str, modules: list[str]) -> str:
     """The directives of a page."""
     text = f"{_title(name, '=')}\n"
-    for part in parts:
-        module = f"{name}.{part}" if part else name
-        if part:
+    for module in modules:
+        if module != name:
             text += f"\n{_title(module, '-')}\n"
-        options = "" if part == "" and len(parts) > 1 else "   :members:\n   :show-inheritance:\n"
-        text += f".. automodule:: {module}\n{options}"
+        is_package = hasattr(importlib.import_module(module), "__path__")
+        text += f".. automodule:: {module}\n" + ("" if is_package else "   :members:\n   :show-inheritance:\n")
         if module == "cablebot_gym":
-            text += f"\n.. autodata:: {module}.ENV_IDS\n"
-        if not options:
+            text += "".join(f"\n.. autodata:: {module}.{data}\n" for data in ("ENV_IDS", "PUBLIC"))
+        if is_package:
             text += _exported(importlib.import_module(module))
     return text
 

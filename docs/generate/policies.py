@@ -11,8 +11,8 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from baselines.learned.policy import LearnedPolicy
-from baselines.learned.shipped import SHIPPED
+from cablebot_baselines.learned.policy import LearnedPolicy
+from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from cablebot_gym.robots import find_robot

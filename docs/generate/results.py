@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from cablebot_gym.benchmark.leaderboard import read_results
-from cablebot_gym.benchmark.score import Board, Column, boards
+from cablebot_gym.benchmark.scores import Board, Column, boards
 from cablebot_gym.benchmark.tables import heading, motion_title, place
 
 RESULTS = Path(__file__).parents[1] / "leaderboard" / "results.json"

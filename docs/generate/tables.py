@@ -6,14 +6,13 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from typer.testing import CliRunner
 
-from cablebot_gym.cli import COMMAND_GROUP, app
+from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.robots import FLEX_SPATIAL
 from cablebot_gym.trajectories import KINDS, TRAJECTORIES
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
@@ -87,11 +86,10 @@ def requirements() -> str:
 
 def commands() -> str:
     """The help of every command, those of the baselines included."""
-    for point in entry_points(group=COMMAND_GROUP):
-        app.command(name=point.name)(point.load())
+    points = command_points()
+    add_commands(points)
     text, runner = "", CliRunner(env={"COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"})
-    for command in app.registered_commands:
-        name = command.name or str(getattr(command.callback, "__name__", ""))
+    for name in points:
         shown = runner.invoke(app, [name, "--help"], prog_name="cablebot", catch_exceptions=False).output
         text += f"\n## cablebot {name}\n\n```text\n{shown.strip()}\n```\n"
     return text

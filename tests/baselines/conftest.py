@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import cablebot_gym.benchmark.run
+import cablebot_gym.benchmark.engine
 from cablebot_gym.benchmark.cells import PolicyCell, Record
 
 
@@ -37,5 +37,5 @@ def computed(monkeypatch):
             payload = 2.0 if cell.policy == "fl" else payload + (1.0 if cell.trajectory["seed"] % 2 else -1.0)
         return Record(cell=cell, source=cell.source, versions={}, result={"payload": payload}, seconds=0.0)
 
-    monkeypatch.setattr(cablebot_gym.benchmark.run, "compute", compute)
+    monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", compute)
     return cells

@@ -7,14 +7,15 @@ import json
 import sys
 from pathlib import Path
 
-from baselines.learned.bundle import Bundle
-from baselines.learned.cards import read_cards
-from baselines.learned.config import read_yaml
-from baselines.learned.export import silent_network
-from baselines.learned.gradient_run import ALGORITHM, make_gradient_config
-from baselines.learned.runs import BEST, LAST
-from baselines.learned.shipped import SHIPPED
-from baselines.learned.steering import Steering
+from cards import read_cards
+
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.config import read_yaml
+from cablebot_baselines.learned.export import silent_network
+from cablebot_baselines.learned.gradient_run import ALGORITHM, make_gradient_config
+from cablebot_baselines.learned.runs import BEST, LAST
+from cablebot_baselines.learned.shipped import SHIPPED
+from cablebot_baselines.learned.steering import Steering
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from baselines.classical import Adaptive, Composite, FeedbackLinearization
-from baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE
-from baselines.classical.allocation import attainable
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_baselines.classical import Adaptive, Composite, FeedbackLinearization
+from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE
+from cablebot_baselines.classical.allocation import attainable
 from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 
 LAWS = {

@@ -11,12 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import trim_mean
-from shipping import CURVE, PLANAR_ID, SPATIAL_ID, save_run, script, ship
-
-from baselines.learned.base import find_base
-from baselines.learned.bundle import Bundle
-from baselines.learned.cards import (
+from cards import (
     Card,
     base_text,
     card_markdown,
@@ -30,8 +25,13 @@ from baselines.learned.cards import (
     with_bests,
     with_searched,
 )
-from baselines.learned.runs import BEST
-from baselines.learned.shipped import SHIPPED
+from scipy.stats import trim_mean
+from shipping import CURVE, PLANAR_ID, SPATIAL_ID, save_run, script, ship
+
+from cablebot_baselines.learned.base import find_base
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.runs import BEST
+from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestCell, Record
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import cablebot_gym  # noqa: F401  # registers the ids
-from baselines.classical.flexible import Motion
+from cablebot_baselines.classical.flexible import Motion
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
 from cablebot_gym.trajectories import find_trajectory
 
 torch = pytest.importorskip("torch")
-from baselines.learned.differentiable import asked  # noqa: E402  # needs torch
+from cablebot_baselines.learned.differentiable import asked  # noqa: E402  # needs torch
 
 COUNT = 40
 MINIMUM = 5.0

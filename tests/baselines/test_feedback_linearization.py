@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.classical import FL, FL_TUNED, FeedbackLinearization
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_baselines.classical import FL, FL_TUNED, FeedbackLinearization
 from cablebot_gym.envs import RIGID_ENV_IDS
 from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
 
 IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}

@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from baselines.classical import Composite, PaperFlexible
-from baselines.reproduction import linearised
-from baselines.reproduction.linearised import growth_rate
+from cablebot_baselines.classical import Composite, PaperFlexible
+from cablebot_baselines.paper import linearised
+from cablebot_baselines.paper.linearised import growth_rate
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 

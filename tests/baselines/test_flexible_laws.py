@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from baselines.classical import ADAPTIVE_COMPOSITE, COMPOSITE, COMPOSITE_TUNED, Composite, FourthOrder, MotorPD
-from baselines.classical.flexible import Motion
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_baselines.classical import ADAPTIVE_COMPOSITE, COMPOSITE, COMPOSITE_TUNED, Composite, FourthOrder, MotorPD
+from cablebot_baselines.classical.flexible import Motion
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
-from cablebot_gym.rollout import record_rollout
 
 LAWS = {"composite": Composite, "motor-pd": MotorPD, "fl4": FourthOrder}
 FLEX_SPATIAL_ID = "CableBot-FlexSpatial-v0"

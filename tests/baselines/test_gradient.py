@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import yaml
 
-from baselines.learned.base import Base
-from baselines.learned.bundle import Bundle
-from baselines.learned.features import PREVIEWED
-from baselines.learned.gradient import GradientSettings, GradientTraining
-from baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
-from baselines.learned.policy import LearnedPolicy
-from baselines.learned.runs import BEST, CHECKPOINT, EVALUATIONS, LAST, Interrupted
-from baselines.learned.steering import Shift, Steering
-from cablebot_gym import cli
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_baselines.learned.base import Base
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.features import PREVIEWED
+from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
+from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
+from cablebot_baselines.learned.policy import LearnedPolicy
+from cablebot_baselines.learned.runs import BEST, CHECKPOINT, EVALUATIONS, LAST, Interrupted
+from cablebot_baselines.learned.steering import Shift, Steering
+from cablebot_gym.cli import app as cli
 from cablebot_gym.envs import env_robot
-from cablebot_gym.envs.references import observed_reference
+from cablebot_gym.envs.observation import observed_reference
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import drive_command
 from cablebot_gym.robots import find_robot
@@ -255,7 +255,7 @@ def test_motions_are_loops_and_named_ones_and_unseen_loops_judge():
 
 @pytest.mark.parametrize("name", ["gradient", "gradient-safe", "gradient-preview"])
 def test_shipped_configurations_keep_away_from_held_out_motions(name):
-    from baselines.learned.config import HYPERPARAMS
+    from cablebot_baselines.learned.config import HYPERPARAMS
 
     for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
         config = make_gradient_config(env_id, plain)

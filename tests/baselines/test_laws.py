@@ -10,13 +10,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import baselines.classical
-from baselines.classical.law import first_steps
+import cablebot_baselines.classical
+from cablebot_baselines.classical.law import first_steps
 from cablebot_gym import ENV_IDS
-from cablebot_gym.policies import PolicyEntry, PolicyError, begin
+from cablebot_gym.policies import PolicyEntry, PolicyError
+from cablebot_gym.policies.protocol import begin
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL
 
-ENTRIES = [entry for entry in vars(baselines.classical).values() if isinstance(entry, PolicyEntry)]
+ENTRIES = [entry for entry in vars(cablebot_baselines.classical).values() if isinstance(entry, PolicyEntry)]
 CASES = [(entry, env_id) for entry in ENTRIES for env_id in entry.env_ids]
 
 each_case = pytest.mark.parametrize(("entry", "env_id"), CASES, ids=lambda value: getattr(value, "name", value))
@@ -69,7 +70,7 @@ def test_task_of_another_robot_is_not_begun(entry, env_id):
     ],
 )
 def test_refusal_does_not_keep_the_difference_to_itself(robot, other, difference):
-    law = baselines.classical.Composite if robot.flexible else baselines.classical.Robust
+    law = cablebot_baselines.classical.Composite if robot.flexible else cablebot_baselines.classical.Robust
     env_id = next(env_id for env_id in ENV_IDS if robot_of(env_id).name == other.name.replace("wide", "spatial"))
     task = tasks_of(env_id, robot=other)
     expected = f"built for robot '{robot.name}', but the task's '{other.name}' has {difference}: build the law from"

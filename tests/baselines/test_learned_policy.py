@@ -14,22 +14,24 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from baselines.learned import load_bundle
-from baselines.learned.base import Base, find_base
-from baselines.learned.bundle import FORMAT, Bundle, is_bundle
-from baselines.learned.features import BELLS, CLOCK, check_features
-from baselines.learned.network import Network
-from baselines.learned.policy import LearnedPolicy
-from baselines.learned.steering import DERIVATIVES, Residual, Shift, Steering, find_way, way_to_plain
-from cablebot_gym import ENV_IDS, cli, source
+from cablebot_baselines.learned import load_bundle
+from cablebot_baselines.learned.base import Base, find_base
+from cablebot_baselines.learned.bundle import FORMAT, Bundle, is_bundle
+from cablebot_baselines.learned.features import BELLS, CLOCK, check_features
+from cablebot_baselines.learned.network import Network
+from cablebot_baselines.learned.policy import LearnedPolicy
+from cablebot_baselines.learned.steering import DERIVATIVES, Residual, Shift, Steering, find_way, way_to_plain
+from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import PolicyCell, compute
 from cablebot_gym.benchmark.suites import find_policies
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_gym.cli import app as cli
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import Limits
+from cablebot_gym.utils import code_hash
 
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID, FLEX_SPATIAL_ID = ENV_IDS
 HANG = {"name": "hold-planar", "duration": 0.05}
@@ -871,22 +873,24 @@ def test_bundle_is_not_judged_otherwise_than_its_law_by_name_command_or_cell(cab
 def test_result_does_not_outlive_the_bundle_or_the_code_that_runs_it(saved, monkeypatch):
     cell = PolicyCell(env_id=PLANAR_ID, trajectory=HANG, policy=str(saved))
     before = cell.source
-    source.source_hash.cache_clear()
+    code_hash.source_hash.cache_clear()
     assert cell.source == before
     bundle_of(seed=2).save(saved)
-    source.source_hash.cache_clear()
+    code_hash.source_hash.cache_clear()
     assert cell.source != before
-    read, real = set(), source._meaning.__wrapped__
+    read, real = set(), code_hash._meaning.__wrapped__
 
     def meaning(path, name):
         read.add(name)
         return real(path, name)
 
-    monkeypatch.setattr(source, "_meaning", meaning)
-    source.source_hash.cache_clear()
+    monkeypatch.setattr(code_hash, "_meaning", meaning)
+    code_hash.source_hash.cache_clear()
     assert cell.source
     monkeypatch.undo()
-    source.source_hash.cache_clear()
-    assert {f"baselines.learned.{name}" for name in ("bundle", "policy", "steering", "features", "network")} <= read
-    assert {"baselines.classical.law", "baselines.classical.adaptive"} <= read
-    assert not read & {"baselines.learned.vec_env", "baselines.learned.differentiable"}
+    code_hash.source_hash.cache_clear()
+    assert {
+        f"cablebot_baselines.learned.{name}" for name in ("bundle", "policy", "steering", "features", "network")
+    } <= read
+    assert {"cablebot_baselines.classical.law", "cablebot_baselines.classical.adaptive"} <= read
+    assert not read & {"cablebot_baselines.learned.vec_env", "cablebot_baselines.learned.differentiable"}

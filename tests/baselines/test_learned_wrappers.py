@@ -15,15 +15,15 @@ from stable_baselines3 import PPO
 from stable_baselines3.common import env_checker
 
 import cablebot_gym
-from baselines.classical import FeedbackLinearization
-from baselines.learned.base import find_base
-from baselines.learned.bundle import Bundle
-from baselines.learned.features import PREVIEWED
-from baselines.learned.network import Network
-from baselines.learned.policy import LearnedPolicy
-from baselines.learned.steering import Shift, Steering, find_way
-from baselines.learned.vec_env import CableBotVecEnv
-from baselines.learned.wrappers import (
+from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.learned.base import find_base
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.features import PREVIEWED
+from cablebot_baselines.learned.network import Network
+from cablebot_baselines.learned.policy import LearnedPolicy
+from cablebot_baselines.learned.steering import Shift, Steering, find_way
+from cablebot_baselines.learned.vec_env import CableBotVecEnv
+from cablebot_baselines.learned.wrappers import (
     PayloadCurriculum,
     PayloadCurriculumVector,
     Steered,
@@ -32,8 +32,8 @@ from baselines.learned.wrappers import (
     WithinLimitsVector,
     make_steered_vec,
 )
-from cablebot_gym.dlcc import DLCCMonitor, evaluate_dlcc
-from cablebot_gym.dlcc.monitor import Judge
+from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
+from cablebot_gym.evaluation.constraints import Judge
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.task import Limits
 

@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip("casadi")
 
-from baselines.optimal.horizon import HORIZON, HorizonProgram, NoPlan
-from baselines.optimal.nmpc import EVERY, NMPC, TUNING, NonlinearMPC
+from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, NoPlan
+from cablebot_baselines.optimal.nmpc import EVERY, NMPC, TUNING, NonlinearMPC
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook

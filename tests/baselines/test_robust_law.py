@@ -6,10 +6,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from baselines.classical import PD, Composite, FeedbackLinearization, Robust, RobustComposite, RobustPD
-from baselines.classical.robust import ROBUST_TUNED
-from cablebot_gym.dlcc import compare_policies, evaluate_dlcc
+from cablebot_baselines.classical import PD, Composite, FeedbackLinearization, Robust, RobustComposite, RobustPD
+from cablebot_baselines.classical.robust import ROBUST_TUNED
 from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
 ID = "CableBot-Spatial-v0"

@@ -15,20 +15,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cards import LEAST_SEEDS, card_markdown, read_bests, read_cards, typical, with_bests
 from shipping import CURVE, PLANAR_ID, ROOT, SPATIAL_ID, save_run, script, ship
 from stable_baselines3 import PPO
 
-import cablebot_gym.benchmark.run
-from baselines.learned.bundle import Bundle
-from baselines.learned.cards import LEAST_SEEDS, card_markdown, read_bests, read_cards, typical, with_bests
-from baselines.learned.config import read_yaml
-from baselines.learned.gradient_run import ALGORITHM, VALIDATION, make_gradient_config
-from baselines.learned.runs import BEST, CHECKPOINT, LAST
-from baselines.learned.shipped import SHIPPED, WEIGHTS, env_id_of, load_shipped, stem
-from baselines.learned.training import train
+import cablebot_gym.benchmark.engine
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.config import read_yaml
+from cablebot_baselines.learned.gradient_run import ALGORITHM, VALIDATION, make_gradient_config
+from cablebot_baselines.learned.runs import BEST, CHECKPOINT, LAST
+from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, env_id_of, load_shipped, stem
+from cablebot_baselines.learned.training import train
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import Record
-from cablebot_gym.dlcc import evaluate_dlcc
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED, TRAINING_SEEDS
@@ -55,18 +55,18 @@ def test_what_was_judged_is_not_judged_again(runs, computed, tmp_path):
 
 
 def test_interrupt_keeps_what_is_finished(runs, computed, monkeypatch, tmp_path):
-    whole = cablebot_gym.benchmark.run.compute
+    whole = cablebot_gym.benchmark.engine.compute
 
     def interrupted(cell):
         if len(computed) == 5:
             raise KeyboardInterrupt
         return whole(cell)
 
-    monkeypatch.setattr(cablebot_gym.benchmark.run, "compute", interrupted)
+    monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", interrupted)
     with pytest.raises(KeyboardInterrupt):
         ship(runs, tmp_path / "weights")
     assert not list((tmp_path / "weights").glob("*"))
-    monkeypatch.setattr(cablebot_gym.benchmark.run, "compute", whole)
+    monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", whole)
     ship(runs, tmp_path / "weights")
     assert len({cell.key for cell in computed}) == len(computed)
 
@@ -75,7 +75,7 @@ def test_failed_evaluation_ends_it(runs, monkeypatch, tmp_path):
     def fail(cell):
         return Record(cell=cell, source=cell.source, versions={}, result={"error": "it raised"}, seconds=0.0)
 
-    monkeypatch.setattr(cablebot_gym.benchmark.run, "compute", fail)
+    monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", fail)
     with pytest.raises(RuntimeError, match="could not be judged on CableBot-Planar-v0: it raised"):
         ship(runs, tmp_path / "weights")
     assert not list((tmp_path / "weights").glob("*"))
@@ -136,7 +136,7 @@ default:
   normalize: true
   env_kwargs: {control_frequency: 100, max_episode_steps: 100}
   env_wrapper:
-    - baselines.learned.wrappers.Steered:
+    - cablebot_baselines.learned.wrappers.Steered:
         base: {law: fl, gains: [900, 60]}
         steering: {kind: shift}
         features: [elapsed, actions, error, told_payload]
@@ -195,7 +195,7 @@ def test_entry_points_name_the_table():
 
 def test_listing_and_reading_needs_no_torch():
     code = (
-        "import sys; import baselines.learned.shipped, baselines.learned.cards as cards; cards.read_cards(); "
+        "import sys; import cablebot_baselines.learned.shipped, cards as cards; cards.read_cards(); "
         "assert not {'torch', 'stable_baselines3', 'matplotlib'} & set(sys.modules), sorted(sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
@@ -305,7 +305,7 @@ def refuse(*arguments, **keywords):
     raise AssertionError("unpickled")
 pickle.load = pickle.loads = refuse
 numpy.lib.format.pickle = pickle
-from baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.bundle import Bundle
 for path in sys.argv[1:]:
     Bundle.load(Path(path))
 """

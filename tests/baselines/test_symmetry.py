@@ -11,10 +11,10 @@ from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("torch")
-from baselines.learned.features import PREVIEWED, feature_symmetry  # needs torch
-from baselines.learned.gradient import GradientSettings, GradientTraining
-from baselines.learned.steering import Shift
-from baselines.learned.symmetry import symmetries
+from cablebot_baselines.learned.features import PREVIEWED, feature_symmetry  # needs torch
+from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
+from cablebot_baselines.learned.steering import Shift
+from cablebot_baselines.learned.symmetry import symmetries
 
 FEATURES = (*PREVIEWED, "reference_jerk", "reference_snap")
 LOOP = {"name": "loop-planar", "seed": 3}

@@ -22,15 +22,23 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-import baselines.learned.training as training
-from baselines.learned import checkpoint
-from baselines.learned.bundle import Bundle
-from baselines.learned.config import ALGORITHMS, HYPERPARAMS, STEERED, algorithm_class, make_config, read_config
-from baselines.learned.export import network_from_sb3
-from baselines.learned.policy import LearnedPolicy
-from baselines.learned.vec_env import CableBotVecEnv
-from baselines.learned.wrappers import make_steered_vec
-from cablebot_gym import ENV_IDS, cli
+import cablebot_baselines.learned.training as training
+from cablebot_baselines.learned import checkpoint
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.config import (
+    ALGORITHMS,
+    HYPERPARAMS,
+    STEERED,
+    algorithm_class,
+    make_config,
+    read_config,
+)
+from cablebot_baselines.learned.export import network_from_sb3
+from cablebot_baselines.learned.policy import LearnedPolicy
+from cablebot_baselines.learned.vec_env import CableBotVecEnv
+from cablebot_baselines.learned.wrappers import make_steered_vec
+from cablebot_gym import ENV_IDS
+from cablebot_gym.cli import app as cli
 from cablebot_gym.physics import kernel
 from cablebot_gym.robots import PLANAR as PLANAR_ROBOT
 
@@ -39,9 +47,9 @@ QUICK = {"control_frequency": 100, "payload_max": 1.0, "resolution": 0.5}
 """Conditions of an evaluation that takes no time."""
 
 WRAPPERS = """
-    - baselines.learned.wrappers.WithinLimits: {}
-    - baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3, power: 0.6, start: 1, window: 5}
-    - baselines.learned.wrappers.Steered:
+    - cablebot_baselines.learned.wrappers.WithinLimits: {}
+    - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3, power: 0.6, start: 1, window: 5}
+    - cablebot_baselines.learned.wrappers.Steered:
         base: {law: fl, gains: [900, 60]}
         steering: {kind: shift, hold: 0.04, degree: 2}
         features: [elapsed, actions, error, told_payload]
@@ -407,7 +415,7 @@ def test_damaged_checkpoint_is_not_resumed_and_nothing_is_overwritten(stopped, t
 def test_checkpoint_of_other_code_is_not_resumed(stopped, tmp_path, monkeypatch):
     folder = damaged(stopped, tmp_path / "run", "kept")
     before = contents(folder)
-    monkeypatch.delattr("baselines.learned.wrappers.steered.SteeredVector")
+    monkeypatch.delattr("cablebot_baselines.learned.wrappers.steered.SteeredVector")
     with pytest.raises(ValueError, match="of other versions of the packages"):
         training.train(PLANAR, out=folder, resume=True)
     assert contents(folder) == before
@@ -508,7 +516,9 @@ def test_compiled_function_does_not_become_a_copy():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_command_does_not_lack_a_checkpoint(config, tmp_path, monkeypatch, capsys, number):
     out = tmp_path / "run"
-    start = f"import signal, cablebot_gym.cli as c; signal.signal({int(signal.SIGINT)}, signal.default_int_handler); "
+    start = (
+        f"import signal, cablebot_gym.cli.app as c; signal.signal({int(signal.SIGINT)}, signal.default_int_handler); "
+    )
     options = ["--config", config("ppo"), "--out", out, "--evaluation", json.dumps(QUICK), "--eval-every", 10**6]
     arguments = ["train", PLANAR, "--timesteps", 10**6, "--checkpoint-every", 64, *options]
     process = subprocess.Popen(

@@ -9,12 +9,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from baselines.optimal import tube as module
-from baselines.optimal.tube import CLOSE, Style, Tube, close, safe
-from cablebot_gym.dlcc import evaluate_dlcc
-from cablebot_gym.dlcc.comparison import compare_policies
-from cablebot_gym.dlcc.monitor import DLCCMonitor
-from cablebot_gym.dlcc.optimum import best_found
+from cablebot_baselines.optimal import tube as module
+from cablebot_baselines.optimal.tube import CLOSE, Style, Tube, close, safe
+from cablebot_gym.bounds.best_known import best_found
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.comparison import compare_policies
+from cablebot_gym.evaluation.constraints import DLCCMonitor
 from cablebot_gym.planning import Infeasible
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import Limits

@@ -19,7 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 import cablebot_gym
-from baselines.learned.vec_env import CableBotVecEnv, make_sb3_vec_env
+from cablebot_baselines.learned.vec_env import CableBotVecEnv, make_sb3_vec_env
 
 PLANAR_ID = "CableBot-Planar-v0"
 COUNT, LIMIT = 5, 7
@@ -530,6 +530,6 @@ def test_without_sb3_the_import_names_the_extra(monkeypatch):
     for module in [name for name in sys.modules if name.partition(".")[0] == "stable_baselines3"]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.delitem(sys.modules, "baselines.learned.vec_env")
+    monkeypatch.delitem(sys.modules, "cablebot_baselines.learned.vec_env")
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[sb3\]'"):
-        importlib.import_module("baselines.learned.vec_env")
+        importlib.import_module("cablebot_baselines.learned.vec_env")

@@ -11,14 +11,14 @@ from importlib.metadata import EntryPoint
 import gymnasium as gym
 import pytest
 
-from cablebot_gym import source
-from cablebot_gym.benchmark import source as policy_sources
+from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell, cell_from, compute
-from cablebot_gym.benchmark.source import policy_source
-from cablebot_gym.dlcc import DLCCMonitor, evaluate_dlcc
+from cablebot_gym.benchmark.policy_source import policy_source
+from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR
-from cablebot_gym.source import source_hash
+from cablebot_gym.utils import code_hash
+from cablebot_gym.utils.code_hash import source_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
 CIRCLE = {"name": "paper-planar"}
@@ -49,7 +49,7 @@ def module(tmp_path, monkeypatch):
         path.parent.mkdir(exist_ok=True)
         path.write_text(text, encoding="utf-8")
         importlib.invalidate_caches()
-        here, there = (source.source_hash, source.module_file, source._meaning), policy_sources
+        here, there = (code_hash.source_hash, code_hash.module_file, code_hash._meaning), policy_sources
         for cached in (*here, there.policy_source, there._data_files):
             cached.cache_clear()
         return path
@@ -140,7 +140,7 @@ def test_unknown_information_set_is_refused():
 def test_paper_criterion_of_a_policy_that_clips_is_no_number(module):
     module(
         "toy_clips.py",
-        "import numpy as np\nfrom baselines.classical import FeedbackLinearization\n"
+        "import numpy as np\nfrom cablebot_baselines.classical import FeedbackLinearization\n"
         "def make(robot):\n    law = FeedbackLinearization(robot)\n"
         "    return lambda observation: np.clip(law.predict(observation)[0], -1, 1)\n",
     )
@@ -170,7 +170,7 @@ def test_policy_that_fails_costs_its_cell_alone(module):
 
 
 def test_cell_that_lacks_a_package_is_tried_again_another_time(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cablebot_gym.dlcc.optimum", None)
+    monkeypatch.setitem(sys.modules, "cablebot_gym.bounds.best_known", None)
     record = compute(BestCell(env_id=PLANAR_ID, trajectory=CIRCLE))
     assert "optimum" in record.error
     assert not record.final
@@ -179,7 +179,7 @@ def test_cell_that_lacks_a_package_is_tried_again_another_time(monkeypatch):
 def test_fallbacks_are_those_of_one_episode_at_the_payload(module):
     module(
         "toy_falls.py",
-        "from baselines.classical import FeedbackLinearization\n"
+        "from cablebot_baselines.classical import FeedbackLinearization\n"
         "class Falls(FeedbackLinearization):\n"
         "    def begin(self, tasks):\n        self.fallbacks = 3 * len(tasks)\n"
         "def make(robot):\n    return Falls(robot)\n",
@@ -249,29 +249,36 @@ def test_code_of_a_module_of_no_package_is_what_it_imports_from_its_folder_too(m
 
 def test_code_of_a_cell_does_not_lack_the_physics_or_the_law():
     files = {}
-    real = source._meaning.__wrapped__
+    real = code_hash._meaning.__wrapped__
 
     def meaning(path, name):
         files[name] = path
         return real(path, name)
 
-    source.source_hash.cache_clear()
-    original, source._meaning = source._meaning, meaning
+    code_hash.source_hash.cache_clear()
+    original, code_hash._meaning = code_hash._meaning, meaning
     try:
-        source_hash("cablebot_gym.dlcc.evaluator", *policy_source("adaptive")[0])
+        source_hash("cablebot_gym.evaluation.evaluator", *policy_source("adaptive")[0])
     finally:
-        source._meaning = original
-        source.source_hash.cache_clear()
-    for name in ("physics.kernel", "envs.vector", "envs.disturbances", "dlcc.monitor", "robots", "uncertainty"):
+        code_hash._meaning = original
+        code_hash.source_hash.cache_clear()
+    for name in (
+        "physics.kernel",
+        "envs.vector",
+        "envs.disturbances",
+        "evaluation.constraints",
+        "robots",
+        "uncertainty",
+    ):
         assert f"cablebot_gym.{name}" in files
-    assert {"baselines.classical.adaptive", "baselines.classical.law"} <= set(files)
-    assert not [name for name in files if name.startswith(("baselines.reproduction", "cablebot_gym.cli"))]
+    assert {"cablebot_baselines.classical.adaptive", "cablebot_baselines.classical.law"} <= set(files)
+    assert not [name for name in files if name.startswith(("cablebot_baselines.paper", "cablebot_gym.cli.app"))]
 
 
 def test_file_of_a_policy_is_its_code(tmp_path):
     (tmp_path / "model.zip").write_bytes(b"1")
     one = dataclasses.replace(FL, policy=str(tmp_path / "model.zip"))
     before = one.source
-    source.source_hash.cache_clear()
+    code_hash.source_hash.cache_clear()
     (tmp_path / "model.zip").write_bytes(b"2")
     assert one.source != before

@@ -13,10 +13,10 @@ import pytest
 
 from cablebot_gym.benchmark import ray_backend
 from cablebot_gym.benchmark.cells import PolicyCell, compute
+from cablebot_gym.benchmark.engine import run_cells
 from cablebot_gym.benchmark.ray_backend import on_ray
-from cablebot_gym.benchmark.run import run_cells
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.workers import WorkerDied
+from cablebot_gym.utils.workers import WorkerDied
 
 CIRCLE = {"name": "paper-planar", "duration": 0.8}
 CELLS = [

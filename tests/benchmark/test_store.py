@@ -10,9 +10,9 @@ import pytest
 
 from cablebot_gym.benchmark import cells
 from cablebot_gym.benchmark.cells import PolicyCell, Record, failed
-from cablebot_gym.benchmark.run import run_cells
+from cablebot_gym.benchmark.engine import run_cells
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.workers import WorkerDied
+from cablebot_gym.utils.workers import WorkerDied
 
 CELL, OTHER = (
     PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "paper-planar"}, policy=policy)

@@ -10,7 +10,7 @@ import pytest
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell, canonical
 from cablebot_gym.benchmark.maps import AXES, unusual
-from cablebot_gym.benchmark.score import motion_key
+from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import policy_entries

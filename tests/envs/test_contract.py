@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import cablebot_gym
-from baselines.classical import FeedbackLinearization, MotorPD
+from cablebot_baselines.classical import FeedbackLinearization, MotorPD
 from cablebot_gym.envs import outcome, register_envs
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout
 from cablebot_gym.envs.outcome import TERMINATION_REASONS

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import cablebot_gym
-from baselines.classical import FeedbackLinearization
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS, FOREIGN_OPTIONS, check_options, make_settings
 from cablebot_gym.envs.single import CableBotEnv

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.classical import FeedbackLinearization
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.outcome import REWARD_TERMS, TERMINATION_REASONS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
 from cablebot_gym.kinematics import structure_jacobian

@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import cablebot_gym
-from baselines.classical import FeedbackLinearization
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.robots import PLANAR, SPATIAL
 

@@ -10,12 +10,13 @@ from itertools import pairwise
 import gymnasium as gym
 import numpy as np
 import pytest
+from oracles import mujoco_model
 from scipy.linalg import block_diag, eigh
 
 from cablebot_gym import kinematics
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.settings import MODE_LOSS, make_settings
-from cablebot_gym.physics import kernel, mujoco_model, textbook
+from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL, Motors, Robot, Transmission
 
@@ -124,7 +125,7 @@ def loaded_plant(robot, state, cable="bilateral", mass=None):
 
 
 def state_of(plant):
-    motors = plant.per_cable(kernel.MOTOR_ANGLE), plant.per_cable(kernel.MOTOR_SPEED)
+    motors = plant.motor_angle, plant.motor_speed
     return State(plant.pose, plant.velocity, *motors)
 
 

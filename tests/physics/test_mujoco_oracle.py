@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles import mujoco_model
 
 from cablebot_gym.kinematics import cable_lengths
-from cablebot_gym.physics import kernel, mujoco_model, plant, textbook
+from cablebot_gym.physics import kernel, plant, textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Transmission
 
 pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")

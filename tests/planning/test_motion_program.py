@@ -14,10 +14,10 @@ import pytest
 from scipy.optimize import brentq
 
 from cablebot_gym import kinematics
-from cablebot_gym.dlcc import exact_payload
+from cablebot_gym.bounds import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Infeasible, Margins, MotionProgram
-from cablebot_gym.planning.instants import TENSION, flexible_instant, rigid_instant
+from cablebot_gym.planning.stage_functions import TENSION, flexible_instant, rigid_instant
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot, Transmission
 from cablebot_gym.task import Limits
 from cablebot_gym.trajectories import Hold, Reference, find_trajectory

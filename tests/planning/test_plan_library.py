@@ -83,7 +83,7 @@ def test_fingerprint_does_not_ignore_the_code_the_solver_or_more_data(monkeypatc
 
     usual = key()
     assert usual == key()
-    keys = [usual, key("cablebot_gym.dlcc.optimum"), key(frequency=250.0)]
+    keys = [usual, key("cablebot_gym.bounds.best_known"), key(frequency=250.0)]
     monkeypatch.setattr(library, "version", lambda _: "0")
     keys.append(key())
     monkeypatch.setattr(library, "source_hash", lambda _: "another code")
@@ -149,6 +149,6 @@ def test_missing_casadi_is_not_a_trace_of_imports(monkeypatch: pytest.MonkeyPatc
 
 def test_planning_does_not_import_casadi_before_it_is_needed() -> None:
     """Without the extra the package has to be of use: everything but a plan."""
-    code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.dlcc.optimum"
+    code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"
     ended = subprocess.run([sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False)
     assert ended.returncode == 0, ended.stderr.decode()

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from cablebot_gym import cli
 from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, compute
 from cablebot_gym.benchmark.leaderboard import results_json
 from cablebot_gym.benchmark.maps import AXES
+from cablebot_gym.cli import app as cli
 from cablebot_gym.report import recording
 from cablebot_gym.report.page import Source, html
 

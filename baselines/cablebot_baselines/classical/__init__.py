@@ -1,0 +1,41 @@
+"""The paper's control laws, and laws that work where they do not."""
+
+from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE, Adaptive
+from cablebot_baselines.classical.feedback_linearization import FL, FL_TUNED, FeedbackLinearization
+from cablebot_baselines.classical.flex_eq22 import FLEX_EQ22, PaperFlexible
+from cablebot_baselines.classical.flexible import (
+    COMPOSITE,
+    COMPOSITE_TUNED,
+    FL4,
+    MOTOR_PD,
+    Composite,
+    FourthOrder,
+    MotorPD,
+)
+from cablebot_baselines.classical.outer_loop import PD, RobustPD
+from cablebot_baselines.classical.robust import ROBUST, ROBUST_COMPOSITE, ROBUST_TUNED, Robust, RobustComposite
+
+__all__ = [
+    "ADAPTIVE",
+    "ADAPTIVE_COMPOSITE",
+    "COMPOSITE",
+    "COMPOSITE_TUNED",
+    "FL",
+    "FL4",
+    "FLEX_EQ22",
+    "FL_TUNED",
+    "MOTOR_PD",
+    "PD",
+    "ROBUST",
+    "ROBUST_COMPOSITE",
+    "ROBUST_TUNED",
+    "Adaptive",
+    "Composite",
+    "FeedbackLinearization",
+    "FourthOrder",
+    "MotorPD",
+    "PaperFlexible",
+    "Robust",
+    "RobustComposite",
+    "RobustPD",
+]

@@ -1,0 +1,67 @@
+"""The paper's feedback linearization for rigid transmissions (Eqs. 10–13 planar, 16–18 spatial)."""
+
+from __future__ import annotations
+
+from cablebot_baselines.classical.law import Array, ClassicalLaw
+from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
+from cablebot_gym.envs import RIGID_ENV_IDS
+from cablebot_gym.physics.textbook import MINIMUM_TENSION
+from cablebot_gym.policies import PolicyEntry
+from cablebot_gym.robots import Robot
+
+TUNED_GAINS = {"planar": (2000.0, 90.0), "spatial": (1600.0, 80.0)}
+"""(K_P, K_D) that carry most while the payload is not told [1/s², 1/s]; told, they carry what the paper's do."""
+
+
+class FeedbackLinearization(ClassicalLaw):
+    """``τ = r T + J β̈ + c β̇`` with ``−Sᵀ T = D v + h`` and ``v = Ẍ_d + K_D ė + K_P e``, e = X_d − X.
+
+    Built from nominal parameters and the told payload. Planar: the least tensions that are all at least
+    ``minimum_tension`` (Eq. 11 with the least α). The drive command is not clipped, so that |a| > 1 is the paper's
+    torque violation.
+
+    Args:
+        robot: nominal robot.
+        gains: (K_P, K_D), the same for each coordinate; None for the paper's. Sampling lowers K_D by about K_P h/2:
+            the planar gains need a control frequency well above 100 Hz.
+        minimum_tension: T_min of a planar robot [N]; ≥ 0. A spatial robot's tensions have no freedom.
+
+    Raises:
+        ValueError: if a gain is not positive, or ``minimum_tension`` is negative.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        gains: tuple[float, float] | None = None,
+        minimum_tension: float = MINIMUM_TENSION,
+    ) -> None:
+        super().__init__(robot, minimum_tension=minimum_tension)
+        self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
+
+    def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Torques that the law asks for [N·m], and motor speeds [rad/s], each (..., m)."""
+        needed = self._inverse_dynamics(mass, part["pose"], part["velocity"], self.outer(part))
+        return needed.torques, needed.speeds
+
+
+def _tuned(robot: Robot) -> FeedbackLinearization:
+    return FeedbackLinearization(robot, gains=TUNED_GAINS["planar" if robot.planar else "spatial"])
+
+
+FL = PolicyEntry(
+    name="fl",
+    kind="classical",
+    env_ids=RIGID_ENV_IDS,
+    factory=FeedbackLinearization,
+    summary="the paper's feedback linearization, its gains",
+)
+
+FL_TUNED = PolicyEntry(
+    name="fl-tuned",
+    kind="classical",
+    env_ids=RIGID_ENV_IDS,
+    factory=_tuned,
+    summary="feedback linearization with gains for a payload that is not told",
+)

@@ -1,5 +1,0 @@
-"""The paper's tables, figures and claims, made again under any reading of it: ``cablebot reproduce``."""
-
-from baselines.reproduction.readings import Readings
-
-__all__ = ["Readings"]

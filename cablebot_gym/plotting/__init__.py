@@ -1,0 +1,14 @@
+"""Figures of results, as functions of them. Needs the extra ``plot``."""
+
+from cablebot_gym.plotting.comparison import draw_comparison, save_comparison
+from cablebot_gym.plotting.figures import draw_path, draw_result, draw_success, draw_torques, save_figures
+
+__all__ = [
+    "draw_comparison",
+    "draw_path",
+    "draw_result",
+    "draw_success",
+    "draw_torques",
+    "save_comparison",
+    "save_figures",
+]

@@ -1,0 +1,29 @@
+"""Policies: what they promise, and how names and files become policies."""
+
+from cablebot_gym.policies.loading import (
+    ENTRY_POINT_GROUP,
+    FILE_ENTRY_POINT_GROUP,
+    FileLoader,
+    load_policy,
+    policy_entries,
+)
+from cablebot_gym.policies.protocol import (
+    Policy,
+    PolicyEntry,
+    PolicyError,
+    as_policy,
+    name_of,
+)
+
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "FILE_ENTRY_POINT_GROUP",
+    "FileLoader",
+    "Policy",
+    "PolicyEntry",
+    "PolicyError",
+    "as_policy",
+    "load_policy",
+    "name_of",
+    "policy_entries",
+]

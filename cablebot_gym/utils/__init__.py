@@ -1,0 +1,1 @@
+"""Files, consoles, code hashes, suggestions and worker processes."""

@@ -1,0 +1,70 @@
+"""Payloads while training, drawn from the cards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from cablebot_baselines.learned.shipped import Condition, short_id
+from cablebot_gym.plotting.figures import add_legend, entitle, new_figure
+from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
+from cards.card import Card
+from cards.statistics import scores
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def draw_curves(cards: Sequence[Card]) -> Figure:
+    """Payload against wall time while training: all seeds, a panel for each policy and environment.
+
+    Args:
+        cards: in the order of the panels, at least one.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    columns = min(3, len(cards))
+    rows = -(-len(cards) // columns)
+    figure = new_figure(1.2 + 2.6 * rows)
+    panels = figure.subplots(rows, columns, squeeze=False).flat
+    for card, axes in zip(cards, panels, strict=False):
+        _curves(axes, card)
+    for axes in list(panels)[len(cards) :]:
+        axes.set_axis_off()
+    shown = next((place for place, card in enumerate(cards) if card.motions == "paper" and card.best_found), 0)
+    add_legend(figure, figure.axes[shown])
+    entitle(figure, "Payload of the policy in training, on the motions that choose the best of its run")
+    return figure
+
+
+def _curves(axes: Axes, card: Card) -> None:
+    others = [run for run in card.seeds if run.seed != card.shipped_seed]
+    for place, run in enumerate([*others, card.shipped]):  # that one on top
+        ships = run.seed == card.shipped_seed
+        axes.plot(
+            [row["wall_s"] for row in run.curve],
+            scores([row["payload_kg"] for row in run.curve]),
+            marker=".",
+            color=VERMILLION if ships else BLUE,
+            linewidth=1.8 if ships else 1.0,
+            label="seed that ships" if ships else "_" if place else "other seeds",
+        )
+    where = "circle"
+    if card.motions == "paper":
+        if card.best_found:
+            axes.axhline(card.best_found, color="black", linestyle="--", linewidth=1.0, label="best found")
+        known, uncertainty = card.evaluation.get("payload_known", True), card.evaluation.get("uncertainty")
+        if (same := Condition(told=known, uncertainty=uncertainty)) in card.conditions:
+            (law,) = scores([card.law_payloads[card.conditions.index(same)]])
+            axes.axhline(law, color=GREY, linestyle="-.", linewidth=1.0, label="classical law")
+    else:
+        where = "loops, mean"
+    (base,) = scores([card.base_in_training])
+    axes.axhline(base, color=GREY, linestyle=":", linewidth=1.0, label="base alone")
+    axes.set_title(f"{card.policy}, {short_id(card.env_id)}: {where}", fontsize=10)
+    axes.margins(y=0.08)
+    axes.set_ylim(bottom=0)
+    axes.set_xlim(left=0)
+    axes.set(xlabel="wall time [s]", ylabel="payload [kg]")

@@ -1,0 +1,401 @@
+"""The closed form of the payload against hand calculation, independent runs, and bisection."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablebot_gym.bounds.closed_form import ExactPayload, exact_payload
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
+from cablebot_gym.trajectories import (
+    TRAJECTORIES,
+    Hold,
+    Lemniscate,
+    PaperCircle,
+    Reference,
+    SmoothCircle,
+    Trajectory,
+    find_trajectory,
+)
+
+UNDAMPED = SPATIAL.replace(transmission=dataclasses.replace(SPATIAL.transmission, damping=0.0))
+HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3)) ** 2)
+"""Vertical part of each cable's direction in the spatial home pose, from A1 (-a, -a/√3, 0) to P1 (0, -2b/√3, 0.1)."""
+
+
+def robot_for(name: str) -> Robot:
+    return PLANAR if name.endswith("planar") else SPATIAL
+
+
+def with_motors(robot: Robot, **changes: Any) -> Robot:
+    return robot.replace(motors=dataclasses.replace(robot.motors, **changes))
+
+
+# --- by hand ------------------------------------------------------------------------------------------------------
+
+
+def test_static_hang_does_not_differ_from_the_vertical_capacity_of_six_cables() -> None:
+    result = exact_payload(SPATIAL, find_trajectory("hold-spatial", 6))
+    assert result.payload == pytest.approx(6 * (10 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
+    assert result.total_mass == pytest.approx(result.payload + 10)
+    assert (result.time, result.kind, result.line) == (0.0, "torque", "upper")
+    assert result.lowest == pytest.approx(-10)
+
+
+@pytest.mark.parametrize("motor", range(1, 7))
+def test_motor_is_not_counted_from_zero_and_its_own_limit_is_used(motor: int) -> None:
+    torques = tuple(3.0 if i + 1 == motor else 10.0 for i in range(6))
+    result = exact_payload(with_motors(SPATIAL, stall_torque=torques), find_trajectory("hold-spatial", 6))
+    assert result.motor == motor
+    assert result.payload == pytest.approx(6 * (3 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
+
+
+@pytest.mark.parametrize("minimum", [5.0, 40.0, 70.0])
+def test_ballast_that_a_minimum_tension_needs_is_not_ignored(minimum: float) -> None:
+    result = exact_payload(SPATIAL, find_trajectory("hold-spatial", 6), minimum_tension=minimum)
+    assert result.lowest == pytest.approx(6 * minimum * HOME_RISE / 9.81 - 10, rel=1e-12)
+
+
+def test_conflict_of_ballast_and_torque_is_not_reported_as_a_payload() -> None:
+    result = exact_payload(SPATIAL, find_trajectory("hold-spatial", 6), minimum_tension=200.1)  # τ_s / r is 200 N
+    assert (result.payload, result.lowest) == (-math.inf, math.inf)
+    assert (result.kind, result.line) == ("torque", "upper")
+
+
+@pytest.mark.parametrize("minimum", [0.0, 5.0, 40.0])
+def test_planar_hold_has_no_invented_limit(minimum: float) -> None:
+    result = exact_payload(PLANAR, find_trajectory("hold-planar", 2), minimum_tension=minimum)
+    assert result.payload == result.total_mass == math.inf
+    assert (result.motor, result.time, result.kind, result.line) == (None, None, None, None)
+    assert result.lowest == -1
+
+
+def test_planar_hold_with_a_minimum_tension_beyond_the_motors_is_not_unlimited() -> None:
+    result = exact_payload(PLANAR, find_trajectory("hold-planar", 2), minimum_tension=100.1)  # τ_s / r is 100 N
+    assert (result.payload, result.kind, result.line) == (-math.inf, "torque", "upper")
+
+
+@dataclasses.dataclass(frozen=True)
+class Jolted:
+    """A hold, except for an acceleration [m/s²] along the first coordinate at one instant."""
+
+    at: float
+    acceleration: float
+    pose: tuple[float, ...] = (0.0, 0.0)
+    duration: float = 1.0
+    name: str = "jolted"
+
+    @property
+    def coordinates(self) -> int:
+        return len(self.pose)
+
+    def __call__(self, times: Any) -> Reference:
+        reference = Hold(pose=self.pose, duration=self.duration)(times)
+        reference.acceleration[np.isclose(times, self.at, rtol=0, atol=1e-9), 0] = self.acceleration
+        return reference
+
+
+@pytest.mark.parametrize("at", [0.0, 0.7, 0.998])
+def test_pull_along_two_cables_is_not_off_from_the_triangle_of_forces(at: float) -> None:
+    # Towards −x cables 1 (210°) and 3 (90°) pull: T_1 cos 30° = M a and T_3 = T_1 / 2. The pulley of cable 1 needs
+    # J a cos 30° / r too.
+    robot, a = PLANAR, 20.0
+    result = exact_payload(robot, Jolted(at=at, acceleration=-a))
+    tension = (5.0 - 8e-4 * a * math.cos(math.pi / 6) / 0.05) / 0.05
+    assert result.total_mass == pytest.approx(tension * math.cos(math.pi / 6) / a, rel=1e-12)
+    assert (result.motor, result.time, result.line) == (1, pytest.approx(at), "upper")
+
+
+def test_lower_line_is_not_forgotten() -> None:
+    # Towards +x pulley 1 runs out with −J a cos 30° / r, against which its slack cable does nothing.
+    robot = PLANAR.replace(transmission=dataclasses.replace(PLANAR.transmission, pulley_inertia=(0.1, 1e-9, 1e-9)))
+    result = exact_payload(robot, Jolted(at=0.5, acceleration=3.0))
+    assert 0.1 * 3.0 * math.cos(math.pi / 6) / 0.05 > 5
+    assert (result.payload, result.motor, result.time, result.line) == (-math.inf, 1, 0.5, "lower")
+
+
+@pytest.mark.parametrize(("mass", "below"), [(1.0, True), (2.2, True), (3.0, False), (5.0, False)])
+def test_payloads_beyond_a_gap_are_not_counted(mass: float, below: bool) -> None:
+    # Seven cables, at 150°, 90°, 30° and about -50°. The force left over from 10 N in each points to the left; a
+    # growing mass turns it over cable 2, whose tension has a peak on the way that its weak motor cannot hold.
+    angles = np.radians([150, 90, 30, -40, -45, -50, -60])
+    robot = PLANAR.replace(
+        base_anchors=tuple((math.cos(angle), math.sin(angle)) for angle in angles),
+        mass=mass,
+        motors=Motors(stall_torque=(100.0, 0.05 * 15, *(100.0,) * 5), free_speed=100.0),
+        transmission=dataclasses.replace(PLANAR.transmission, pulley_inertia=0.0),
+    )
+    force_x, force_y = -10 * np.cos(angles).sum(), -10 * np.sin(angles).sum()
+    # Between cables 1 and 2, T_2 = 10 + w_y + w_x / √3, between 2 and 3 it is 10 + w_y - w_x / √3.
+    first, last = ((sign * math.sqrt(3) * (5 - force_y) - force_x) / 10 for sign in (1, -1))
+    result = exact_payload(robot, Jolted(at=0.5, acceleration=10.0), minimum_tension=10.0)
+    if below:
+        assert (result.lowest, result.payload) == pytest.approx((-mass, first - mass), abs=1e-9)
+        assert (result.motor, result.time, result.line) == (2, 0.5, "upper")
+    else:
+        assert result.lowest == pytest.approx(last - mass, abs=1e-9)
+        assert result.payload > result.lowest
+
+
+def test_end_of_the_motion_is_not_an_instant_at_which_motors_are_commanded() -> None:
+    assert exact_payload(PLANAR, Jolted(at=1.0, acceleration=20.0)).payload == math.inf
+    assert exact_payload(PLANAR, Jolted(at=0.5, acceleration=20.0), frequency=1.0).payload == math.inf
+
+
+# --- independent runs ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("robot", "duration", "payload", "motor", "time"),
+    [
+        (SPATIAL, 2.0, 3.67, 1, 0.798),
+        (UNDAMPED, 2.0, 3.87, 1, 0.796),
+        (SPATIAL, 1.0, -1.26, 2, 0.524),
+        (UNDAMPED, 1.0, -1.11, 2, 0.522),
+    ],
+)
+def test_payload_on_the_smooth_circle_does_not_differ_from_independent_runs(
+    robot: Robot, duration: float, payload: float, motor: int, time: float
+) -> None:
+    result = exact_payload(robot, find_trajectory({"name": "circle-spatial", "duration": duration}, 6))
+    assert result.payload == pytest.approx(payload, abs=0.006)
+    assert (result.motor, result.time, result.kind, result.line) == (
+        motor,
+        pytest.approx(time, abs=2e-3),
+        "torque",
+        "upper",
+    )
+
+
+@pytest.mark.parametrize(
+    ("robot", "minimum", "total"),
+    [
+        (SPATIAL, 0.0, 11.80),
+        (with_motors(SPATIAL, free_speed=1e9), 0.0, 12.35),
+        (PLANAR, 0.0, 2.13),
+        (PLANAR, 5.0, 2.07),
+    ],
+)
+def test_total_mass_on_the_papers_circle_does_not_differ_from_independent_runs(
+    robot: Robot, minimum: float, total: float
+) -> None:
+    # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial: control instants alone
+    # would miss one of them.
+    trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
+    result = exact_payload(robot, trajectory, minimum_tension=minimum)
+    assert result.total_mass == pytest.approx(total, abs=0.006)
+    assert (result.motor, result.kind, result.line) == (2, "torque", "upper")
+    assert result.time == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: str(robot.name))
+def test_more_instants_never_raise_the_payload(robot: Robot) -> None:
+    trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
+    frequencies = (500.0, 1000.0, 5000.0, None)
+    coarse, fine, finest, infimum = (exact_payload(robot, trajectory, frequency=f).payload for f in frequencies)
+    assert coarse >= fine >= finest >= infimum
+    assert coarse == pytest.approx(finest, abs=0.05)
+
+
+@pytest.mark.parametrize("duration", [0.97, 0.6, 0.3])
+def test_cable_that_has_to_push_whatever_the_mass_is_not_overlooked(duration: float) -> None:
+    # The platform does not turn, so all tensions are proportional to the mass.
+    result = exact_payload(SPATIAL, find_trajectory({"name": "circle-spatial", "duration": duration}, 6))
+    assert (result.payload, result.total_mass, result.lowest) == (-math.inf, -math.inf, math.inf)
+    assert (result.kind, result.line) == ("tension", "lower")
+    assert result.motor is not None
+    assert result.time is not None
+
+
+# --- properties ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [name for name in TRAJECTORIES if name.endswith("-spatial")])
+def test_spatial_torque_has_no_kink_in_the_payload(name: str) -> None:
+    reference = TRAJECTORIES[name]()(np.linspace(0, 1, 50))
+    motion = (reference.position, reference.velocity, reference.acceleration)
+
+    def torque(mass: float) -> np.ndarray:
+        return textbook.required_torques(SPATIAL, textbook.required_tensions(SPATIAL, mass, *motion), *motion)
+
+    np.testing.assert_allclose(torque(17.0), 0.3 * torque(10.0) + 0.7 * torque(20.0), rtol=0, atol=1e-11)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    name=st.sampled_from([name for name in TRAJECTORIES if not name.startswith("hold-planar")]),
+    minimum=st.sampled_from([0.0, 5.0]),
+    factor=st.floats(1.0, 4.0),
+)
+def test_stronger_motors_never_lower_the_payload(name: str, minimum: float, factor: float) -> None:
+    robot, trajectory = robot_for(name), TRAJECTORIES[name]()
+    stall = robot.motors.stall_torque
+    assert isinstance(stall, float)
+    weak = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=100.0)
+    strong = exact_payload(
+        with_motors(robot, stall_torque=factor * stall), trajectory, minimum_tension=minimum, frequency=100.0
+    )
+    assert strong.payload >= weak.payload - 1e-9
+    assert strong.lowest <= weak.lowest + 1e-9
+
+
+# --- bisection ----------------------------------------------------------------------------------------------------
+
+FREQUENCY = 40.0
+
+
+def random_planar(cables: int) -> Callable[[np.random.Generator], tuple[Robot, Trajectory, float]]:
+    def draw(rng: np.random.Generator) -> tuple[Robot, Trajectory, float]:
+        angles = 2 * np.pi * (np.arange(cables) + rng.uniform(-0.25, 0.25, cables)) / cables + rng.uniform(0, 6)
+        radii = rng.uniform(0.7, 1.0, cables)
+        robot = PLANAR.replace(
+            base_anchors=tuple((r * math.cos(a), r * math.sin(a)) for r, a in zip(radii, angles, strict=True)),
+            mass=float(rng.uniform(0.5, 3)),
+            motors=Motors(
+                stall_torque=tuple(rng.uniform(3, 8, cables)), free_speed=float(rng.uniform(600, 2000)) * RPM
+            ),
+            transmission=dataclasses.replace(
+                PLANAR.transmission,
+                pulley_inertia=tuple(rng.uniform(0, 4e-3, cables)),
+                damping=float(rng.uniform(0, 0.02)),
+            ),
+        )
+        trajectory: Trajectory = (
+            PaperCircle(
+                radius=float(rng.uniform(0.05, 0.15)), center=(0.02, -0.01), duration=float(rng.uniform(1, 1.6))
+            )
+            if rng.random() < 0.5
+            else Lemniscate(amplitude=(0.15, 0.1), center=(0.0, 0.02), duration=float(rng.uniform(1, 2)))
+        )
+        return robot, trajectory, float(rng.choice([0.0, rng.uniform(0, 45)]))
+
+    return draw
+
+
+def random_spatial(rng: np.random.Generator) -> tuple[Robot, Trajectory, float]:
+    noise = rng.uniform(-0.03, 0.03, (6, 3))
+    robot = SPATIAL.replace(
+        base_anchors=tuple(tuple(row) for row in SPATIAL.base + noise),
+        mass=float(rng.uniform(6, 12)),
+        motors=Motors(stall_torque=tuple(rng.uniform(9, 20, 6)), free_speed=float(rng.uniform(800, 2000)) * RPM),
+        transmission=dataclasses.replace(
+            SPATIAL.transmission, pulley_inertia=tuple(rng.uniform(0, 2e-3, 6)), damping=float(rng.uniform(0, 0.02))
+        ),
+    )
+    trajectory = SmoothCircle(
+        radius=float(rng.uniform(0.03, 0.08)),
+        center=(0.0, 0.01, 0.15, *rng.uniform(-0.1, 0.1, 3)),
+        duration=float(rng.uniform(1.2, 2.5)),
+    )
+    return robot, trajectory, float(rng.choice([0.0, rng.uniform(0, 45)]))
+
+
+DRAWS: dict[str, Callable[[np.random.Generator], tuple[Robot, Trajectory, float]]] = {
+    "spatial": random_spatial,
+    "planar-3": random_planar(3),
+    "planar-4": random_planar(4),
+    "planar-5": random_planar(5),
+}
+SEEDS = range(12)
+
+
+def feasible(robot: Robot, trajectory: Trajectory, minimum: float, total_masses: np.ndarray) -> np.ndarray:
+    """Whether exact tracking respects the limits with each total mass."""
+    reference = trajectory(np.arange(round(trajectory.duration * FREQUENCY)) / FREQUENCY)
+    shape = (len(total_masses), *reference.position.shape)
+    motion = [np.broadcast_to(a, shape) for a in (reference.position, reference.velocity, reference.acceleration)]
+    masses = np.broadcast_to(total_masses[:, None], shape[:2])
+    tension = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
+    torque = textbook.required_torques(robot, tension, *motion)
+    free_speed = np.broadcast_to(robot.motors.free_speed, robot.cables)
+    demand = torque / robot.stall_torque + textbook.pulley_speed(robot, *motion[:2]) / free_speed
+    return np.all((np.abs(demand) <= 1) & (tension >= minimum), axis=(1, 2))
+
+
+def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[float, float]:
+    """Ends (lowest, largest) of the interval of feasible payloads at or nearest to zero, from a scan up to 60 kg."""
+
+    def edge(good: float, bad: float) -> float:
+        for _ in range(40):
+            middle = (good + bad) / 2
+            carried = feasible(robot, trajectory, minimum, np.array([middle]))[0]
+            good, bad = (middle, bad) if carried else (good, middle)
+        return good - robot.mass
+
+    scan = np.linspace(1e-9, 60, 401)
+    good = feasible(robot, trajectory, minimum, scan)
+    if not np.any(good):
+        return math.inf, -math.inf
+    nearest = first = last = int(np.argmin(np.where(good, np.abs(scan - robot.mass), np.inf)))
+    while first > 0 and good[first - 1]:
+        first -= 1
+    while last < len(scan) - 1 and good[last + 1]:
+        last += 1
+    assert first <= nearest <= last
+    lowest = edge(scan[first], scan[first - 1]) if first > 0 else -robot.mass
+    return lowest, edge(scan[last], scan[last + 1]) if last < len(scan) - 1 else math.inf
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("kind", DRAWS)
+def test_closed_form_does_not_differ_from_bisection(kind: str, seed: int) -> None:
+    robot, trajectory, minimum = DRAWS[kind](np.random.default_rng(seed))
+    result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
+    assert (result.lowest, result.payload) == pytest.approx(bisected(robot, trajectory, minimum), abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", DRAWS)
+def test_named_motor_is_not_another_than_the_one_that_gives_way(kind: str) -> None:
+    robot, trajectory, minimum = DRAWS[kind](np.random.default_rng(1))
+    result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
+    assert result.kind == "torque"
+    assert result.motor is not None
+    factor = np.ones(robot.cables)
+    for motor in range(1, robot.cables + 1):
+        factor[:] = 1
+        factor[motor - 1] = 1.001
+        stronger = with_motors(
+            robot,
+            stall_torque=tuple(robot.stall_torque * factor),
+        )
+        gained = exact_payload(stronger, trajectory, minimum_tension=minimum, frequency=FREQUENCY).payload
+        assert (gained > result.payload + 1e-6) == (motor == result.motor)
+
+
+# --- arguments ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"minimum_tension": -1.0}, "minimum_tension"),
+        ({"minimum_tension": math.nan}, "minimum_tension"),
+        ({"minimum_tension": math.inf}, "minimum_tension"),
+        ({"frequency": 0.0}, "frequency"),
+        ({"frequency": math.nan}, "frequency"),
+        ({"frequency": 0.2}, "frequency"),
+    ],
+)
+def test_invalid_argument_is_not_accepted(arguments: dict[str, float], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        exact_payload(PLANAR, find_trajectory("paper-planar", 2), **arguments)
+
+
+def test_motion_of_another_kind_of_robot_is_not_accepted() -> None:
+    with pytest.raises(ValueError, match="6 coordinates"):
+        exact_payload(PLANAR, find_trajectory("paper-spatial", 6))
+
+
+def test_result_cannot_be_changed() -> None:
+    result = exact_payload(PLANAR, find_trajectory("paper-planar", 2))
+    assert isinstance(result, ExactPayload)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.payload = 99.0  # type: ignore[misc]

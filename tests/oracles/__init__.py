@@ -1,0 +1,1 @@
+"""Independent models that only tests and benchmarks compare with."""

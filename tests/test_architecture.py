@@ -1,0 +1,77 @@
+"""The structure of the code: what may import what, and what other packages may import."""
+
+from __future__ import annotations
+
+import ast
+import graphlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import cablebot_gym
+
+ROOT = Path(__file__).parents[1]
+
+ROOMS = (
+    *("utils", "kinematics", "robots", "trajectories", "uncertainty", "task", "physics", "planning", "rendering"),
+    *("envs", "policies", "evaluation", "bounds", "plotting", "video", "benchmark", "report", "cli"),
+)
+"""Parts of cablebot_gym; each imports itself and what stands before it."""
+
+
+def source_files() -> dict[str, Path]:
+    """Files of both packages by module."""
+    found = {}
+    for root, package in ((ROOT, "cablebot_gym"), (ROOT / "baselines", "cablebot_baselines")):
+        for path in (root / package).rglob("*.py"):
+            name = ".".join(path.relative_to(root).with_suffix("").parts)
+            found[name.removesuffix(".__init__")] = path
+    return found
+
+
+FILES = source_files()
+
+
+def imports(module: str) -> Iterator[tuple[str, str]]:
+    """Modules of both packages that a module imports anywhere in its code, with the name that it takes from each."""
+    for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names if alias.name in FILES)
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                if submodule in FILES:
+                    yield submodule, ""
+                elif node.module in FILES:
+                    yield node.module, alias.name
+
+
+def test_imports_form_no_cycle():
+    """Lazy imports and those for types alone count too; a module's own packages do not."""
+    graph = {
+        module: {other for other, _ in imports(module) if not f"{module}.".startswith(f"{other}.")} for module in FILES
+    }
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_room_imports_only_what_stands_below_it(room):
+    allowed = {"", *ROOMS[: ROOMS.index(room) + 1]}
+    for module in (name for name in FILES if name.startswith("cablebot_gym.") and name.split(".")[1] == room):
+        for other, _ in imports(module):
+            package, _, rest = other.partition(".")
+            assert (package, rest.split(".")[0] in allowed) == ("cablebot_gym", True), f"{module} imports {other}"
+
+
+def test_every_module_stands_in_a_room():
+    assert {name.split(".")[1] for name in FILES if name.startswith("cablebot_gym.")} == set(ROOMS)
+
+
+def test_baselines_import_public_names_alone():
+    """They are written as another package would write them."""
+    for module in (name for name in FILES if name.startswith("cablebot_baselines")):
+        for other, name in imports(module):
+            if other.startswith("cablebot_gym"):
+                assert other in cablebot_gym.PUBLIC, f"{module} imports {other}"
+                assert not name.startswith("_"), f"{module} imports {name} from {other}"
