@@ -1,31 +1,31 @@
 """Gymnasium environments and a payload benchmark for cable-suspended robots.
 
-Importing registers the ids in :data:`ENV_IDS`; everything heavy is loaded when it is used.
+Importing the package registers the ids in :data:`ENV_IDS`. Heavy modules are imported on first use.
 
-These parameters mean the same everywhere. A docstring names them only where there is more to say:
+These parameters have the same meaning everywhere. A docstring repeats them only where it adds something:
 
-    robot: with the nominal parameters, without payload.
+    robot: robot with nominal parameters, without payload.
     env_id: one of :data:`ENV_IDS`.
-    cables: their number, m.
-    count: how many environments or robots, N.
-    part: blocks of an observation by name, as ``layout.split`` gives them.
-    observation: of one environment (size,) or of N of them (N, size).
-    action: drive commands in [−1, 1], of one environment (m,) or of N of them (N, m).
+    cables: number of cables, m.
+    count: number of environments or robots, N.
+    blocks: observation blocks by name, as returned by ``layout.split``.
+    observation: observation of one environment (size,) or of N environments (N, size).
+    action: actions in [−1, 1], of one environment (m,) or of N environments (N, m).
     state, episode_start, deterministic: as in Stable-Baselines3's ``predict``.
-    env: the environment that is wrapped or looked at.
-    seed: a non-negative integer; None for a new one.
-    payload: added to the platform [kg].
-    mass: of the platform and its payload [kg], shape (...).
+    env: the environment to wrap or to inspect.
+    seed: a non-negative integer; None for a random one.
+    payload: mass added to the platform [kg].
+    mass: mass of the platform and its payload [kg], shape (...).
     pose: X = (x, y) or (x, y, z, ψ, θ, φ) [m, rad], shape (..., n).
     velocity, acceleration: Ẋ and Ẍ, shape (..., n).
     euler: (ψ, θ, φ) [rad], shape (..., 3).
-    base, platform: anchors of the cables [m], shape (m, 2) or (m, 3).
+    base, platform: cable anchors [m], shape (m, 2) or (m, 3).
     trajectory: the reference motion.
-    control_frequency: drive commands per second [Hz].
-    draws: of an uncertainty, their number.
-    confidence: of an interval or a lower bound, between 0 and 1.
-    name: of what is said in results and errors.
-    path, folder: where to read or write.
+    control_frequency: actions per second [Hz].
+    draws: number of draws from an uncertainty.
+    confidence: confidence level of an interval or of a lower bound, between 0 and 1.
+    name: name shown in results and error messages.
+    path, folder: file or folder to read or write.
 """
 
 from cablebot_gym.envs import ENV_IDS, register_envs
@@ -35,6 +35,15 @@ __all__ = ["ENV_IDS", "PUBLIC", "__version__"]
 
 PUBLIC = (
     "cablebot_gym",
+    "cablebot_gym.benchmark",
+    "cablebot_gym.benchmark.cells",
+    "cablebot_gym.benchmark.engine",
+    "cablebot_gym.benchmark.leaderboard",
+    "cablebot_gym.benchmark.maps",
+    "cablebot_gym.benchmark.ray_backend",
+    "cablebot_gym.benchmark.scores",
+    "cablebot_gym.benchmark.store",
+    "cablebot_gym.benchmark.suites",
     "cablebot_gym.bounds",
     "cablebot_gym.bounds.best_known",
     "cablebot_gym.bounds.certificate",
@@ -85,6 +94,6 @@ PUBLIC = (
     "cablebot_gym.video",
     "cablebot_gym.video.recording",
 )
-"""The public modules. Their names without a leading underscore are the public API, and nothing else is."""
+"""The public modules. Their names without a leading underscore form the public API."""
 
 register_envs()

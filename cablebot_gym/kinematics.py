@@ -1,11 +1,10 @@
 """Geometry of cable robots in batched numpy: rotations, cable lengths, the structure Jacobian S and its rate.
 
-Arrays carry any number of leading batch axes. A planar pose is ``(x, y)``; a spatial pose is
-``(x, y, z, ψ, θ, φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` and z pointing down. Lengths in m, angles in rad.
-Nothing here knows masses or motors.
+Arrays may have any number of leading batch axes. A planar pose is ``(x, y)``. A spatial pose is
+``(x, y, z, ψ, θ, φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` and z pointing down. Lengths are in m, angles in rad.
 
-Arrays of objects that calculate, such as CasADi's symbols, pass through as they are: one set of equations for numbers
-and for derivatives of any kind.
+All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations serve numbers and
+symbolic derivatives.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ SPATIAL_COORDINATES = 6
 
 
 def as_numbers(values: ArrayLike) -> Array:
-    """The values as float64, or as they are where they are objects."""
+    """The values as a float64 array; an object array is returned unchanged."""
     array = np.asarray(values)
     return array if array.dtype == object else array.astype(float, copy=False)
 
 
 def rotation_matrix(euler: ArrayLike) -> Array:
-    """``R = Rz(φ) Ry(θ) Rx(ψ)``, platform to base frame, shape (..., 3, 3), from ``(ψ, θ, φ)`` of shape (..., 3)."""
+    """Rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` from the platform frame to the base frame, shape (..., 3, 3)."""
     (cx, cy, cz), (sx, sy, sz) = _cosines_and_sines(euler)
     return _matrix(
         [
@@ -41,13 +40,13 @@ def rotation_matrix(euler: ArrayLike) -> Array:
 
 
 def euler_rate_matrix(euler: ArrayLike) -> Array:
-    """The paper's P (Eq. 3), shape (..., 3, 3): ``ω_body = P [ψ̇, θ̇, φ̇]``."""
+    """Matrix P of Eq. 3, shape (..., 3, 3): ``ω_body = P [ψ̇, θ̇, φ̇]``."""
     (cx, cy, _), (sx, sy, _) = _cosines_and_sines(euler)
     return _matrix([[1.0, 0.0, -sy], [0.0, cx, sx * cy], [0.0, -sx, cx * cy]])
 
 
 def euler_rate_matrix_rate(euler: ArrayLike, rates: ArrayLike) -> Array:
-    """Ṗ, the time derivative of :func:`euler_rate_matrix` at the rates (..., 3), shape (..., 3, 3)."""
+    """Ṗ, the time derivative of :func:`euler_rate_matrix` for Euler angle rates (..., 3), shape (..., 3, 3)."""
     (cx, cy, _), (sx, sy, _) = _cosines_and_sines(euler)
     dpsi, dtheta, _ = _components(rates)
     return _matrix(
@@ -70,7 +69,7 @@ def _cosines_and_sines(euler: ArrayLike) -> tuple[tuple[Array, Array, Array], tu
 
 
 def _matrix(rows: list[list[Array | float]]) -> Array:
-    """3 × 3 matrices from batched entries; the last column gives the batch's shape."""
+    """3 × 3 matrices from batched entries. The last entry of the first row determines the batch shape."""
     matrix = np.empty((*np.shape(rows[0][2]), 3, 3), np.asarray(rows[0][2]).dtype)
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
@@ -82,9 +81,9 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
     """Vectors from base anchor to platform anchor in the base frame, shape (..., m, 2 or 3).
 
     Args:
-        base: base anchors A_i, shape (m, 2) planar or (m, 3) spatial; or (N, m, …), one set for each pose.
-        platform: platform anchors b_i in the platform frame, same shape; planar cables meet in one point, b_i = 0.
-        pose: shape (..., 2) or (..., 6).
+        base: base anchors A_i, shape (m, 2) planar or (m, 3) spatial, or (N, m, …) with one set per pose.
+        platform: platform anchors b_i in the platform frame, same shape; zeros for a planar robot (point mass).
+        pose: X, shape (..., 2) or (..., 6).
     """
     base, platform, pose = (as_numbers(array) for array in (base, platform, pose))
     if pose.shape[-1] == SPATIAL_COORDINATES:
@@ -93,26 +92,26 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
 
 
 def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
-    """``q_i(X) = ‖A_i − (p + R b_i)‖``, shape (..., m). Arguments as in :func:`cable_vectors`."""
+    """Cable lengths ``q_i(X) = ‖A_i − (p + R b_i)‖`` [m], shape (..., m). Arguments as in :func:`cable_vectors`."""
     lengths: Array = np.sqrt(np.sum(cable_vectors(base, platform, pose) ** 2, axis=-1))
     return lengths
 
 
 def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
-    """``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_vectors`."""
-    still = np.zeros_like(as_numbers(pose))
-    return jacobian_and_rate(base, platform, pose, still)[0]
+    """Structure Jacobian ``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_vectors`."""
+    zero_velocity = np.zeros_like(as_numbers(pose))
+    return jacobian_and_rate(base, platform, pose, zero_velocity)[0]
 
 
 def structure_jacobian_rate(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
-    """``Ṡ``, the time derivative of S along ``velocity = Ẋ``, shape (..., m, n)."""
+    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n)."""
     return jacobian_and_rate(base, platform, pose, velocity)[1]
 
 
 def jacobian_and_rate(
     base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike
 ) -> tuple[Array, Array]:
-    """S and Ṡ together, each (..., m, n), for the price of little more than one."""
+    """S and Ṡ, each (..., m, n), computed together at little more than the cost of one."""
     base, pose, velocity, platform = (as_numbers(array) for array in (base, pose, velocity, platform))
     if pose.shape[-1] != SPATIAL_COORDINATES:
         unit, unit_rate = _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :])
@@ -136,7 +135,7 @@ def jacobian_and_rate(
 def _unit_and_rate(vectors: Array, point_velocity: Array) -> tuple[Array, Array]:
     """Cable directions and their rates."""
     length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
-    with np.errstate(divide="ignore", invalid="ignore"):  # a cable of no length has no direction: NaN
+    with np.errstate(divide="ignore", invalid="ignore"):  # the direction of a cable of zero length is NaN
         unit = vectors / length
         length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
         return unit, (point_velocity - unit * length_rate) / length

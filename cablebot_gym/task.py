@@ -1,4 +1,4 @@
-"""What a policy may know before an episode starts: the public task, and the limits that its motion has to keep."""
+"""The public task, which a policy may read before an episode starts, and the bounds of the tracking error."""
 
 from __future__ import annotations
 
@@ -15,124 +15,141 @@ from cablebot_gym.trajectories import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
-    """Bounds of the tracking error. The motors' limits belong to the robot.
+class ErrorBounds:
+    """Bounds of the tracking error. The torque limits are part of the robot.
 
     Raises:
         ValueError: if a bound is not a positive number.
     """
 
     position: float = 0.01
-    """R, largest distance from the reference at the same instant [m] (Tables 7–9); > 0."""
+    """R, the bound of the distance to the reference at the same instant [m] (Tables 7–9); > 0."""
     rotation: float = 0.01
-    """Largest difference of ψ, θ or φ from the reference [rad] (ours); > 0. A planar robot has no rotation."""
+    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a planar robot."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value) or value <= 0:
-                raise ValueError(f"limits: {field.name} must be a number greater than 0, not {value!r}")
+                raise ValueError(f"error_bounds: {field.name} must be a number greater than 0, not {value!r}")
             object.__setattr__(self, field.name, float(value))
 
     @property
     def termination_radius(self) -> float:
-        """Position error beyond which an episode that is judged by these limits may end [m]: well out of the tube."""
+        """Position error beyond which the environment may terminate an episode [m]; at least twice the bound."""
         return max(0.1, 2 * self.position)
 
-    def replace(self, **changes: float) -> Limits:
-        """A copy with some bounds changed, as ``changes`` say."""
+    def replace(self, **changes: float) -> ErrorBounds:
+        """A copy with the bounds in ``changes`` replaced."""
         return replace(self, **changes)
 
 
-def find_limits(limits: Limits | dict[str, float] | None) -> Limits:
-    """Limits from themselves, from ``{"position": …, "rotation": …}``, or the default for None.
+def find_error_bounds(error_bounds: ErrorBounds | dict[str, float] | None) -> ErrorBounds:
+    """Error bounds from an :class:`ErrorBounds`, from ``{"position": …, "rotation": …}``, or the default for None.
 
     Raises:
         ValueError: if a key is unknown or a bound is not positive.
     """
-    if limits is None:
-        return Limits()
-    if isinstance(limits, Limits):
-        return limits
-    known = [field.name for field in fields(Limits)]
-    if not isinstance(limits, dict) or set(limits) - set(known):
-        raise ValueError(f"limits must be a Limits or a dict with keys out of {', '.join(known)}, not {limits!r}")
-    return Limits(**limits)
+    if error_bounds is None:
+        return ErrorBounds()
+    if isinstance(error_bounds, ErrorBounds):
+        return error_bounds
+    known = [field.name for field in fields(ErrorBounds)]
+    if not isinstance(error_bounds, dict) or set(error_bounds) - set(known):
+        raise ValueError(
+            f"error_bounds must be an ErrorBounds or a dict with the keys {', '.join(known)}, not {error_bounds!r}"
+        )
+    return ErrorBounds(**error_bounds)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """One episode as the controller is told it. Never holds the true payload, true parameters or a seed."""
+    """One episode as the controller knows it. It never contains the true payload, the true parameters or a seed."""
 
     robot: Robot
-    """Nominal robot, without payload."""
+    """Nominal robot without payload."""
     trajectory: Trajectory
     """Reference motion."""
-    limits: Limits
+    error_bounds: ErrorBounds
     """Bounds of the tracking error."""
     control_frequency: float
-    """Drive commands per second [Hz]."""
+    """Actions per second [Hz]."""
     cable: Cable
-    """Whether cables can push."""
-    told_payload: float
-    """Payload that the controller is told [kg]; 0 if it is not known."""
+    """``unilateral`` cables can only pull, ``bilateral`` cables can push too."""
+    model_payload: float
+    """Payload of the controller's model [kg]; 0 if the payload is unknown."""
     payload_known: bool
-    """Whether the payload is told."""
+    """Whether the controller's model includes a payload."""
 
     @property
     def steps(self) -> int:
-        """Control steps of the whole motion."""
+        """Number of control steps of the whole motion."""
         return round(self.trajectory.duration * self.control_frequency)
 
     def check_motion(self) -> None:
-        """Refuses a motion that nobody can follow.
+        """Checks that the motion can be followed.
 
         Raises:
-            ValueError: if the motion is shorter than half a control period, or leaves the robot's workspace farther
-                than the limits let the robot stay behind.
+            ValueError: if the motion is shorter than half a control period, or leaves the robot's workspace by more
+                than the error bounds.
         """
         if self.steps < 1:
             motion = f"trajectory {self.trajectory.name!r} of {self.trajectory.duration:g} s"
-            raise ValueError(f"{motion} is shorter than a control period: give it a longer duration")
-        check_workspace(self.robot, self.trajectory, self.limits)
+            raise ValueError(f"{motion} is shorter than a control period; choose a longer duration")
+        check_workspace(self.robot, self.trajectory, self.error_bounds)
 
 
-def check_workspace(robot: Robot, trajectory: Trajectory, behind: Limits | None = None) -> None:
-    """Refuses a motion that leaves the workspace of a robot.
+def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds | None = None) -> None:
+    """Checks that a motion stays within the workspace of a robot.
 
     Args:
-        robot: nominal.
+        robot: nominal robot.
         trajectory: the motion.
-        behind: how far it may leave it; None for not at all.
+        tolerance: distance by which the motion may leave the workspace; None for zero.
 
     Raises:
-        ValueError: saying where, and what to do.
+        ValueError: if the motion leaves the workspace. The message gives the time, the coordinate and remedies.
     """
     times = np.linspace(0.0, trajectory.duration, 1 + math.ceil(200 * trajectory.duration))
     poses, (low, high) = trajectory(times).position, robot.pose_bounds
     slack = np.zeros(robot.coordinates)
-    if behind is not None:
-        slack[:3], slack[3:] = behind.position, behind.rotation
+    if tolerance is not None:
+        slack[:3], slack[3:] = tolerance.position, tolerance.rotation
     outside = (poses < low - slack) | (poses > high + slack)
     if np.any(outside):
-        place, channel = (int(index) for index in np.argwhere(outside)[0])
+        sample, channel = (int(index) for index in np.argwhere(outside)[0])
         raise ValueError(
-            f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[place]:.3f} s: "
-            f"{'xyzψθφ'[channel]} = {poses[place][channel]:.3g} is not within {low[channel]:.3g} to "
+            f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[sample]:.3f} s: "
+            f"{'xyzψθφ'[channel]} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to "
             f"{high[channel]:.3g}; make it smaller, move it, or give the robot a wider workspace"
         )
 
 
-def as_plain(value: Any) -> Any:
-    """A value, such as a trajectory, as JSON-able data; of one that is no dataclass, what the protocol promises."""
+def payload_model_text(payload_known: bool, factor: float = 1.0) -> str:
+    """The controller's payload model as text: ``payload known``, ``payload unknown``, ``payload model × 0.9``.
+
+    Args:
+        payload_known: whether the model includes a payload.
+        factor: ratio of the model's payload to the nominal payload.
+    """
+    if not payload_known:
+        return "payload unknown"
+    return "payload known" if factor == 1.0 else f"payload model × {factor:g}"
+
+
+def to_jsonable(value: Any) -> Any:
+    """A value, such as a trajectory, as JSON-able data.
+
+    A dataclass becomes a dict of its fields. Any other trajectory becomes a dict of its name, duration and coordinates.
+    """
     if isinstance(value, Trajectory) and not hasattr(value, "__dataclass_fields__"):
         return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
     if hasattr(value, "__dataclass_fields__"):
-        return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: to_jsonable(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {name: as_plain(item) for name, item in value.items()}
+        return {name: to_jsonable(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [as_plain(item) for item in value]
+        return [to_jsonable(item) for item in value]
     if isinstance(value, np.generic):
         return value.item()
     return value

@@ -1,7 +1,7 @@
-"""Sphinx's settings. Build with ``sphinx-build -W --keep-going -q -b html docs FOLDER`` (extra ``docs``).
+"""Sphinx configuration. Build with ``sphinx-build -W --keep-going -q -b html docs FOLDER`` (extra ``docs``).
 
-What can be computed is: the pages of environments, policies and modules and all pictures, by ``generate/`` beside this
-file, from the package that is installed.
+The extension ``generate/`` in this folder generates the pages of environments, policies and modules and all pictures
+from the installed package.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ exclude_patterns = ["parts", "leaderboard", "maps", "reproduction/*.html"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
-# What is not installed is stood in for: a missing extra leaves no page out.
+# Sphinx mocks packages that are not installed, so that a missing extra removes no page.
 autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None]
-# References are checked, but for classes of other packages, short names of types, and what is private.
+# Sphinx checks all references except classes of other packages, short type names and private names.
 nitpicky = True
 nitpick_ignore_regex = [(r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"), (r"py:.*", r"(.*\.)?_.*")]
 

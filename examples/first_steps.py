@@ -1,4 +1,4 @@
-"""One episode by hand: what comes back, what the parts of an observation are, and how the episode is judged.
+"""Runs one episode step by step, prints the blocks of an observation, and evaluates the episode.
 
 Run it: python examples/first_steps.py
 """
@@ -14,11 +14,11 @@ env = DLCCMonitor(gym.make("CableBot-Spatial-v0"))
 observation, info = env.reset(seed=0, options={"payload": 3.0})
 print(env.unwrapped.layout.table())
 
-policy = load_policy("fl", SPATIAL)  # the paper's feedback linearization, built from the nominal robot
+policy = load_policy("fl", SPATIAL)  # the paper's feedback linearization for the nominal robot
 terminated = truncated = False
 while not (terminated or truncated):
     action, _ = policy.predict(observation)
     observation, reward, terminated, truncated, info = env.step(action)
 verdict = env.verdict
-print(f"largest position error {1e3 * verdict.position_peak:.2f} mm, largest demand {max(verdict.peak_demand):.2f}")
-print("carried" if verdict.carried else f"not carried: {verdict.limit}")
+print(f"largest position error {1e3 * verdict.position_peak:.2f} mm, largest action {max(verdict.peak_action):.2f}")
+print("carried" if verdict.carried else f"not carried: {verdict.violation}")

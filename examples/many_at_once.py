@@ -1,4 +1,4 @@
-"""A thousand robots in one compiled batch, each with a payload of its own: which share of them ends within 10 mm?
+"""Runs a thousand robots with different payloads in one compiled batch, and counts those that stay within 10 mm.
 
 Run it: python examples/many_at_once.py
 """
@@ -20,8 +20,8 @@ if __name__ == "__main__":
     for _ in range(499):
         actions, _ = policy.predict(observations)
         observations, _, terminated, _, info = envs.step(actions)
-        # What has ended starts again by itself, with another payload: it has failed with this one.
+        # A terminated episode has failed with this payload; its environment restarts with another one.
         worst = np.maximum(worst, np.where(terminated, np.inf, info["tracking_error_peak"]))
     for low in range(8):
-        some = (payload >= low) & (payload < low + 1)
-        print(f"{low} to {low + 1} kg: {np.mean(worst[some] <= 0.01):4.0%} of {some.sum()}")
+        inside = (payload >= low) & (payload < low + 1)
+        print(f"{low} to {low + 1} kg: {np.mean(worst[inside] <= 0.01):4.0%} of {inside.sum()}")

@@ -1,7 +1,7 @@
-"""A Minari dataset of an expert over payloads: recorded, loaded again, and replayed to the same observations.
+"""Records a Minari dataset of an expert with several payloads, loads it, and replays it to the same observations.
 
-The expert is the shipped learned policy `curve`. Everything is written below FOLDER, not among the datasets at your
-home. Needs the extra minari: pip install 'cablebot-gym[minari]'.
+The expert is the learned policy `apg-circle`, which ships with the package. All files are written below FOLDER.
+Needs the extra minari: pip install 'cablebot-gym[minari]'.
 
 Run it: python examples/minari_dataset.py [FOLDER]
 """
@@ -18,41 +18,41 @@ import cablebot_gym
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import SPATIAL
 
-ENV_ID, NAME = "CableBot-Spatial-v0", "cablebot-spatial/curve-v0"
+ENV_ID, NAME = "CableBot-Spatial-v0", "cablebot-spatial/apg-circle-v0"
 PAYLOADS = np.linspace(0, 7, 8)  # [kg]
 
 
 def record() -> None:
-    """One episode for each payload, which the expert is told."""
+    """Records one episode for each payload, with the payload known."""
     env = minari.DataCollector(gym.make(ENV_ID))
-    expert = load_policy("curve", SPATIAL)
+    expert = load_policy("apg-circle", SPATIAL)
     for seed, payload in enumerate(PAYLOADS):
         observation, _ = env.reset(seed=seed, options={"payload": float(payload)})
         state, ended = None, False
         while not ended:
             action, state = expert.predict(observation, state)
-            action = action.astype(env.action_space.dtype)  # what the robot does is what the dataset holds, to the bit
+            action = action.astype(env.action_space.dtype)  # the dataset holds exactly the actions of the episode
             observation, _, terminated, truncated, _ = env.step(action)
             ended = terminated or truncated
     env.create_dataset(
         NAME,
         eval_env=ENV_ID,
-        algorithm_name="curve",
+        algorithm_name="apg-circle",
         author="you",
         author_email="you@example.org",
         code_permalink="https://example.org/your/code",
-        description=f"curve on the paper's circle, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg told",
+        description=f"apg-circle on the paper's circle, payload known, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg",
         requirements=[f"cablebot-gym=={cablebot_gym.__version__}"],
     )
     env.close()
 
 
-def replay(dataset: minari.MinariDataset, place: int) -> float:
-    """The largest difference between an episode's observations and what its actions lead to again."""
-    episode = dataset[place]
-    (how,) = dataset.storage.get_episode_metadata([place])
+def replay(dataset: minari.MinariDataset, index: int) -> float:
+    """Replays the actions of an episode and returns the largest difference of the observations."""
+    episode = dataset[index]
+    (metadata,) = dataset.storage.get_episode_metadata([index])
     env = dataset.recover_environment()
-    observations = [env.reset(seed=how["seed"], options=how["options"])[0]]
+    observations = [env.reset(seed=metadata["seed"], options=metadata["options"])[0]]
     observations += [env.step(action)[0] for action in episode.actions]
     return float(np.abs(np.array(observations) - episode.observations).max())
 
@@ -64,5 +64,5 @@ if __name__ == "__main__":
     dataset = minari.load_dataset(NAME)
     print(f"{dataset.total_episodes} episodes of {dataset.total_steps} steps in {folder / NAME}")
     for episode, payload in zip(dataset, PAYLOADS, strict=True):
-        print(f"{payload:g} kg: {len(episode)} steps, mean drive command {np.abs(episode.actions).mean():.2f}")
+        print(f"{payload:g} kg: {len(episode)} steps, mean action {np.abs(episode.actions).mean():.2f}")
     print(f"replayed: observations differ by at most {replay(dataset, 3)}")

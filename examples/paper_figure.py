@@ -1,4 +1,4 @@
-"""The paper's Fig. 10 made anew: torques of all motors against U±, and the path against its tube. Extra plot.
+"""Draws the paper's Fig. 10: torques of all motors with their limits U±, and the path within its bound. Extra plot.
 
 Run it: python examples/paper_figure.py [FILE.png]
 """

@@ -1,7 +1,7 @@
-"""Trains a policy that carries half as much again as the paper's controller, in less than a minute on one core.
+"""Trains, in less than a minute on one core, a policy that carries half as much again as the paper's controller.
 
-The policy is a small network that moves the reference inside the tube; the paper's own law tracks it. Gradients go
-through the inverse dynamics, so that no episodes are needed. Needs the extra sb3: pip install 'cablebot-gym[sb3]'.
+The policy is a small network that shifts the reference within the error bounds; the paper's law tracks it. Gradients go
+through the inverse dynamics, so training needs no episodes. Needs the extra sb3: pip install 'cablebot-gym[sb3]'.
 
 Run it: python examples/train_in_a_minute.py [FOLDER]
 """

@@ -1,6 +1,6 @@
-"""Stable-Baselines3 over the compiled batch: a short training, saved, and put to the same test as any other policy.
+"""Trains with Stable-Baselines3 on the compiled batch, saves the model, and evaluates it like any other policy.
 
-So short a training carries nothing yet: `cablebot train` has what it takes. Extra sb3.
+After so short a training the policy fails unloaded; `cablebot train` trains longer and steers a law. Extra sb3.
 
 Run it: python examples/train_with_sb3.py [FOLDER]
 """
@@ -18,7 +18,7 @@ ENV_ID = "CableBot-Planar-v0"
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/sb3")
-    torch.set_num_threads(1)  # so small a network is no sooner done with more
+    torch.set_num_threads(1)  # more threads do not speed up so small a network
     envs = make_sb3_vec_env(ENV_ID, n_envs=64, seed=0, payload_range=(0, 2))
     model = PPO("MlpPolicy", envs, n_steps=64, batch_size=1024, n_epochs=4, seed=0, device="cpu")
     model.learn(8_192)

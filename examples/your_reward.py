@@ -1,4 +1,4 @@
-"""A reward of your own: accuracy, less what the motors' heat costs. Everything that it may need stands in `info`.
+"""Defines a reward from `info`: accuracy minus the heat of the motors.
 
 Run it: python examples/your_reward.py
 """
@@ -10,7 +10,7 @@ from cablebot_gym.robots import PLANAR
 
 
 class Frugal(gym.Wrapper):
-    """1 on the reference and 0 from 10 mm off, less a tenth of the mean square of torques over the stall torque."""
+    """Accuracy (1 on the reference, 0 beyond 10 mm) minus a tenth of the mean squared torque over stall torque."""
 
     def step(self, action):
         observation, _, terminated, truncated, info = self.env.step(action)

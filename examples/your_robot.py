@@ -1,4 +1,4 @@
-"""A robot of your own: the paper's planar one with other motors, checked when it is made, and what it carries.
+"""Evaluates your own robot: the paper's planar one with other motors.
 
 Run it: python examples/your_robot.py
 """
@@ -11,8 +11,8 @@ if __name__ == "__main__":
         motors = Motors(stall_torque=stall_torque, free_speed=PLANAR.motors.free_speed)
         robot = PLANAR.replace(name=f"{stall_torque:g} N·m", motors=motors)
         result = evaluate_dlcc("fl", "CableBot-Planar-v0", robot=robot)
-        print(f"{robot.name}: {result.score:.2f} kg, then {result.limit}")
+        print(f"{robot.name}: {result.score:.2f} kg, limiting violation: {result.violation_text}")
     try:
-        PLANAR.replace(home_pose=(2.0, 0.0))  # outside of its cables
+        PLANAR.replace(home_pose=(2.0, 0.0))  # outside the cables
     except ValueError as error:
         print(f"refused: {error}")

@@ -1,4 +1,4 @@
-"""A motion of your own: out along y and back, ever quicker, and what the paper's law still carries on it.
+"""Evaluates the paper's law on your own motion: along y and back, faster each time.
 
 Run it: python examples/your_trajectory.py
 """
@@ -12,14 +12,14 @@ HOP = 0.2 * np.polynomial.Polynomial.fromroots([0] * 5 + [1] * 5) * -(2**10)  # 
 
 
 class Hop:
-    """From rest to rest by a polynomial with five roots at either end: smooth to snap, and at rest ever after."""
+    """Rest-to-rest polynomial with five roots at either end: smooth up to snap, at rest afterwards."""
 
     def __init__(self, duration):
         self.name, self.coordinates, self.duration = "hop", 2, duration
 
     def __call__(self, times):
-        share = np.clip(np.asarray(times, float) / self.duration, 0, 1)
-        y = [HOP.deriv(order)(share) / self.duration**order for order in range(5)]
+        fraction = np.clip(np.asarray(times, float) / self.duration, 0, 1)
+        y = [HOP.deriv(order)(fraction) / self.duration**order for order in range(5)]
         names = ("position", "velocity", "acceleration", "jerk", "snap")
         return Reference(**{name: np.stack([0 * value, value], axis=-1) for name, value in zip(names, y, strict=True)})
 

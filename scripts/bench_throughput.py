@@ -1,8 +1,10 @@
-"""How fast the environments are, beside MuJoCo's RK4 with the same robots, in one run.
+"""Measures the throughput of the environments and of MuJoCo's RK4 with the same robots in one run.
 
-Every contender takes a short turn after the other, round after round, so that a change of the machine's speed hits all
-of them; the table gives medians over the rounds and medians of the ratios within a round. Steps of ours are complete:
-observation, reward, termination and info included. Example: python scripts/bench_throughput.py --rounds 7 --search
+In each round, all contenders run for a short time one after the other, so that changes of the machine's speed affect
+all of them. The table shows medians over the rounds, and medians of the ratios within a round. Steps of this package's
+environments are complete: they include observation, reward, termination and info.
+
+Example: python scripts/bench_throughput.py --rounds 7 --search
 """
 
 from __future__ import annotations
@@ -28,14 +30,16 @@ from rich.table import Table
 import cablebot_gym  # noqa: F401 - registers the ids
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 
-sys.path.insert(0, str(Path(__file__).parent))  # for the peer beside this file, wherever it is run from
+sys.path.insert(0, str(Path(__file__).parent))  # for mujoco_peer next to this file
 try:
     from mujoco_peer import MujocoCableBotEnv, holding_torques, home_table
     from oracles.mujoco_model import MujocoRobot
 except ImportError as error:
-    raise SystemExit(f"the speed peer is missing ({error}): pip install 'cablebot-gym[mujoco]'") from error
+    raise SystemExit(
+        f"the MuJoCo environment cannot be imported ({error}): pip install 'cablebot-gym[mujoco]'"
+    ) from error
 
 SUBSTEPS = 10
 """RK4 steps of 1 ms in each control step."""
@@ -51,35 +55,35 @@ ROBOTS = {
 }
 
 RANDOM_SIZE = 1024
-"""Size at which the price of drawn parameters is measured."""
+"""Size of the vector environment for the measurement with random parameters."""
 
 SEARCHES = {"CableBot-Spatial-v0": "fl", "CableBot-FlexSpatial-v0": "composite"}
-"""Policies whose payload batches are timed by ``--search``."""
+"""Policies whose payload batches ``--search`` measures."""
 
 Turn = Callable[[], int]
-"""Does some work and returns how many units it was."""
+"""Function that does some work and returns the number of units of work."""
 
 PEER = "MuJoCo RK4, 300 steps a call"
-PEER_ENV = "MuJoCo env, torques clipped each RK4 step as ours"
+PEER_ENV = "MuJoCo env, torques clipped in each RK4 step"
 PEER_ENV_ONCE = "MuJoCo env, one call, no clipping"
 OURS_ENV = "our env"
 
 
 def vector_name(count: int) -> str:
-    """What a size of our vector environment is called."""
+    """Name of the contender for a size of our vector environment."""
     return f"our vector env, N = {count}"
 
 
-RANDOM = f"{vector_name(RANDOM_SIZE)}, parameters drawn"
+RANDOM = f"{vector_name(RANDOM_SIZE)}, random parameters"
 
 
 def action_near_holding(robot: Robot) -> np.ndarray:
-    """Drive commands under which the robot moves and turns a little: zeros must not flatter a measurement."""
+    """Actions near equilibrium, under which the robot moves and rotates a little; a robot at rest could be faster."""
     return holding_torques(robot) / robot.stall_torque * np.linspace(0.998, 1.002, robot.cables)
 
 
 def mujoco_turn(robot: Robot) -> Turn:
-    """RK4 steps of MuJoCo alone."""
+    """A turn of RK4 steps in MuJoCo without an environment."""
     plant, torques = MujocoRobot(robot), action_near_holding(robot) * robot.stall_torque
 
     def turn() -> int:
@@ -93,7 +97,7 @@ def mujoco_turn(robot: Robot) -> Turn:
 
 
 def env_turn(env: gym.Env[Any, Any], robot: Robot) -> Turn:
-    """Calls of ``env.step``, resets included."""
+    """A turn of calls of ``env.step``, including resets."""
     action = action_near_holding(robot)
     env.reset(seed=0)
 
@@ -108,7 +112,7 @@ def env_turn(env: gym.Env[Any, Any], robot: Robot) -> Turn:
 
 
 def vector_turn(env_id: str, robot: Robot, count: int, *, drawn: bool = False) -> Turn:
-    """RK4 steps of our vector environment, episodes of one second; ``drawn``: each with parameters of its own."""
+    """A turn of RK4 steps in our vector environment with episodes of 1 s; ``drawn``: with random parameters."""
     keywords: dict[str, Any] = {"control_frequency": 100.0, "substeps": SUBSTEPS, "trajectory": holding(robot)}
     if drawn:
         tenth = {"low": -0.1, "high": 0.1}
@@ -132,28 +136,31 @@ def our_env(env_id: str, robot: Robot) -> gym.Env[Any, Any]:
 
 
 def holding(robot: Robot) -> str:
-    """The motion that rests at home."""
-    return "hold-planar" if robot.planar else "hold-spatial"
+    """Name of the motion that stays at the home pose."""
+    return "dwell-planar" if robot.planar else "dwell-spatial"
 
 
 def search_seconds(env_id: str, policy: str) -> dict[str, float]:
-    """Wall time of 64 payloads × 256 draws of table6 × 1 s at 500 Hz, law included.
+    """Wall time of 64 payloads × 256 draws of table6 × 1 s at 500 Hz, including the law [s].
 
-    Once with the usual bounds and payloads up to 20 kg, of which most fail early, and once with bounds so wide and
-    payloads so light that none does.
+    It is measured with the usual error bounds and payloads up to 20 kg, of which most fail early, and with wide error
+    bounds and light payloads, of which none fails.
     """
     seconds = {}
-    for name, limits, top in (("usual", Limits(), 20.0), ("none fails", Limits(position=10.0, rotation=10.0), 1.0)):
+    for name, error_bounds, top in (
+        ("usual", ErrorBounds(), 20.0),
+        ("none fails", ErrorBounds(position=10.0, rotation=10.0), 1.0),
+    ):
         batch = Batch(
             policy,
             env_id,
             name=None,
             criterion="task",
-            limits=limits,
+            error_bounds=error_bounds,
             uncertainty="table6",
             draws=256,
             seed=0,
-            together=64,
+            max_payloads=64,
             keywords={},
         )
         with batch:
@@ -165,7 +172,7 @@ def search_seconds(env_id: str, policy: str) -> dict[str, float]:
 
 
 def rate(turn: Turn, seconds: float) -> float:
-    """Units per second of one contender's turn."""
+    """Units of work per second of one contender."""
     units, start = 0, time.perf_counter()
     while (spent := time.perf_counter() - start) < seconds:
         units += turn()
@@ -173,7 +180,7 @@ def rate(turn: Turn, seconds: float) -> float:
 
 
 def warm_start_seconds(env_id: str) -> float:
-    """Wall time of a new process that imports the package, makes, resets and steps once, everything compiled."""
+    """Wall time of a new process that imports the package, and makes, resets and steps an environment [s]."""
     code = f"import gymnasium, cablebot_gym; e = gymnasium.make({env_id!r}); e.reset(); e.step(e.action_space.sample())"
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
@@ -181,13 +188,13 @@ def warm_start_seconds(env_id: str) -> float:
 
 
 def contenders_for(env_id: str, robot: Robot) -> dict[str, Turn]:
-    """Everything that is measured for a robot, by name."""
+    """The contenders for a robot by name."""
     contenders = {
         PEER: mujoco_turn(robot),
         **{vector_name(count): vector_turn(env_id, robot, count) for count in SIZES},
         RANDOM: vector_turn(env_id, robot, RANDOM_SIZE, drawn=True),
     }
-    if not robot.flexible:  # the peer environment knows no springs
+    if not robot.flexible:  # the MuJoCo environment has no joint springs
         table = home_table(robot)
         contenders |= {
             PEER_ENV: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS, clip_each_step=True), robot),
@@ -234,19 +241,19 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """The medians as tables."""
+    """Prints the medians as tables."""
     console = Console(width=None if sys.stdout.isatty() else 130)
-    for env_id, part in report.items():
-        if not isinstance(part, dict) or "rows" not in part:
+    for env_id, entry in report.items():
+        if not isinstance(entry, dict) or "rows" not in entry:
             continue
         table = Table(title=f"{env_id}: medians of {report['rounds']} rounds", title_justify="left")
         for column in ("contender", "unit", "per second", "×", "of"):
             table.add_column(column, justify="right" if column in ("per second", "×") else "left")
-        for row in part["rows"]:
+        for row in entry["rows"]:
             table.add_row(row["contender"], row["unit"], f"{row['median']:,.0f}", f"{row['ratio']:.3g}", row["to"])
         console.print(table)
-        console.print(f"new process to first step, compiled before: {part['warm_start_seconds']:.2f} s")
-        for name, spent in part.get("search_seconds", {}).items():
+        console.print(f"new process to first step, with cached compilation: {entry['warm_start_seconds']:.2f} s")
+        for name, spent in entry.get("search_seconds", {}).items():
             console.print(f"64 payloads × 256 draws × 1 s, {SEARCHES[env_id]}, {name}: {spent:.1f} s", highlight=False)
         console.print()
 
@@ -254,11 +261,11 @@ def print_report(report: dict[str, Any]) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=7, help="turns of each contender (default 7)")
-    parser.add_argument("--seconds", type=float, default=0.3, help="length of a turn (default 0.3)")
-    parser.add_argument("--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="environments (default all)")
-    parser.add_argument("--search", action="store_true", help="time a payload search's batch over draws too")
-    parser.add_argument("--json", action="store_true", help="print only JSON")
+    parser.add_argument("--rounds", type=int, default=7, help="number of rounds (default: 7)")
+    parser.add_argument("--seconds", type=float, default=0.3, help="time of a contender in each round (default: 0.3)")
+    parser.add_argument("--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="environments (default: all)")
+    parser.add_argument("--search", action="store_true", help="also measure the batch of a payload search over draws")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     arguments = parser.parse_args()
     if arguments.rounds < 1 or arguments.seconds <= 0:
         parser.error("--rounds must be at least 1 and --seconds greater than 0")

@@ -1,6 +1,6 @@
-"""The speed peer: the environment that a competent user would write over MuJoCo for the same robot.
+"""Reference for speed comparisons: an environment for the same robot, written directly on MuJoCo.
 
-``bench_throughput.py`` measures it. Nothing in the package imports this file.
+``bench_throughput.py`` measures it. The package does not import this file.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ TERMINATION_ERROR = 0.1
 
 
 class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
-    """Tracking with a cable robot in MuJoCo's RK4; the drive command in [-1, 1] is the action, one value per motor.
+    """Tracking with a cable robot in MuJoCo's RK4; the action is one value in [-1, 1] per motor.
 
-    At a control instant the requested torque is ``τ_s a − (τ_s/ω_n) β̇``, held for ``substeps`` RK4 steps.
-    ``clip_each_step`` clips it to U± at the motor speed at the start of each of them, which takes one ``mj_step`` call
-    each; without it one call makes all of them, which is faster.
+    At a control instant the requested torque is ``τ_s a − (τ_s/ω_n) β̇``, constant for ``substeps`` RK4 steps.
+    ``clip_each_step`` clips it to U± at the motor speed at the start of each RK4 step, which needs one ``mj_step`` call
+    per step. Without it, one call makes all steps, which is faster.
 
-    Observation: pose (n), velocity (n), time left [s], the row of ``reference_table`` for this instant, payload [kg].
-    Terminated when the position error exceeds 0.1 m or is no number; truncated after K steps.
+    Observation: pose (n), velocity (n), time to go [s], the row of ``reference_table`` for this instant, payload [kg].
+    An episode terminates when the position error exceeds 0.1 m or is NaN, and is truncated after K steps.
     """
 
     def __init__(
@@ -57,11 +57,11 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         Args:
             robot: planar or spatial.
             reference_table: shape (K + 1, columns), one row per control instant: reference pose, velocity and
-                acceleration (3 n columns), then previews as you like.
+                acceleration (3 n columns), then any previews.
             substeps: RK4 steps per control period.
-            timestep: of one RK4 step [s].
-            payload: carried and told [kg].
-            clip_each_step: see above.
+            timestep: duration of one RK4 step [s].
+            payload: payload of the plant, also in the observation [kg].
+            clip_each_step: whether to clip the torque at each RK4 step, see the class.
         """
         self._plant = MujocoRobot(robot, payload, timestep)
         self._model, self._data = self._plant.model, self._plant.data
@@ -72,7 +72,7 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         self._period, self._payload = substeps * timestep, payload
         self._stall, self._slope = robot.stall_torque.copy(), robot.speed_slope
         self._per_radius = 1 / robot.pulley_radius
-        self._tendon_jacobian = self._data.ten_J.reshape(robot.cables, -1)  # a view; dense, as the model asks
+        self._tendon_jacobian = self._data.ten_J.reshape(robot.cables, -1)  # a view; the model option makes it dense
         self._to_motor = -self._per_radius
 
         self._table = np.array(reference_table, dtype=float)
@@ -107,7 +107,7 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         error = math.dist(self._qpos[: self._axes].tolist(), self._goals[self._step_count])
         info = {
             "tracking_error": error,
-            "tensions": torques * self._per_radius,  # actuator forces on the tendons, without the pulleys' own share
+            "tensions": torques * self._per_radius,  # actuator forces on the tendons, without the pulleys' inertia
             "torques": torques,
             "motor_speeds": self._speeds,
             "time": self._step_count * self._period,
@@ -129,7 +129,7 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         return torques
 
     def _motor_speeds(self) -> Array:
-        """β̇ in the present state; RK4 leaves the tendons in its last stage, so they are computed anew."""
+        """Motor speeds β̇ in the present state; RK4 leaves the tendons at its last stage, so they are updated first."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_tendon(self._model, self._data)
@@ -149,7 +149,7 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
 
 
 def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
-    """``(X, Ẋ)`` from a free joint's position and velocity, in plain floats: faster than arrays this small."""
+    """``(X, Ẋ)`` from a free joint's position and velocity, in floats, which are faster than small arrays."""
     x, y, z, w, i, j, k = qpos
     dx, dy, dz, p, q, r = qvel
     along, across = w * w + i * i - j * j - k * k, 2 * (w * k + i * j)
@@ -163,7 +163,7 @@ def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
 
 
 def holding_torques(robot: Robot) -> Array:
-    """Motor torques that hold the home pose at rest, shape (m,); planar: 0.5 N·m each, which the paper's balances."""
+    """Motor torques in equilibrium at the home pose, shape (m,); planar robots: 0.5 N·m each."""
     if robot.planar:
         return np.full(robot.cables, 0.5)
     weight = np.zeros(6)
@@ -173,7 +173,7 @@ def holding_torques(robot: Robot) -> Array:
 
 
 def home_table(robot: Robot, instants: int = 501, previews: int = 2) -> Array:
-    """A reference that stays at home, with the columns of a real one."""
+    """A reference that stays at the home pose, with the columns of an environment's reference."""
     n = robot.coordinates
     row = np.concatenate([robot.home, np.zeros(2 * n), np.tile(robot.home, previews)])
     return np.tile(row, (instants, 1))

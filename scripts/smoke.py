@@ -1,6 +1,6 @@
-"""Tries what is installed, a wheel in a venv of its own: every environment, policy and command, in a minute or two.
+"""Smoke test of an installed wheel: tries every environment, policy and command in a minute or two.
 
-Needs nothing but the package. Refuses to try a checkout: what is missing in the wheel would be found beside it.
+Needs only the package. It rejects a checkout, which would hide files that are missing in the wheel.
 
     python scripts/smoke.py
 """
@@ -24,15 +24,15 @@ from cablebot_gym.evaluation import evaluate_dlcc
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 
-def refuse_checkout() -> None:
-    """Ends the program where the package is not an installed one."""
+def reject_checkout() -> None:
+    """Exits if the package is imported from the checkout."""
     imported = Path(cablebot_gym.__file__).resolve()
     if imported.is_relative_to(CHECKOUT):
-        sys.exit(f"imported from the checkout, not from the wheel: {imported}; run this in a venv that has the wheel")
+        sys.exit(f"cablebot_gym is imported from the checkout, {imported}: run this in a venv with the wheel")
 
 
-def try_environment(env_id: str) -> None:
-    """One environment, checked by Gymnasium, and three of them as one batch."""
+def check_environment(env_id: str) -> None:
+    """Checks one environment with Gymnasium, and steps three of them as one batch."""
     env = gym.make(env_id)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -44,46 +44,46 @@ def try_environment(env_id: str) -> None:
     assert observations.shape[0] == 3
     assert np.all(np.isfinite(rewards))
     envs.close()
-    print(f"{env_id}: checked, made, reset and stepped, one and three at once")
+    print(f"{env_id}: ok, single and vector")
 
 
-def try_policies() -> None:
-    """Every policy loads; the paper's law carries what the paper's circle allows, and a network more than that."""
-    found = entry_points(group="cablebot_gym.policies")
-    assert found, "the wheel names no policies"
-    for policy in found:
+def check_policies() -> None:
+    """Loads every policy, and checks the DLCC of the paper's law and of a learned policy on the paper's circle."""
+    policies = entry_points(group="cablebot_gym.policies")
+    assert policies, "the wheel has no policies"
+    for policy in policies:
         policy.load()
-    print(f"policies: {', '.join(sorted(policy.name for policy in found))}")
-    asked = {"env_id": "CableBot-Spatial-v0", "resolution": 0.5}
-    fl = evaluate_dlcc("fl", **asked)
+    print(f"policies: {', '.join(sorted(policy.name for policy in policies))}")
+    conditions = {"env_id": "CableBot-Spatial-v0", "resolution": 0.5}
+    fl = evaluate_dlcc("fl", **conditions)
     assert fl.payload is not None
     assert 3 < fl.payload < 5, fl
-    shipped = evaluate_dlcc("curve", **asked)
+    shipped = evaluate_dlcc("apg-circle", **conditions)
     assert shipped.payload is not None
     assert shipped.payload > 1.4 * fl.payload, shipped
     print(f"{fl}\n{shipped}")
 
 
-def try_commands() -> None:
-    """The parser makes helps of every kind of option, one command runs, and one that is none ends with status 2."""
+def check_commands() -> None:
+    """Checks help texts, one command, and the exit status 2 of an unknown command."""
     from cablebot_gym.cli.app import command_points
     from cablebot_gym.report.page import html
 
-    assert "<canvas" in html("smoke", [], {}), "the wheel lacks the report's page"
+    assert "<canvas" in html("smoke", [], {}), "the wheel has no report page"
     names = list(command_points())
     program = Path(sys.executable).with_name("cablebot")
-    for arguments in (("--help",), ("list", "--json"), *((name, "--help") for name in names[:2]), ("nosuch",)):
+    for arguments in (("--help",), ("list", "--json"), *((name, "--help") for name in names[:2]), ("unknown",)):
         ran = subprocess.run([program, *arguments], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        assert ran.returncode == (2 if arguments == ("nosuch",) else 0), (arguments, ran.stderr.decode())
+        assert ran.returncode == (2 if arguments == ("unknown",) else 0), (arguments, ran.stderr.decode())
     print(f"commands: {', '.join(names)}")
 
 
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
-    refuse_checkout()
+    reject_checkout()
     names = ("gymnasium", "numpy", "numba", "scipy", "typer", "rich")
     print(f"cablebot_gym {cablebot_gym.__version__} with", ", ".join(f"{name} {version(name)}" for name in names))
     for env_id in cablebot_gym.ENV_IDS:
-        try_environment(env_id)
-    try_policies()
-    try_commands()
+        check_environment(env_id)
+    check_policies()
+    check_commands()

@@ -1,10 +1,10 @@
-"""The learned policies that ship: trains each with several seeds, judges them, writes weights, cards and their page.
+"""Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and docs/learned.md.
 
-    python scripts/train_shipped.py --policy curve --id CableBot-Spatial-v0
+    python scripts/train_shipped.py --policy apg-circle --id CableBot-Spatial-v0
 
-Runs stay in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in ``judged`` beside them: the same command goes
-on where it was interrupted. ``--page`` takes the best found as the leaderboard has it now into the cards that there
-are, and renders docs/learned.md and docs/learned.png. Extras ``sb3`` and ``plot``.
+Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged`` next to them. The
+same command resumes after an interrupt. ``--page`` updates the best known payloads of the existing cards from the
+leaderboard, and renders docs/learned.md and docs/learned.png. Needs the extras ``sb3`` and ``plot``.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from cards import (
     draw_curves,
     has_loops,
     make_card,
-    read_bests,
+    read_best_known,
     read_cards,
-    with_bests,
-    with_searched,
+    with_best_known,
+    with_search_results,
 )
 
 from cablebot_baselines.learned.bundle import Bundle
@@ -42,51 +42,64 @@ from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.console import counting, notes_console
-from cablebot_gym.utils.files import usable_folder, write_text_whole, write_whole
+from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
 from cablebot_gym.utils.workers import check_workers
 from cablebot_gym.utils.workers import run as run_tasks
 
 ROOT = Path(__file__).resolve().parents[1]
 
 RESULTS = ROOT / "docs" / "leaderboard" / "results.json"
-"""The leaderboard's."""
+"""Results of the leaderboard."""
 
-JUDGED = "judged"
-"""Folder of finished evaluations, among the runs."""
+EVALUATIONS = "judged"
+"""Folder of finished evaluations, in the folder of the runs."""
 
 LARGEST = 500_000
-"""Of a file that ships [bytes]."""
+"""Largest size of a shipped file [bytes]."""
 
 PAGE, FIGURE = "learned.md", "learned.png"
 
-_OF_THE_MOMENT = ("_last_obs", "_last_original_obs", "_last_episode_starts", "ep_info_buffer", "ep_success_buffer")
-"""Of a model: where its training stood, of no use without its environments."""
+_EPISODE_STATE = ("_last_obs", "_last_original_obs", "_last_episode_starts", "ep_info_buffer", "ep_success_buffer")
+"""Attributes of a model that are useless without its environments."""
 
 _errors = notes_console()
 
 
 def main() -> None:
-    """Reads the arguments; what is wrong with them ends with status 2, an interrupt with 130."""
+    """Command line; errors exit with status 2, an interrupt with status 130."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
-    parser.add_argument("--policy", help=f"{', '.join(SHIPPED)}; all if not given")
-    parser.add_argument("--id", dest="env_id", help="environment, such as CableBot-Spatial-v0; all if not given")
-    parser.add_argument("--seeds", type=int, default=LEAST_SEEDS, help="training seeds, 0 and on (%(default)s)")
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs (%(default)s)")
-    parser.add_argument("--draws", type=int, default=DRAWS, help="episodes at each payload (%(default)s)")
-    parser.add_argument("--held-out", type=int, default=HELD_OUT, help="held-out motions (%(default)s)")
+    parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
+    parser.add_argument("--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)")
     parser.add_argument(
-        "--searched", type=int, default=HELD_OUT, help="on how many of these to search the best found (%(default)s)"
+        "--seeds", type=int, default=LEAST_SEEDS, help="number of training seeds, from 0 on (default: %(default)s)"
     )
-    parser.add_argument("--jobs", type=int, default=1, help="trainings, or evaluations, at a time (%(default)s)")
-    parser.add_argument("--page", action="store_true", help="only render page and figure anew")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)")
     parser.add_argument(
-        "--search", action="store_true", help="only search the best found on held-out motions that cards lack it for"
+        "--draws", type=int, default=DRAWS, help="episodes at each payload under uncertainty (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--held-out", type=int, default=HELD_OUT, help="number of held-out motions (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--searched",
+        type=int,
+        default=HELD_OUT,
+        help="number of these with a search for the best known payload (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="number of parallel trainings or evaluations (default: %(default)s)"
+    )
+    parser.add_argument("--page", action="store_true", help="only render page and figure again")
+    parser.add_argument(
+        "--search",
+        action="store_true",
+        help="only search for the best known payloads that are missing in the cards",
     )
     given = parser.parse_args()
     try:
         import_matplotlib()
         chosen = [find_shipped(given.policy)] if given.policy else list(SHIPPED.values())
-        pairs = wanted(chosen, given.env_id)
+        pairs = select_pairs(chosen, given.env_id)
         if given.search:
             search_missing(pairs, runs=given.runs, jobs=given.jobs)
         elif not given.page:
@@ -104,20 +117,20 @@ def main() -> None:
         _errors.print(f"error: {error}")
         sys.exit(2)
     except KeyboardInterrupt:
-        _errors.print("stopped; what is finished is kept, and the same command goes on from there")
+        _errors.print("stopped; finished work is kept, and the same command resumes")
         sys.exit(130)
 
 
-def wanted(chosen: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
-    """Policies and environments.
+def select_pairs(chosen: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
+    """Selects pairs of a policy and an environment.
 
     Raises:
-        ValueError: if none of these policies ships for the environment.
+        ValueError: if none of the policies is shipped for the environment.
     """
     pairs = [(one, other) for one in chosen for other in one.env_ids if env_id in (None, other)]
     if not pairs:
-        there = "; ".join(f"{one.name} for {', '.join(one.env_ids)}" for one in chosen)
-        raise ValueError(f"--id {env_id} has no policy that ships among these: {there}")
+        available = "; ".join(f"{one.name} for {', '.join(one.env_ids)}" for one in chosen)
+        raise ValueError(f"--id {env_id}: no shipped policy for this environment. Available: {available}")
     return pairs
 
 
@@ -133,32 +146,32 @@ def ship_all(
     weights: Path = WEIGHTS,
     results: Path = RESULTS,
 ) -> None:
-    """Trains what is missing of all, then judges and writes one after the other.
+    """Runs the missing trainings, then evaluates and writes one policy after the other.
 
     Args:
         pairs: policies and environments.
         seeds: number of training seeds.
         runs: folder of the runs.
-        draws: episodes at each payload under an uncertainty.
+        draws: number of episodes at each payload under an uncertainty.
         held_out: number of held-out motions.
-        searched: on how many of these the best found is searched for, if random loops were trained on.
-        jobs: trainings, or evaluations, at the same time.
-        weights: folder to write to.
-        results: the leaderboard's, for the best found.
+        searched: number of held-out motions with a search for the best known payload, for training on random loops.
+        jobs: number of parallel trainings or evaluations.
+        weights: folder for weights and cards.
+        results: results of the leaderboard, for the best known payloads.
 
     Raises:
-        ValueError: if a number is too small, or a run is not of this policy and its present configuration.
+        ValueError: if a number is too small, or a run belongs to another policy or another configuration.
         RuntimeError: if an evaluation failed.
     """
     if seeds < LEAST_SEEDS:
-        raise ValueError(f"--seeds must be at least {LEAST_SEEDS}, not {seeds}: an interval of fewer says nothing")
+        raise ValueError(f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}")
     if draws < 1 or held_out < 1 or searched < 0:
         text = "--draws and --held-out must be at least 1, --searched at least 0"
         raise ValueError(f"{text}, not {draws}, {held_out} and {searched}")
     check_workers(jobs)
-    usable_folder(runs / JUDGED)
-    usable_folder(weights)
-    bests = read_bests(results)
+    check_writable_dir(runs / EVALUATIONS)
+    check_writable_dir(weights)
+    best_known = read_best_known(results)
     train_missing(pairs, seeds=seeds, runs=runs, jobs=jobs)
     for shipped, env_id in pairs:
         name = stem(shipped.name, env_id)
@@ -169,8 +182,8 @@ def ship_all(
             shipped,
             env_id,
             [run_folder(runs, shipped, env_id, seed) for seed in range(seeds)],
-            evaluate=_judge(name, runs, jobs),
-            bests=bests,
+            evaluate=_make_evaluate(name, runs, jobs),
+            best_known=best_known,
             command=command,
             draws=draws,
             held_out=held_out,
@@ -179,7 +192,7 @@ def ship_all(
         sb3 = weights / f"{name}-sb3.zip"
         model = sb3_model(best)
         if model is not None and len(model) > LARGEST:
-            _errors.print(f"{name}: its SB3 model is left out, {len(model)} bytes are more than {LARGEST}")
+            _errors.print(f"{name}: its SB3 model is not shipped; {len(model)} bytes exceed the limit {LARGEST}")
             model = None
         if model is None:
             sb3.unlink(missing_ok=True)
@@ -187,7 +200,8 @@ def ship_all(
             _write_bytes(sb3, model)
         _write_bytes(weights / f"{name}.zip", best.read_bytes())
         replace(card, sb3=model is not None).save(weights)
-        _errors.print(f"{name}: seed {card.shipped_seed} of {seeds} ships, {card.shipped.payloads[0] or 0:.2f} kg")
+        payload = card.shipped.payloads[0] or 0
+        _errors.print(f"{name}: shipping seed {card.shipped_seed} of {seeds} with {payload:.2f} kg")
 
 
 def search_missing(
@@ -198,26 +212,26 @@ def search_missing(
     weights: Path = WEIGHTS,
     results: Path = RESULTS,
 ) -> None:
-    """Searches the best found that the cards lack: what a smaller ``--searched`` left out. Arguments as there.
+    """Searches for the best known payloads that are missing in the cards; arguments as for :func:`ship_all`.
 
     Raises:
         ValueError: if a card cannot be read.
         RuntimeError: if a search failed.
     """
     check_workers(jobs)
-    usable_folder(runs / JUDGED)
-    bests = read_bests(results)
-    wanted_stems = {stem(shipped.name, env_id) for shipped, env_id in pairs}
+    check_writable_dir(runs / EVALUATIONS)
+    best_known = read_best_known(results)
+    stems = {stem(shipped.name, env_id) for shipped, env_id in pairs}
     for card in read_cards(weights):
         name = stem(card.policy, card.env_id)
-        if name not in wanted_stems or not has_loops(card.motions):
+        if name not in stems or not has_loops(card.motions):
             continue
-        found = with_searched(card, _judge(name, runs, jobs), bests)
-        replace(found, command=card.command.partition(" --searched")[0]).save(weights)
+        updated = with_search_results(card, _make_evaluate(name, runs, jobs), best_known)
+        replace(updated, command=card.command.partition(" --searched")[0]).save(weights)
 
 
 def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
-    """Of a training."""
+    """Folder of a training."""
     return runs / f"{stem(shipped.name, env_id)}-{seed}"
 
 
@@ -225,10 +239,10 @@ def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
 
 
 def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Path, jobs: int) -> None:
-    """Trains what is not finished; a run that was interrupted goes on from its checkpoint.
+    """Runs the trainings that are not finished; an interrupted run is resumed from its checkpoint.
 
     Raises:
-        ValueError: if a finished run was trained with another configuration, seed or environment than is wanted now.
+        ValueError: if a finished run has another configuration, seed or environment.
     """
     tasks = {}
     for shipped, env_id in pairs:
@@ -238,23 +252,23 @@ def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Pat
                 check_run(folder, shipped, env_id, seed)
             else:
                 tasks[folder.name] = partial(_train, shipped.name, env_id, seed, folder, jobs > 1)
-    _errors.print(f"trainings: {len(pairs) * seeds - len(tasks)} are finished, {len(tasks)} are to be done")
+    _errors.print(f"trainings: {len(pairs) * seeds - len(tasks)} finished, {len(tasks)} to do")
     for done, (key, text) in enumerate(run_tasks(tasks, workers=jobs, kind=_env_id, say=_errors.print), 1):
         _errors.print(f"trained {done} of {len(tasks)}: {key}: {text}")
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether a training has ended."""
+    """Whether a training is finished."""
     from cablebot_baselines.learned.runs import BEST, LAST
 
     return (folder / LAST).is_file() and (folder / BEST).is_file()
 
 
 def check_run(folder: Path, shipped: Shipped, env_id: str, seed: int) -> None:
-    """Refuses a finished run of something else than would be trained now.
+    """Checks that a finished run has the present environment, algorithm, seed and configuration.
 
     Raises:
-        ValueError: saying what to do.
+        ValueError: if not; the message says what to do.
     """
     from cablebot_baselines.learned.config import read_yaml
     from cablebot_baselines.learned.runs import LAST
@@ -270,8 +284,8 @@ def check_run(folder: Path, shipped: Shipped, env_id: str, seed: int) -> None:
     for name, value in expected.items():
         if card.get(name) != value:
             raise ValueError(
-                f"the finished run {str(folder)!r} has another {name} than {shipped.name} has now: remove the folder, "
-                "or choose another --runs"
+                f"the finished run {str(folder)!r} has another {name} than the present {shipped.name}: remove the "
+                "folder, or choose another --runs"
             )
 
 
@@ -280,7 +294,7 @@ def _env_id(task: partial[str]) -> str:
 
 
 def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
-    """One training, as `cablebot train` does it, to its end; says what came of it."""
+    """Runs one training as `cablebot train` does, and returns its result as text."""
     from cablebot_baselines.learned import gradient_run, training
     from cablebot_baselines.learned.runs import CHECKPOINT, Interrupted
 
@@ -299,28 +313,28 @@ def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
             say = None if quiet else _errors.print
             return str(training.train(env_id, algorithm=shipped.algorithm, progress=step, say=say, **common))
         except ValueError as error:
-            raise ValueError(f"{error}; here that is {str(folder)!r}: remove it, or choose another --runs") from error
+            raise ValueError(f"{error}. In {str(folder)!r}: remove this folder, or choose another --runs") from error
         except Interrupted:
-            if quiet:  # a worker, whose end is nobody's concern
+            if quiet:  # a worker process exits without a traceback
                 sys.exit(1)
             raise
 
 
-# -------------------------------------------------------------------------------------------------------------- judging
+# ----------------------------------------------------------------------------------------------------------- evaluation
 
 
-def _judge(name: str, runs: Path, jobs: int) -> Evaluate:
-    """Computes cells, and keeps each as it comes."""
-    store = Store(runs / JUDGED, say=_errors.print)
+def _make_evaluate(name: str, runs: Path, jobs: int) -> Evaluate:
+    """Makes a function that computes cells and stores each result immediately."""
+    store = Store(runs / EVALUATIONS, say=_errors.print)
 
     def evaluate(cells: Mapping[str, Cell]) -> list[Record]:
         with counting(_errors, "evaluations") as bar:
-            task, said = bar.add_task(name, total=len(cells)), [-1]
+            task, tenths = bar.add_task(name, total=len(cells)), [-1]
 
             def step(done: int, total: int) -> None:
                 bar.update(task, completed=done)
-                if not _errors.is_terminal and 10 * done // total > said[0]:
-                    said[0] = 10 * done // total
+                if not _errors.is_terminal and 10 * done // total > tenths[0]:
+                    tenths[0] = 10 * done // total
                     _errors.print(f"{name}: {done} of {total} evaluations")
 
             return run_cells(cells, store, local(jobs), progress=step, say=_errors.print)
@@ -332,10 +346,10 @@ def _judge(name: str, runs: Path, jobs: int) -> Evaluate:
 
 
 def sb3_model(best: Path) -> bytes | None:
-    """The model in the checkpoint beside a run's best bundle, with the bundle's actor and without its environments.
+    """The model in the checkpoint next to a run's best bundle, with the bundle's actor and without environments.
 
-    The checkpoint is of the end of the run, the bundle of its best evaluation: critic and optimiser are those of the
-    end. None if the run has no model of PPO.
+    The bundle is that of the best evaluation; critic and optimiser are those at the end of the run. None if the run
+    has no PPO model.
     """
     from cablebot_baselines.learned.runs import CHECKPOINT
 
@@ -356,40 +370,40 @@ def sb3_model(best: Path) -> bytes | None:
             layer.weight.copy_(torch.as_tensor(weight))
             layer.bias.copy_(torch.as_tensor(bias))
     saved, small = io.BytesIO(), io.BytesIO()
-    model.save(saved, exclude=list(_OF_THE_MOMENT))
+    model.save(saved, exclude=list(_EPISODE_STATE))
     with zipfile.ZipFile(saved) as file, zipfile.ZipFile(small, "w", zipfile.ZIP_DEFLATED) as out:
         for name in file.namelist():
-            if name != "system_info.txt":  # of the machine that trained
+            if name != "system_info.txt":  # it describes the machine of the training
                 out.writestr(zipfile.ZipInfo(name), file.read(name), zipfile.ZIP_DEFLATED)
     return small.getvalue()
 
 
 def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
-    """Renders all cards that there are, with the best found of now.
+    """Updates the best known payloads of all cards, and renders page and figure.
 
     Raises:
-        ValueError: if there are none, or one is damaged.
-        ImportError: without matplotlib.
+        ValueError: if there is no card, or one is damaged.
+        ImportError: if matplotlib is missing.
     """
     cards = read_cards(weights)
     if not cards:
-        raise ValueError(f"there is no card in {weights.name}: make one, python scripts/train_shipped.py")
-    bests = read_bests(results)
-    for place, card in enumerate(cards):
-        cards[place] = with_bests(card, bests)
-        if cards[place] != card:
-            cards[place].save(weights)
+        raise ValueError(f"folder {weights.name} contains no card. Make one: python scripts/train_shipped.py")
+    best_known = read_best_known(results)
+    for index, card in enumerate(cards):
+        cards[index] = with_best_known(card, best_known)
+        if cards[index] != card:
+            cards[index].save(weights)
     text, figure = card_markdown(cards), draw_curves(cards)
-    write_text_whole(docs / PAGE, text)
-    write_whole(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
-    _errors.print(f"wrote {PAGE} and {FIGURE}, of {len(cards)} cards")
+    atomic_write_text(docs / PAGE, text)
+    atomic_write(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
+    _errors.print(f"wrote {PAGE} and {FIGURE} from {len(cards)} cards")
 
 
 def _write_bytes(path: Path, data: bytes) -> None:
     def write(temporary: Path) -> None:
         temporary.write_bytes(data)
 
-    write_whole(path, write)
+    atomic_write(path, write)
 
 
 if __name__ == "__main__":

@@ -453,7 +453,7 @@ def paper_law(robot, states, *, gains=(KP, KD), reference=0.0):
     x, v = states[:, :6], states[:, 6:12]
     asked = reference + gains[0] * (robot.home - x) - gains[1] * v
     needed = textbook.inverse_dynamics(robot, robot.mass, x, v, asked)
-    return needed.torques + robot.motor_inertia * needed.windings
+    return needed.torques + robot.motor_inertia * needed.pulley_accelerations
 
 
 def flexible_rates(robot, states, torques, friction=0.0):

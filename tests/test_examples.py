@@ -16,10 +16,12 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
 def payloads(lines: list[str]) -> list[float]:
     """Of results as they are printed [kg]."""
-    return [float(found[1]) for line in lines if (found := re.search(r"payload (?:not )?told[^:]*: ([\d.]+) kg", line))]
+    return [
+        float(found[1]) for line in lines if (found := re.search(r"payload (?:known|unknown)[^:]*: ([\d.]+) kg", line))
+    ]
 
 
-def shares(lines: list[str]) -> list[float]:
+def fractions(lines: list[str]) -> list[float]:
     """Of lines such as `fl: 40% of the draws`."""
     return [float(found[1]) for line in lines if (found := re.search(r": +(\d+)% of", line))]
 
@@ -51,22 +53,22 @@ def heat_and_errors_cost(lines: list[str], folder: Path) -> bool:
 
 
 def heavy_ones_fail(lines: list[str], folder: Path) -> bool:
-    held = shares(lines)
+    held = fractions(lines)
     return len(held) == 8 and held[0] == 100 and held[-1] == 0
 
 
 def weighing_helps(lines: list[str], folder: Path) -> bool:
-    fl, _, adaptive = shares(lines)
+    fl, _, adaptive = fractions(lines)
     return adaptive > fl and payloads(lines)[0] > 2
 
 
 def judged_though_nothing_is_carried(lines: list[str], folder: Path) -> bool:
-    return (folder / "out" / "mine.zip").is_file() and "not even zero payload is carried" in lines[-1]
+    return (folder / "out" / "mine.zip").is_file() and "fails unloaded" in lines[-1]
 
 
-def film_is_there(lines: list[str], folder: Path) -> bool:
-    with Image.open(folder / "out.gif") as film:
-        return film.size == (800, 300) and film.n_frames > 20
+def video_is_there(lines: list[str], folder: Path) -> bool:
+    with Image.open(folder / "out.gif") as video:
+        return video.size == (800, 300) and video.n_frames > 20
 
 
 def figure_is_there(lines: list[str], folder: Path) -> bool:
@@ -76,7 +78,7 @@ def figure_is_there(lines: list[str], folder: Path) -> bool:
 
 def actions_replay_to_the_bit(lines: list[str], folder: Path) -> bool:
     demands = [float(line.split()[-1]) for line in lines[1:-1]]
-    kept = folder / "out" / "cablebot-spatial" / "curve-v0" / "data" / "main_data.hdf5"
+    kept = folder / "out" / "cablebot-spatial" / "apg-circle-v0" / "data" / "main_data.hdf5"
     return (
         kept.is_file() and demands == sorted(set(demands)) and len(demands) == 8 and lines[-1].endswith("at most 0.0")
     )
@@ -90,7 +92,7 @@ PROMISES: dict[str, Callable[[list[str], Path], bool]] = {
     "your_reward": heat_and_errors_cost,
     "many_at_once": heavy_ones_fail,
     "what_if_it_is_heavier": weighing_helps,
-    "film_it": film_is_there,
+    "record_a_video": video_is_there,
     "train_in_a_minute": gains_half,
     "train_with_sb3": judged_though_nothing_is_carried,
     "paper_figure": figure_is_there,

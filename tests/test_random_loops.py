@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
-from cablebot_gym.task import as_plain
+from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import (
     FIRST_HELD_OUT_SEED,
     KINDS,
@@ -129,11 +129,11 @@ def test_held_out_seeds_are_not_among_those_to_train_with() -> None:
 # --- shape --------------------------------------------------------------------------------------------------------
 
 
-@given(name=names, seed=seeds, share=st.floats(0.01, 0.99))
-def test_no_derivative_is_off_from_finite_differences(name: str, seed: int, share: float) -> None:
+@given(name=names, seed=seeds, fraction=st.floats(0.01, 0.99))
+def test_no_derivative_is_off_from_finite_differences(name: str, seed: int, fraction: float) -> None:
     motion = loop(name, seed)
     step = 2e-4 * motion.duration
-    values = stacked(motion, share * motion.duration + step * np.arange(-2, 3))
+    values = stacked(motion, fraction * motion.duration + step * np.arange(-2, 3))
     differences = np.einsum("k,okn->on", [1, -8, 0, 8, -1], values[:-1]) / (12 * step)
     scale = np.abs(stacked(motion, np.linspace(0, motion.duration, 101))[1:]).max(axis=(1, 2))
     assert np.all(np.abs(differences - values[1:, 2]) <= 1e-6 * scale[:, None])
@@ -175,9 +175,9 @@ def test_duration_does_not_depend_on_the_bounds_other_than_by_their_root(name: s
     motion = loop(name, seed)
     harder = loop(name, seed, acceleration=[4 * bound for bound in motion.acceleration])
     assert harder.duration == pytest.approx(motion.duration / 2, abs=0.0101)
-    shares = np.linspace(0, 1, 7)
+    fractions = np.linspace(0, 1, 7)
     np.testing.assert_allclose(
-        harder(shares * harder.duration).position, motion(shares * motion.duration).position, atol=1e-12
+        harder(fractions * harder.duration).position, motion(fractions * motion.duration).position, atol=1e-12
     )
     assert motion.duration == round(motion.duration, 2)
 
@@ -247,16 +247,16 @@ def flat_limits(robot: Robot, motion: RandomLoop) -> tuple[np.ndarray, np.ndarra
     motor_speed[..., 0] += speed
     motor_winding[..., 0] += winding
     slope = robot.motor_damping + robot.speed_slope
-    demand = kappa + robot.motor_inertia[:, None] * motor_winding + slope[:, None] * motor_speed
-    return demand.reshape(-1, demand.shape[-1]), tensions.reshape(-1, tensions.shape[-1])
+    action = kappa + robot.motor_inertia[:, None] * motor_winding + slope[:, None] * motor_speed
+    return action.reshape(-1, action.shape[-1]), tensions.reshape(-1, tensions.shape[-1])
 
 
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
 def test_no_loop_is_beyond_the_papers_robots_with_springs(robot: Robot) -> None:
     for seed in SAMPLE:
-        demand, tensions = flat_limits(robot, loop(f"loop-{KINDS[robot.coordinates]}", seed))
-        stall = np.tile(robot.stall_torque, len(demand) // robot.cables)
-        rows = np.concatenate([demand, -demand, -tensions])
+        action, tensions = flat_limits(robot, loop(f"loop-{KINDS[robot.coordinates]}", seed))
+        stall = np.tile(robot.stall_torque, len(action) // robot.cables)
+        rows = np.concatenate([action, -action, -tensions])
         room = np.concatenate([stall, stall, np.full(len(tensions), -5.0)]) - rows[:, 0]
         free = [(None, None)] * (rows.shape[1] - 2)
         best = linprog([-1.0] + [0.0] * len(free), A_ub=rows[:, 1:], b_ub=room, bounds=[(0, None), *free])
@@ -270,7 +270,7 @@ def test_no_loop_is_beyond_the_papers_robots_with_springs(robot: Robot) -> None:
 @given(name=names, seed=seeds)
 def test_json_data_do_not_give_another_motion(name: str, seed: int) -> None:
     motion = loop(name, seed)
-    found = find_trajectory(json.loads(json.dumps(as_plain(motion))), motion.coordinates)
+    found = find_trajectory(json.loads(json.dumps(to_jsonable(motion))), motion.coordinates)
     assert found == motion
     assert hash(found) == hash(motion)
     assert find_trajectory({"name": name, "seed": seed}, motion.coordinates) == motion
@@ -301,7 +301,9 @@ def test_environments_do_not_follow_another_loop_than_the_seeds(env_id: str) -> 
 
 @pytest.mark.parametrize("seed", [True, False, -1, 3.0, "7", None, float("nan"), [3], np.bool_(True)])
 def test_what_is_no_seed_is_not_taken(seed: Any) -> None:
-    with pytest.raises(ValueError, match=r"seed must be a whole number of at least 0, not .*: 0 to 9999 to train with"):
+    with pytest.raises(
+        ValueError, match=r"seed must be a whole number of at least 0, not .*; 0 to 9999 are for training"
+    ):
         find_trajectory({"name": "loop-planar", "seed": seed}, 2)
 
 
@@ -314,11 +316,14 @@ def test_what_is_no_count_is_not_taken(count: Any) -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"reach": [0.1]}, r"reach must hold one number greater than 0 for \(x, y\), one for z and one for the angles"),
-        ({"reach": [0.1, 0.0, 0.1]}, "reach must hold one number greater than 0"),
-        ({"reach": 0.1}, "reach must hold numbers, not 0.1"),
-        ({"acceleration": [1, -1, 1]}, r"acceleration must hold one number .* not \(1.0, -1.0, 1.0\)"),
-        ({"acceleration": [1, float("inf"), 1]}, "acceleration must hold finite numbers"),
+        (
+            {"reach": [0.1]},
+            r"reach must contain one number greater than 0 for \(x, y\), one for z and one for the angles",
+        ),
+        ({"reach": [0.1, 0.0, 0.1]}, "reach must contain one number greater than 0"),
+        ({"reach": 0.1}, "reach must contain numbers, not 0.1"),
+        ({"acceleration": [1, -1, 1]}, r"acceleration must contain one number .* not \(1.0, -1.0, 1.0\)"),
+        ({"acceleration": [1, float("inf"), 1]}, "acceleration must contain finite numbers"),
         ({"center": [0, 0, 0]}, "center must be"),
         ({"duration": 0}, "duration must be a finite number greater than 0"),
         ({"speed": 2}, "no field 'speed'; its fields are seed, center, reach, acceleration, duration$"),

@@ -10,7 +10,7 @@ import pytest
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.robots import PLANAR
-from cablebot_gym.task import Limits, check_workspace
+from cablebot_gym.task import ErrorBounds, check_workspace
 from cablebot_gym.trajectories import find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -27,7 +27,7 @@ def test_robot_may_stay_behind_by_the_bounds_and_no_farther():
     """A bound of another coordinate, or one side of the workspace alone."""
     motion = find_trajectory("paper-spatial", 6)
     poses = motion(np.linspace(0.0, motion.duration, 2001)).position
-    limits = Limits(position=0.01, rotation=0.02)
+    error_bounds = ErrorBounds(position=0.01, rotation=0.02)
     for channel in range(6):
         for side in (0, 1):
             for beyond, fits in ((0.0, True), (0.005, True), (0.015, channel >= 3), (0.03, False)):
@@ -35,10 +35,10 @@ def test_robot_may_stay_behind_by_the_bounds_and_no_farther():
                 bounds[side, channel] += beyond * (1 - 2 * side)
                 robot = SimpleNamespace(name="box", coordinates=6, pose_bounds=bounds)
                 if fits:
-                    check_workspace(robot, motion, limits)
+                    check_workspace(robot, motion, error_bounds)
                 else:
                     with pytest.raises(ValueError, match="leaves the workspace"):
-                        check_workspace(robot, motion, limits)
+                        check_workspace(robot, motion, error_bounds)
                 if beyond > 0:
                     with pytest.raises(ValueError, match="leaves the workspace"):
                         check_workspace(robot, motion)

@@ -16,7 +16,7 @@ from cablebot_gym.robots import ROBOTS
 from cablebot_gym.trajectories import (
     KINDS,
     TRAJECTORIES,
-    Hold,
+    Dwell,
     Lemniscate,
     PaperCircle,
     PointToPoint,
@@ -106,7 +106,7 @@ SYMBOLIC: dict[str, tuple[Trajectory, list[Any], tuple[float, float]]] = {
         LATE,
     ),
     "circle": (SmoothCircle(radius=0.3, center=POSE, duration=1.7), circle(0.3, POSE, TURN), (0.0, 1.7)),
-    "hold": (Hold(pose=POSE, duration=1.7), list(POSE), (0.0, 1.7)),
+    "dwell": (Dwell(pose=POSE, duration=1.7), list(POSE), (0.0, 1.7)),
     "line": (
         PointToPoint(start=POSE, end=END, duration=1.7),
         [a + (b - a) * symbolic_blend(DURATION) for a, b in zip(POSE, END, strict=True)],
@@ -131,10 +131,12 @@ def test_derivatives_are_not_off_from_symbolic_ones(case: str, order: int) -> No
     np.testing.assert_allclose(computed, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
 
 
-@given(duration=st.floats(0.05, 50), share=st.floats(0, 1), name=st.sampled_from(NAMES))
-def test_duration_does_not_change_the_path_and_scales_each_derivative(duration: float, share: float, name: str) -> None:
+@given(duration=st.floats(0.05, 50), fraction=st.floats(0, 1), name=st.sampled_from(NAMES))
+def test_duration_does_not_change_the_path_and_scales_each_derivative(
+    duration: float, fraction: float, name: str
+) -> None:
     unit, stretched = TRAJECTORIES[name](duration=1.0), TRAJECTORIES[name](duration=duration)
-    time = share * duration
+    time = fraction * duration
     expected = stacked(unit(time / duration)) / duration ** np.arange(5)[:, None]
     scale = np.abs(stacked(unit(np.linspace(0, 1, 101)))).max(axis=(1, 2)) / duration ** np.arange(5)
     error = np.abs(stacked(stretched(time)) - expected).max(axis=1)
@@ -162,7 +164,7 @@ def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(name: str) -> None
         (PaperCircle(radius=0.3, center=(0.1, 0.2)), (0.4, 0.2), (0.4, 0.2)),
         (PointToPoint(start=(0.1, 0.2), end=(-0.3, 0.5)), (0.1, 0.2), (-0.3, 0.5)),
         (Lemniscate(amplitude=(0.3, 0.1), center=(0.1, 0.2)), (0.1, 0.2), (0.1, 0.2)),
-        (Hold(pose=(0.1, 0.2)), (0.1, 0.2), (0.1, 0.2)),
+        (Dwell(pose=(0.1, 0.2)), (0.1, 0.2), (0.1, 0.2)),
     ],
     ids=lambda value: getattr(value, "name", ""),
 )
@@ -228,7 +230,7 @@ def test_writing_into_a_reference_does_not_change_the_motion(name: str) -> None:
 CHANGES = [
     (PaperCircle(radius=0.1, center=POSE), {"radius": 0.2, "center": END, "duration": 1.5}),
     (SmoothCircle(radius=0.1, center=POSE), {"radius": 0.2, "center": END, "duration": 1.5}),
-    (Hold(pose=POSE), {"pose": END}),
+    (Dwell(pose=POSE), {"pose": END}),
     (PointToPoint(start=POSE, end=END), {"start": POSE[::-1], "end": POSE[::-1], "duration": 1.5}),
     (
         Lemniscate(amplitude=(0.1, 0.1), center=POSE),
@@ -262,7 +264,7 @@ def test_motions_cannot_be_changed_by_assignment(motion: Any, _: Any) -> None:
 
 
 def test_registry_has_no_name_missing() -> None:
-    kinds = ["paper", "circle", "hold", "line", "lemniscate", "loop"]
+    kinds = ["paper", "circle", "dwell", "line", "lemniscate", "loop"]
     assert trajectory_names(2) == [f"{kind}-planar" for kind in kinds]
     assert trajectory_names(6) == [f"{kind}-spatial" for kind in kinds]
     assert sorted(trajectory_names()) == sorted(trajectory_names(2) + trajectory_names(6))
@@ -312,7 +314,7 @@ def test_finding_does_not_change_the_callers_dict() -> None:
 
 
 def test_added_factory_is_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(TRAJECTORIES, "mine", lambda height=0.2: Hold(name="mine", pose=(0, 0, height, 0, 0, 0)))
+    monkeypatch.setitem(TRAJECTORIES, "mine", lambda height=0.2: Dwell(name="mine", pose=(0, 0, height, 0, 0, 0)))
     assert trajectory_names(6)[-1] == "mine"
     assert "mine" not in trajectory_names(2)
     assert find_trajectory({"name": "mine", "height": 0.3}, 6)(0.0).position[2] == 0.3
@@ -342,7 +344,7 @@ def test_users_object_is_not_replaced_or_refused() -> None:
 # --- errors -------------------------------------------------------------------------------------------------------
 
 SPATIAL_CHOICES = (
-    "choose one of paper-spatial, circle-spatial, hold-spatial, line-spatial, lemniscate-spatial, loop-spatial$"
+    "choose one of paper-spatial, circle-spatial, dwell-spatial, line-spatial, lemniscate-spatial, loop-spatial$"
 )
 
 
@@ -353,7 +355,7 @@ SPATIAL_CHOICES = (
         ("circle-planar", 6, f"'circle-planar' is not for 6 coordinates; {SPATIAL_CHOICES}"),
         ({"name": "circle-planar", "center": POSE}, 6, f"not for 6 coordinates; {SPATIAL_CHOICES}"),
         (Drift(), 6, f"'drift' has 2 coordinates and the robot has 6; {SPATIAL_CHOICES}"),
-        ({"name": "hold-spatial", "pose": [0, 0]}, 6, f"has 2 coordinates and the robot has 6; {SPATIAL_CHOICES}"),
+        ({"name": "dwell-spatial", "pose": [0, 0]}, 6, f"has 2 coordinates and the robot has 6; {SPATIAL_CHOICES}"),
         ({"name": "circle-spatial", "radios": 1}, 6, "no field 'radios'; its fields are radius, center, duration$"),
         ({"duration": 1.0}, 6, "needs a 'name': one of paper-spatial, "),
         ({"name": ["circle-spatial"]}, 6, "unknown trajectory"),
@@ -363,10 +365,10 @@ SPATIAL_CHOICES = (
         ({"name": "line-planar", "duration": float("nan")}, 2, "duration must be .* not nan"),
         ({"name": "line-planar", "duration": float("inf")}, 2, "duration must be .* not inf"),
         ({"name": "line-planar", "duration": True}, 2, "duration must be .* not True"),
-        (3.0, 2, "3.0 is no trajectory: pass one of paper-planar, "),
-        (None, 2, "None is no trajectory"),
-        (SmoothCircle, 6, "SmoothCircle'> is no trajectory"),
-        (lambda times: times, 2, "is no trajectory"),
+        (3.0, 2, "3.0 is not a trajectory; pass one of paper-planar, "),
+        (None, 2, "None is not a trajectory"),
+        (SmoothCircle, 6, "SmoothCircle'> is not a trajectory"),
+        (lambda times: times, 2, "is not a trajectory"),
     ],
 )
 def test_wrong_request_is_not_taken_or_answered_unclearly(trajectory: Any, coordinates: int, message: str) -> None:
@@ -379,20 +381,20 @@ def test_wrong_request_is_not_taken_or_answered_unclearly(trajectory: Any, coord
     ("make", "fields", "message"),
     [
         (PaperCircle, {"radius": 0.0, "center": (0, 0)}, "radius must be a finite number greater than 0 in m, not 0.0"),
-        (PaperCircle, {"radius": 0.1, "center": (0, 0, 0)}, "center must be .x, y. for a planar robot or .x, y, z, "),
+        (PaperCircle, {"radius": 0.1, "center": (0, 0, 0)}, "center must be .x, y. for a planar or .x, y, z, "),
         (PaperCircle, {"radius": 0.1, "center": (0, 0), "duration": 0}, "duration must be"),
         (SmoothCircle, {"radius": -0.1, "center": (0, 0)}, "radius must be"),
-        (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must hold finite numbers"),
+        (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must contain finite numbers"),
         (SmoothCircle, {"radius": 0.1, "center": (0, 0), "duration": 0}, "duration must be"),
-        (Hold, {"pose": 3}, "pose must hold numbers, not 3"),
-        (Hold, {"pose": (0, 0), "duration": 0}, "duration must be"),
+        (Dwell, {"pose": 3}, "pose must contain numbers, not 3"),
+        (Dwell, {"pose": (0, 0), "duration": 0}, "duration must be"),
         (PointToPoint, {"start": (0,), "end": (0, 0)}, "start must be"),
-        (PointToPoint, {"start": (0, 0), "end": ("a", 0)}, "end must hold numbers"),
+        (PointToPoint, {"start": (0, 0), "end": ("a", 0)}, "end must contain numbers"),
         (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
         (PointToPoint, {"start": (0, 0), "end": (1, 0), "duration": 0}, "duration must be"),
-        (Lemniscate, {"amplitude": (0.1, 0.0), "center": (0, 0)}, "amplitude must hold two lengths"),
-        (Lemniscate, {"amplitude": (0.1,), "center": (0, 0)}, "amplitude must hold two lengths"),
-        (Lemniscate, {"amplitude": 0.1, "center": (0, 0)}, "amplitude must hold numbers"),
+        (Lemniscate, {"amplitude": (0.1, 0.0), "center": (0, 0)}, "amplitude must be two lengths"),
+        (Lemniscate, {"amplitude": (0.1,), "center": (0, 0)}, "amplitude must be two lengths"),
+        (Lemniscate, {"amplitude": 0.1, "center": (0, 0)}, "amplitude must contain numbers"),
         (Lemniscate, {"amplitude": (0.1, 0.1), "center": ()}, "center must be"),
         (Lemniscate, {"amplitude": (0.1, 0.1), "center": (0, 0), "duration": 0}, "duration must be"),
     ],

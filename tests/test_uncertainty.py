@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL, Transmission
-from cablebot_gym.task import as_plain
+from cablebot_gym.task import to_jsonable
 from cablebot_gym.uncertainty import (
     LONGEST_DELAY,
     PARAMETERS,
     UNCERTAINTIES,
     ExternalWrench,
+    ParameterDistribution,
     SensorNoise,
-    Spread,
     Uncertainty,
     draw_size,
     find_uncertainty,
@@ -60,11 +60,11 @@ each_parameter = pytest.mark.parametrize(
 
 def spread_of(name, width=0.1):
     """A spread that any robot can bear."""
-    if PARAMETERS[name].place:
-        return Spread(low=-0.01, high=0.01, relative=False)
+    if PARAMETERS[name].position:
+        return ParameterDistribution(low=-0.01, high=0.01, relative=False)
     if name == "platform_inertia":
-        return Spread(low=-width, high=width, each=False)
-    return Spread(low=-width, high=width)
+        return ParameterDistribution(low=-width, high=width, each=False)
+    return ParameterDistribution(low=-width, high=width)
 
 
 def numbers(robot, count=200, seed=0):
@@ -92,7 +92,7 @@ def drawn(robot, parameters, count=200, payload=0.0, seed=0):
 )
 def test_no_deviation_is_outside_the_bounds(low, width, mean, std, normal, seed):
     law = {"distribution": "normal", "mean": mean, "std": std} if normal else {}
-    spread = Spread(low=low, high=low + width, **law)
+    spread = ParameterDistribution(low=low, high=low + width, **law)
     uniform = np.append(np.random.default_rng(seed).random(200), [0.0, 1 - 2.0**-53])
     deviation = spread.deviation(uniform)
     assert np.all((deviation >= spread.low) & (deviation <= spread.high))
@@ -101,7 +101,7 @@ def test_no_deviation_is_outside_the_bounds(low, width, mean, std, normal, seed)
 
 
 def test_a_uniform_spread_is_uniform_and_not_normal():
-    deviation = Spread(low=-0.1, high=0.3).deviation(np.random.default_rng(1).random(20_000))
+    deviation = ParameterDistribution(low=-0.1, high=0.3).deviation(np.random.default_rng(1).random(20_000))
     assert stats.kstest(deviation, stats.uniform(-0.1, 0.4).cdf).pvalue > 0.01
 
 
@@ -110,7 +110,7 @@ def test_a_uniform_spread_is_uniform_and_not_normal():
 )
 def test_a_normal_spread_is_cut_off_and_neither_clipped_nor_scaled(low, high, mean, std):
     """Clipping would pile draws up on the bounds; a std after the cut would be another law."""
-    spread = Spread(low=low, high=high, distribution="normal", mean=mean, std=std)
+    spread = ParameterDistribution(low=low, high=high, distribution="normal", mean=mean, std=std)
     deviation = spread.deviation(np.random.default_rng(2).random(20_000))
     law = stats.truncnorm((low - mean) / std, (high - mean) / std, loc=mean, scale=std)
     assert stats.kstest(deviation, law.cdf).pvalue > 0.01
@@ -118,7 +118,7 @@ def test_a_normal_spread_is_cut_off_and_neither_clipped_nor_scaled(low, high, me
 
 
 def test_normal_bounds_far_out_on_one_side_still_give_finite_draws():
-    spread = Spread(low=-100.0, high=100.0, distribution="normal", mean=0.0, std=0.1)
+    spread = ParameterDistribution(low=-100.0, high=100.0, distribution="normal", mean=0.0, std=0.1)
     deviation = spread.deviation(np.array([0.0, 1e-300, 0.5, 1 - 2.0**-53]))
     assert np.all(np.isfinite(deviation))
     assert deviation[2] == 0.0
@@ -126,13 +126,15 @@ def test_normal_bounds_far_out_on_one_side_still_give_finite_draws():
 
 def test_relative_is_a_share_and_absolute_an_amount():
     nominal, deviation = np.array([2.0, 4.0]), np.array([0.1, -0.5])
-    np.testing.assert_allclose(Spread(low=-1, high=1).applied(nominal, deviation), [2.2, 2.0], rtol=1e-15)
-    absolute = Spread(low=-1, high=1, relative=False).applied(nominal, deviation)
+    np.testing.assert_allclose(
+        ParameterDistribution(low=-1, high=1).applied(nominal, deviation), [2.2, 2.0], rtol=1e-15
+    )
+    absolute = ParameterDistribution(low=-1, high=1, relative=False).applied(nominal, deviation)
     np.testing.assert_allclose(absolute, [2.1, 3.5], rtol=1e-15)
 
 
 IMPOSSIBLE_SPREADS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
-    "bounds upside down": ({"low": 0.2, "high": -0.2}, ("low ≤ high", "0.2", "exchange")),
+    "bounds upside down": ({"low": 0.2, "high": -0.2}, ("low must not exceed high", "0.2", "exchange")),
     "NaN": ({"low": math.nan, "high": 1}, ("low", "finite", "nan")),
     "infinite": ({"low": 0, "high": math.inf}, ("high", "finite")),
     "bool for a bound": ({"low": True, "high": 1}, ("low", "True")),
@@ -153,7 +155,7 @@ IMPOSSIBLE_SPREADS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 @pytest.mark.parametrize("name", list(IMPOSSIBLE_SPREADS))
 def test_an_impossible_spread_is_refused_in_words(name):
     arguments, words = IMPOSSIBLE_SPREADS[name]
-    refused(*words, call=Spread, **arguments)
+    refused(*words, call=ParameterDistribution, **arguments)
 
 
 # ------------------------------------------------------------------------------------------------- drawn robots
@@ -162,8 +164,8 @@ def test_an_impossible_spread_is_refused_in_words(name):
 @each_parameter
 def test_each_draws_one_number_for_each_and_otherwise_one_for_all(robot, name):
     attribute = PARAMETERS[name].attribute
-    absolute = Spread(low=0.0, high=1e-3, relative=False)
-    one = Spread(low=0.0, high=1e-3, relative=False, each=False)
+    absolute = ParameterDistribution(low=0.0, high=1e-3, relative=False)
+    one = ParameterDistribution(low=0.0, high=1e-3, relative=False, each=False)
     nominal = np.zeros(()) if name == "payload" else np.asarray(getattr(robot, attribute))
     if name != "platform_inertia":  # of the paper's flat platform, none can be drawn alone
         found = getattr(drawn(robot, {name: absolute}), attribute) - nominal
@@ -182,7 +184,7 @@ def test_each_draws_one_number_for_each_and_otherwise_one_for_all(robot, name):
 @each_parameter
 def test_a_parameter_changes_its_own_value_and_no_other(robot, name):
     usual = drawn(robot, {}, payload=2.0)
-    spread = Spread(low=1e-3, high=2e-3, relative=False, each=False)
+    spread = ParameterDistribution(low=1e-3, high=2e-3, relative=False, each=False)
     changed = drawn(robot, {name: spread}, payload=2.0)
     fields = {item.attribute for key, item in PARAMETERS.items() if has(robot, key)}
     different = {field for field in fields if not np.array_equal(getattr(usual, field), getattr(changed, field))}
@@ -204,7 +206,10 @@ def test_another_uncertain_parameter_does_not_change_a_draw(robot, name):
 def test_two_parameters_do_not_read_the_same_number(robot):
     names = [name for name in PARAMETERS if has(robot, name)]
     uncertainty = Uncertainty(
-        parameters={name: Spread(low=1, high=2, relative=False, each=name != "platform_inertia") for name in names}
+        parameters={
+            name: ParameterDistribution(low=1, high=2, relative=False, each=name != "platform_inertia")
+            for name in names
+        }
     )
     found = uncertainty.draw(robot, np.zeros(400), numbers(robot, 400))
     columns = np.concatenate(
@@ -218,15 +223,15 @@ def test_two_parameters_do_not_read_the_same_number(robot):
 
 
 def test_a_payload_is_drawn_around_the_told_one_and_never_below_zero():
-    absolute = Spread(low=-1.0, high=1.0, relative=False)
+    absolute = ParameterDistribution(low=-1.0, high=1.0, relative=False)
     found = drawn(SPATIAL, {"payload": absolute}, payload=0.5).payload
     assert found.min() == 0.0
     assert 0.2 < np.mean(found == 0) < 0.3  # the quarter of the draws that is below zero, put on zero
     assert found.max() > 1.4
-    relative = drawn(SPATIAL, {"payload": Spread(low=-1.0, high=1.0)}, payload=0.5).payload
+    relative = drawn(SPATIAL, {"payload": ParameterDistribution(low=-1.0, high=1.0)}, payload=0.5).payload
     assert 0 <= relative.min() < 0.05
     assert 0.95 < relative.max() <= 1.0
-    assert not drawn(SPATIAL, {"payload": Spread(low=-1.0, high=1.0)}, payload=0.0).payload.any()
+    assert not drawn(SPATIAL, {"payload": ParameterDistribution(low=-1.0, high=1.0)}, payload=0.0).payload.any()
 
 
 def test_drawing_does_not_change_the_nominal_robot():
@@ -253,20 +258,32 @@ def spread(low=-0.1, high=0.1, **more):
 
 
 IMPOSSIBLE_SETS: dict[str, tuple[Any, Any, tuple[str, ...]]] = {
-    "no mass left": (SPATIAL, {"parameters": {"platform_mass": spread(-1.0)}}, ("platform_mass", "above 0", "low")),
-    "less than no mass": (SPATIAL, {"parameters": {"platform_mass": spread(-1.5)}}, ("platform_mass", "above 0")),
+    "no mass left": (
+        SPATIAL,
+        {"parameters": {"platform_mass": spread(-1.0)}},
+        ("platform_mass", "greater than 0", "low"),
+    ),
+    "less than no mass": (
+        SPATIAL,
+        {"parameters": {"platform_mass": spread(-1.5)}},
+        ("platform_mass", "greater than 0"),
+    ),
     "absolute mass reaches zero": (
         PLANAR,
         {"parameters": {"platform_mass": spread(-1.0, 1.0, relative=False)}},
         ("platform_mass", "can reach 0", "raise low"),
     ),
-    "no strength left": (PLANAR, {"parameters": {"motor_strength": spread(-1.0)}}, ("motor_strength", "above 0")),
+    "no strength left": (
+        PLANAR,
+        {"parameters": {"motor_strength": spread(-1.0)}},
+        ("motor_strength", "greater than 0"),
+    ),
     "no stiffness left": (FLEX_PLANAR, {"parameters": {"stiffness": spread(-3.0, 0, relative=False)}}, ("stiffness",)),
     "no motor inertia left": (FLEX_PLANAR, {"parameters": {"motor_inertia": spread(-1.0, 0)}}, ("motor_inertia",)),
     "negative damping": (
         SPATIAL,
         {"parameters": {"damping": spread(-0.02, 0.02, relative=False)}},
-        ("damping", "not fall below 0", "-0.01"),
+        ("damping", "at least 0", "-0.01"),
     ),
     "negative pulley inertia": (PLANAR, {"parameters": {"pulley_inertia": spread(-1.1)}}, ("pulley_inertia",)),
     "less than no payload": (PLANAR, {"parameters": {"payload": spread(-1.1)}}, ("payload", "at least -1")),
@@ -294,7 +311,7 @@ IMPOSSIBLE_SETS: dict[str, tuple[Any, Any, tuple[str, ...]]] = {
     "spread as a number": (PLANAR, {"parameters": {"platform_mass": 0.1}}, ("platform_mass", "low", "high", "0.1")),
     "spread without an end": (PLANAR, {"parameters": {"platform_mass": {"low": 0.1}}}, ("platform_mass", "high")),
     "spread field unknown": (PLANAR, {"parameters": {"platform_mass": spread(width=3)}}, ("width", "distribution")),
-    "bad spread inside a set": (PLANAR, {"parameters": {"platform_mass": spread(1, 0)}}, ("low ≤ high",)),
+    "bad spread inside a set": (PLANAR, {"parameters": {"platform_mass": spread(1, 0)}}, ("low must not exceed high",)),
     "parameters as a list": (PLANAR, {"parameters": ["platform_mass"]}, ("parameters", "dict", "platform_mass")),
     "negative delay": (PLANAR, {"delay": -1}, ("delay", "whole", "-1")),
     "half a step of delay": (PLANAR, {"delay": 1.5}, ("delay", "whole", "1.5")),
@@ -309,7 +326,7 @@ IMPOSSIBLE_SETS: dict[str, tuple[Any, Any, tuple[str, ...]]] = {
     "a number": (PLANAR, 6, ("6", "table6", "parameters")),
     "wrench of three on a plane": (PLANAR, {"wrench": {"force_mean": [1, 2, 3]}}, ("force_mean", "2", "planar")),
     "wrench of two in space": (SPATIAL, {"wrench": {"moment_std": [1, 2]}}, ("moment_std", "3", "spatial")),
-    "wrench of four": (SPATIAL, {"wrench": {"force_mean": [1, 2, 3, 4]}}, ("force_mean", "each axis")),
+    "wrench of four": (SPATIAL, {"wrench": {"force_mean": [1, 2, 3, 4]}}, ("force_mean", "per axis")),
     "negative force std": (PLANAR, {"wrench": {"force_std": -1.0}}, ("force_std", "at least 0", "-1")),
     "NaN force": (PLANAR, {"wrench": {"force_mean": math.nan}}, ("force_mean", "finite")),
     "force in words": (PLANAR, {"wrench": {"force_mean": "strong"}}, ("force_mean", "strong")),
@@ -333,7 +350,7 @@ def test_an_impossible_uncertainty_is_refused_in_words(name):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}, ("platform_mass", "Spread")),
+        ({"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}, ("platform_mass", "ParameterDistribution")),
         ({"parameters": [1]}, ("parameters", "dict")),
         ({"wrench": {"force_std": 1.0}}, ("wrench", "ExternalWrench")),
         ({"sensors": {"position": 1.0}}, ("sensors", "SensorNoise")),
@@ -388,7 +405,7 @@ def test_none_and_the_name_none_are_no_uncertainty(robot):
 @each_robot
 def test_table_6_is_the_papers_table_and_nothing_else(robot):
     found = find_uncertainty("table6", robot)
-    tenth = Spread(low=-0.1, high=0.1, relative=True, each=False)
+    tenth = ParameterDistribution(low=-0.1, high=0.1, relative=True, each=False)
     assert dict(found.parameters) == {"platform_mass": tenth} | ({"stiffness": tenth} if robot.flexible else {})
     mean, std = found.wrench.statistics(robot)
     forces = 2 if robot.planar else 3
@@ -421,7 +438,9 @@ def test_joined_names_are_both_and_their_order_is_no_matter(robot):
 def everything(robot):
     """An uncertainty with every field away from its default."""
     parameters = {name: spread_of(name) for name in PARAMETERS if has(robot, name)}
-    parameters["damping"] = Spread(low=0.0, high=0.1, distribution="normal", mean=0.02, std=0.03, relative=False)
+    parameters["damping"] = ParameterDistribution(
+        low=0.0, high=0.1, distribution="normal", mean=0.02, std=0.03, relative=False
+    )
     axes = 2 if robot.planar else 3
     wrench = ExternalWrench(
         force_mean=tuple(range(axes)), force_std=0.3, moment_std=0.1, correlation_time=0.05, factor=(0.5, 2.0)
@@ -433,7 +452,7 @@ def everything(robot):
 @pytest.mark.parametrize("form", [*UNCERTAINTIES, "table6+sensors", "everything"])
 def test_an_uncertainty_survives_json_and_pickle(robot, form):
     found = everything(robot) if form == "everything" else find_uncertainty(form, robot)
-    text = json.dumps(as_plain(found))
+    text = json.dumps(to_jsonable(found))
     for again in (find_uncertainty(json.loads(text), robot), pickle.loads(pickle.dumps(found))):
         assert again == found
         assert hash(again) == hash(found)
@@ -444,16 +463,16 @@ def test_an_uncertainty_survives_json_and_pickle(robot, form):
 
 
 def test_the_caller_cannot_change_an_uncertainty_through_its_dict():
-    mine = {"platform_mass": Spread(low=-0.1, high=0.1)}
+    mine = {"platform_mass": ParameterDistribution(low=-0.1, high=0.1)}
     made = Uncertainty(parameters=mine)
-    mine["payload"] = Spread(low=0, high=1)
+    mine["payload"] = ParameterDistribution(low=0, high=1)
     assert list(made.parameters) == ["platform_mass"]
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"parameters": {"platform_mass": Spread(low=-0.1, high=0.2)}},
+        {"parameters": {"platform_mass": ParameterDistribution(low=-0.1, high=0.2)}},
         {"wrench": ExternalWrench(force_std=1.0)},
         {"sensors": SensorNoise(position=2e-3)},
         {"delay": 4},

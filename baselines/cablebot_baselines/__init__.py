@@ -1,1 +1,1 @@
-"""Reference policies. They use the public face of :mod:`cablebot_gym` and nothing else."""
+"""Reference policies for :mod:`cablebot_gym`. This package uses only the public interface of :mod:`cablebot_gym`."""

@@ -1,1 +1,1 @@
-"""The benchmark: every policy's payload as a share of the best found, on the paper's circle and on held-out motions."""
+"""The benchmark: the DLCC of every policy as a fraction of the best known payload."""

@@ -1,4 +1,4 @@
-"""The cells of the benchmark, each one number: what a policy carries under one set of conditions, or the best found."""
+"""Cells of the benchmark. A cell is one number: the DLCC of a policy under given conditions or a best known payload."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -17,263 +17,254 @@ from cablebot_gym.evaluation.batch import BATCH, versions
 from cablebot_gym.evaluation.evaluator import DEFAULT_RESOLUTION, DRAWN_RESOLUTION, PAYLOAD_MAX, SCAN_POINTS
 from cablebot_gym.policies import Policy, load_policy
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.task import Limits, as_plain
-from cablebot_gym.uncertainty import Spread, find_uncertainty
+from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
 
-DEFAULT_LIMITS = MappingProxyType(as_plain(Limits()))
-"""Bounds of the errors in every suite [m, rad]."""
-
-TOLD_SHARE = MappingProxyType({"told": 1.0, "untold": None, "told-0.9": 0.9, "told-1.1": 1.1})
-"""Information sets: which share of the true payload the policy is told; None for nothing."""
+DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
+"""Error bounds of every suite: ``position`` [m] and ``rotation`` [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyCell:
-    """What a policy carries.
-
-    Raises:
-        ValueError: if the information set is unknown.
-    """
+    """The DLCC of one policy under one set of conditions."""
 
     env_id: str
-    """Environment."""
+    """Environment id."""
     trajectory: Mapping[str, Any]
-    """Motion, as :func:`~cablebot_gym.trajectories.find_trajectory` takes it: ``{"name": …}`` and its fields."""
+    """Reference motion, ``{"name": …}`` and its fields; see :func:`~cablebot_gym.trajectories.find_trajectory`."""
     policy: str
-    """As on the command line."""
+    """Policy name as on the command line."""
     criterion: str = "task"
-    """``task`` or ``paper``."""
-    information: str = "told"
-    """A name of :data:`TOLD_SHARE`."""
+    """DLCC criterion: ``task`` or ``paper``."""
+    payload_known: bool = True
+    """Whether the policy's model includes the payload."""
+    model_payload_factor: float = 1.0
+    """Ratio of the policy's model payload to the true payload."""
     uncertainty: str | None = None
-    """Name of what else the policy does not know; None for nothing."""
+    """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Episodes at each payload."""
+    """Number of sampled episodes per payload."""
     probability: float = 0.95
-    """Share of the draws that has to carry a payload."""
-    limits: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_LIMITS))
-    """Bounds of the errors [m, rad]."""
+    """Required success rate over the draws."""
+    error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
+    """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
     control_frequency: float = 500.0
-    """[Hz]"""
+    """Control frequency [Hz]."""
     seed: int = 0
-    """Of the environments."""
+    """Seed of the environments."""
     resolution: float | None = None
-    """[kg]; None for the evaluator's own."""
+    """Payload resolution of the search [kg]; None for the evaluator's default."""
     stiffness: float | None = None
-    """Of the joint springs, K [N·m/rad]; None for the environment's own."""
-
-    def __post_init__(self) -> None:
-        if self.information not in TOLD_SHARE:
-            raise ValueError(f"unknown information set {self.information!r}; choose one of {', '.join(TOLD_SHARE)}")
+    """Joint stiffness K [N·m/rad]; None for the environment's default."""
 
     @property
     def key(self) -> str:
-        """Tells cells apart."""
+        """Canonical JSON of all fields; unique for each cell."""
         return canonical(self.to_dict())
 
     @property
     def stem(self) -> str:
-        """For people who look for its file."""
+        """Readable beginning of the name of the cell's file."""
         unknown = (self.uncertainty,) if self.uncertainty else ()
-        return _stem(self.env_id, self.trajectory, self.policy, self.information, *unknown, self.criterion)
+        return _stem(self.env_id, self.trajectory, self.policy, self.payload_model, *unknown, self.criterion)
 
     @property
     def source(self) -> str:
-        """Hash of the code that makes the number: this package's and the policy's."""
+        """Hash of the code that computes the cell: this package's and the policy's."""
         modules, data = policy_source(self.policy)
         return source_hash("cablebot_gym.evaluation.evaluator", *modules, data=data)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able data; :func:`cell_from` reads it."""
+        """JSON-able data, the input of :func:`cell_from_dict`."""
         return {"kind": "policy", **asdict(self)}
 
     @property
     def robot(self) -> Robot:
-        """The nominal one.
+        """Nominal robot with the stiffness of the cell.
 
         Raises:
-            ValueError: if it has no joint springs, and their stiffness is given.
+            ValueError: if a stiffness is given for a robot without joint springs.
         """
         return _robot(self.env_id, self.stiffness)
 
     @property
-    def told_share(self) -> float:
-        """A wrong payload is told by asking for it, and meeting another: what is asked for, as a share of the other."""
-        return TOLD_SHARE[self.information] or 1.0
+    def payload_model(self) -> str:
+        """Payload model in words: ``payload known``, ``payload unknown`` or ``payload model × 0.9``."""
+        return payload_model_text(self.payload_known, self.model_payload_factor)
 
-    def conditions(self) -> dict[str, Any]:
-        """Of an episode: the environment's keywords, JSON-able."""
-        own = {} if self.stiffness is None else {"robot": self.robot.to_dict()}
-        return own | {
+    def env_options(self) -> dict[str, Any]:
+        """JSON-able keyword arguments of the environment."""
+        robot = {} if self.stiffness is None else {"robot": self.robot.to_dict()}
+        return robot | {
             "trajectory": dict(self.trajectory),
-            "limits": dict(self.limits),
-            "payload_known": TOLD_SHARE[self.information] is not None,
-            "uncertainty": self._uncertainty(),
+            "error_bounds": dict(self.error_bounds),
+            "payload_known": self.payload_known,
+            "model_payload_factor": self.model_payload_factor,
+            "uncertainty": self.uncertainty,
             "control_frequency": self.control_frequency,
         }
 
-    def question(self) -> dict[str, Any]:
-        """What :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc` is asked: its keywords, JSON-able."""
-        usual = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
-        return self.conditions() | {
+    def options(self) -> dict[str, Any]:
+        """JSON-able keyword arguments of :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
+        default = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
+        return self.env_options() | {
             "criterion": self.criterion,
-            "payload_max": self.told_share * PAYLOAD_MAX["planar" if self.robot.planar else "spatial"],
-            "resolution": self.told_share * (usual if self.resolution is None else self.resolution),
+            "payload_max": PAYLOAD_MAX["planar" if self.robot.planar else "spatial"],
+            "resolution": default if self.resolution is None else self.resolution,
             "draws": self.draws,
             "probability": self.probability,
             "seed": self.seed,
         }
 
     def compute(self) -> dict[str, Any]:
-        """The payload, and why not more."""
+        """The payload, its limiting violation, and the details of the search.
+
+        The paper criterion applies to policies that declare ``unsaturated_actions``; for others the result says
+        ``applicable: False``.
+        """
         robot = self.robot
         policy = load_policy(self.policy, robot)
-        if self.criterion == "paper" and not getattr(policy, "unclipped", False):
+        if self.criterion == "paper" and not getattr(policy, "unsaturated_actions", False):
             return {"applicable": False, "payload": None, "total_mass": None}
-        result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.question())
-        share = self.told_share
-        payload = _true(result.payload, share)
+        result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.options())
         return {
             "applicable": True,
-            "payload": payload,
-            "total_mass": None if payload is None else payload + robot.mass,
-            "resolution": _true(result.resolution, share),
-            "limit": asdict(result.limit),
-            "assured_payload": _true(result.assured_payload, share),
-            "feasible": [[_true(end, share) for end in interval] for interval in result.feasible],
+            "payload": result.payload,
+            "total_mass": result.total_mass,
+            "resolution": result.resolution,
+            "violation": None if result.violation is None else asdict(result.violation),
+            "scan_ended": result.scan_ended,
+            "assured_payload": result.assured_payload,
+            "feasible": [list(interval) for interval in result.feasible],
             "failures": result.failures,
             "fallbacks": _fallbacks(policy, self.draws),
         }
 
-    def _uncertainty(self) -> str | dict[str, Any] | None:
-        """A name where there is one, else data."""
-        share = self.told_share
-        if share == 1.0:
-            return self.uncertainty
-        unknown = find_uncertainty(self.uncertainty, self.robot)
-        wrong = Spread(low=1 / share - 1, high=1 / share - 1)
-        plain: dict[str, Any] = as_plain(replace(unknown, parameters={**unknown.parameters, "payload": wrong}))
-        return plain
-
 
 @dataclass(frozen=True, kw_only=True)
-class BestCell:
-    """The best found: the largest payload for which some motion inside the limits is known."""
+class BestKnownCell:
+    """The best known payload: the largest payload for which a motion within all limits is known."""
 
     env_id: str
-    """Environment."""
+    """Environment id."""
     trajectory: Mapping[str, Any]
-    """Motion."""
-    limits: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_LIMITS))
-    """Bounds of the errors [m, rad]."""
+    """Reference motion, as in :class:`PolicyCell`."""
+    error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
+    """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
     control_frequency: float = 500.0
-    """[Hz]"""
+    """Control frequency [Hz]."""
     stiffness: float | None = None
-    """Of the joint springs, K [N·m/rad]; None for the environment's own."""
+    """Joint stiffness K [N·m/rad]; None for the environment's default."""
 
     @property
     def key(self) -> str:
-        """Tells cells apart."""
+        """Canonical JSON of all fields; unique for each cell."""
         return canonical(self.to_dict())
 
     @property
     def stem(self) -> str:
-        """For people who look for its file."""
-        return _stem(self.env_id, self.trajectory, "best-found")
+        """Readable beginning of the name of the cell's file."""
+        return _stem(self.env_id, self.trajectory, "best-known")
 
     @property
     def source(self) -> str:
-        """Hash of the code that makes the number."""
+        """Hash of the code that computes the cell."""
         return source_hash("cablebot_gym.bounds.best_known")
 
     @property
     def robot(self) -> Robot:
-        """The one that moves.
+        """Robot with the stiffness of the cell.
 
         Raises:
-            ValueError: if it has no joint springs, and their stiffness is given.
+            ValueError: if a stiffness is given for a robot without joint springs.
         """
         return _robot(self.env_id, self.stiffness)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able data; :func:`cell_from` reads it."""
-        return {"kind": "best", **asdict(self)}
+        """JSON-able data, the input of :func:`cell_from_dict`."""
+        return {"kind": "best-known", **asdict(self)}
 
-    def question(self) -> dict[str, Any]:
-        """What :func:`cablebot_gym.bounds.best_known.best_found` is asked: its keywords; JSON-able but for the robot."""
-        own = {} if self.stiffness is None else {"robot": self.robot}
-        return own | {
+    def options(self) -> dict[str, Any]:
+        """Keyword arguments of :func:`~cablebot_gym.bounds.best_known.find_best_known`; JSON-able except the robot."""
+        robot = {} if self.stiffness is None else {"robot": self.robot}
+        return robot | {
             "trajectory": dict(self.trajectory),
-            "limits": dict(self.limits),
+            "error_bounds": dict(self.error_bounds),
             "control_frequency": self.control_frequency,
         }
 
     def compute(self) -> dict[str, Any]:
-        """What :func:`cablebot_gym.bounds.best_known.best_found` says."""
-        from cablebot_gym.bounds.best_known import best_found
+        """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able data."""
+        from cablebot_gym.bounds.best_known import find_best_known
 
-        return dict(best_found(self.env_id, **self.question()).to_dict())
+        return dict(find_best_known(self.env_id, **self.options()).to_dict())
 
 
-Cell = PolicyCell | BestCell
+Cell = PolicyCell | BestKnownCell
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """A cell and what came of it."""
+    """A cell and its result."""
 
     cell: Cell
-    """What was asked."""
+    """The cell."""
     source: str
-    """Hash of the code that made the result."""
+    """Hash of the code that computed the result."""
     versions: Mapping[str, str]
-    """Of Python and of the packages that made it."""
+    """Versions of Python and of the packages used."""
     result: Mapping[str, Any]
-    """What was found; ``error`` is a sentence if nothing was. The same each time."""
+    """JSON-able result, or an ``error`` message if the computation failed. It is reproducible."""
     seconds: float
-    """What it took."""
+    """Wall time of the computation [s]."""
     final: bool = True
-    """Whether trying again gives the same; not where a package, a file or memory was missing, or a process died."""
+    """Whether a retry gives the same result. False if a package, a file or memory was missing or a process died."""
 
     @property
     def error(self) -> str | None:
-        """Why there is no result; None if there is one."""
+        """Error message of a failed computation; None if it succeeded."""
         return self.result.get("error")
 
 
 def compute(cell: Cell) -> Record:
-    """A cell's result. Whatever goes wrong is the cell's: a policy that fails does not end the benchmark."""
+    """Computes a cell. An exception becomes the error of the record; it does not stop the benchmark."""
     start, final = time.perf_counter(), True
     try:
         result = cell.compute()
     except (ImportError, OSError, MemoryError) as error:
-        result, final = {"error": _sentence(error)}, False
+        result, final = {"error": _one_line(error)}, False
     except Exception as error:
-        result = {"error": _sentence(error)}
+        result = {"error": _one_line(error)}
     seconds = time.perf_counter() - start
     return Record(
-        cell=cell, source=cell.source, versions=versions(), result=_plain(result), seconds=seconds, final=final
+        cell=cell,
+        source=cell.source,
+        versions=versions(),
+        result=_json_round_trip(result),
+        seconds=seconds,
+        final=final,
     )
 
 
-def failed(cell: Cell, why: str) -> Record:
-    """A cell that is to be tried again another time, with ``why`` as its error."""
-    return Record(cell=cell, source=cell.source, versions=versions(), result={"error": why}, seconds=0.0, final=False)
+def failed_record(cell: Cell, reason: str) -> Record:
+    """A record that is not final, with ``reason`` as its error: the next run computes the cell again."""
+    return Record(
+        cell=cell, source=cell.source, versions=versions(), result={"error": reason}, seconds=0.0, final=False
+    )
 
 
-def cell_from(data: Mapping[str, Any]) -> Cell:
-    """A cell from ``data``, what its ``to_dict`` says.
+def cell_from_dict(data: Mapping[str, Any]) -> Cell:
+    """The cell whose ``to_dict`` returned ``data``.
 
     Raises:
-        KeyError, TypeError, ValueError: if that is no cell's.
+        KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
-    kinds: dict[str, type[PolicyCell] | type[BestCell]] = {"policy": PolicyCell, "best": BestCell}
+    kinds: dict[str, type[PolicyCell] | type[BestKnownCell]] = {"policy": PolicyCell, "best-known": BestKnownCell}
     return kinds[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
 
 
 def canonical(data: Any) -> str:
-    """JSON that is the same for equal data."""
+    """JSON text that is identical for equal data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
@@ -282,34 +273,29 @@ def _robot(env_id: str, stiffness: float | None) -> Robot:
     if stiffness is None:
         return robot
     if not robot.flexible:
-        raise ValueError(f"{env_id} has no joint springs: leave stiffness out, or choose an id with -Flex")
+        raise ValueError(f"{env_id} has no joint springs; omit the stiffness or choose an id with -Flex")
     return robot.replace(transmission=robot.transmission.replace(stiffness=stiffness))
 
 
-def _plain(result: Mapping[str, Any]) -> dict[str, Any]:
-    """As it is read again: lists in place of tuples, keys that are strings."""
+def _json_round_trip(result: Mapping[str, Any]) -> dict[str, Any]:
+    """The data as read back from JSON: lists instead of tuples, string keys."""
     data: dict[str, Any] = json.loads(canonical(result))
     return data
 
 
-def _true(payload: float | None, share: float) -> float | None:
-    """What was on the platform when ``payload`` was told."""
-    return None if payload is None else payload / share
-
-
 def _fallbacks(policy: Policy, draws: int) -> float | None:
-    """How often a policy fell back on something safer in an episode at the payload found, where it counts that."""
-    counted = getattr(policy, "fallbacks", None)
-    if counted is None:
+    """Mean number of fallbacks per episode at the DLCC; None for a policy that does not count ``fallbacks``."""
+    count = getattr(policy, "fallbacks", None)
+    if count is None:
         return None
-    episodes = min(SCAN_POINTS, max(1, BATCH // draws)) * draws  # the evaluator's last batch, of one payload alone
-    return float(counted) / episodes
+    episodes = min(SCAN_POINTS, max(1, BATCH // draws)) * draws  # the evaluator's last batch holds one payload only
+    return float(count) / episodes
 
 
-def _sentence(error: Exception) -> str:
-    """An error's words in one line."""
-    words = " ".join(str(error).split())
-    return words if isinstance(error, (ValueError, ImportError, RuntimeError)) else f"{type(error).__name__}: {words}"
+def _one_line(error: Exception) -> str:
+    """The message of an exception in one line, with the type where the message alone is unclear."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, (ValueError, ImportError, RuntimeError)) else f"{type(error).__name__}: {text}"
 
 
 def _stem(env_id: str, trajectory: Mapping[str, Any], *words: str) -> str:

@@ -1,11 +1,11 @@
-"""Maps of the payload: what becomes of it when one number of the task is another than usual."""
+"""Payload maps: the DLCC as a function of one parameter of the task, all others at their defaults."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from cablebot_gym.benchmark.cells import DEFAULT_LIMITS, Cell
+from cablebot_gym.benchmark.cells import DEFAULT_ERROR_BOUNDS, Cell
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import find_trajectory
@@ -13,44 +13,44 @@ from cablebot_gym.trajectories import find_trajectory
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """A number of the task that is varied."""
+    """A parameter of the task that a map varies."""
 
     name: str
     """Key of :data:`AXES`."""
     label: str
-    """For people, with the unit."""
+    """Axis label with the unit."""
     scale: float
-    """Of the unit, from SI."""
+    """Factor from SI to the unit of the label."""
     values: tuple[float, ...]
-    """What the suite asks for, SI."""
+    """Values that the suite evaluates, SI."""
 
-    def usual(self, cell: Cell) -> float:
-        """What the number is where nothing else is asked for, SI; infinite for the springs of a rigid robot."""
+    def default_value(self, cell: Cell) -> float:
+        """Default of the parameter, SI; infinite for the stiffness of a rigid robot."""
         robot = find_robot(env_robot(cell.env_id))
         if self.name == "stiffness":
             return float(robot.stiffness[0]) if robot.flexible else float("inf")
         if self.name == "position":
-            return DEFAULT_LIMITS["position"]
+            return DEFAULT_ERROR_BOUNDS["position"]
         fields = {name: value for name, value in cell.trajectory.items() if name != "duration"}
         return float(find_trajectory(fields, robot.coordinates).duration)
 
-    def of(self, cell: Cell) -> float:
-        """What the number is in a cell, SI."""
-        asked = {
+    def value(self, cell: Cell) -> float:
+        """Value of the parameter in a cell, SI."""
+        given = {
             "stiffness": cell.stiffness,
-            "position": cell.limits["position"],
+            "position": cell.error_bounds["position"],
             "duration": cell.trajectory.get("duration"),
         }[self.name]
-        return self.usual(cell) if asked is None else float(asked)
+        return self.default_value(cell) if given is None else float(given)
 
-    def put(self, cell: Cell, value: float) -> Cell:
-        """The cell with ``value`` for the number, SI; where that is the usual one, the cell as it is."""
-        if value == self.usual(cell):
+    def with_value(self, cell: Cell, value: float) -> Cell:
+        """The cell with the parameter set to ``value``, SI; the unchanged cell if ``value`` is the default."""
+        if value == self.default_value(cell):
             return cell
         if self.name == "stiffness":
             return replace(cell, stiffness=value)
         if self.name == "position":
-            return replace(cell, limits={**cell.limits, "position": value})
+            return replace(cell, error_bounds={**cell.error_bounds, "position": value})
         return replace(cell, trajectory={**cell.trajectory, "duration": value})
 
 
@@ -60,23 +60,23 @@ AXES = MappingProxyType(
         for axis in (
             Axis(
                 name="position",
-                label="bound R of the position error [mm]",
+                label="position error bound R [mm]",
                 scale=1e3,
                 values=(0.002, 0.005, 0.01, 0.02, 0.05),
             ),
-            Axis(name="duration", label="duration of the motion [s]", scale=1.0, values=(0.8, 0.9, 1.0, 1.2, 1.5)),
+            Axis(name="duration", label="motion duration [s]", scale=1.0, values=(0.8, 0.9, 1.0, 1.2, 1.5)),
             Axis(
                 name="stiffness",
-                label="stiffness K of the joints [N·m/rad]",
+                label="joint stiffness K [N·m/rad]",
                 scale=1.0,
                 values=(1.0, 3.0, 10.0, 30.0, 100.0),
             ),
         )
     }
 )
-"""What is varied, by name."""
+"""Axes by name."""
 
 
-def unusual(cell: Cell) -> tuple[str, ...]:
-    """Names of the axes along which a cell is away from the usual; none of most cells, one of a map's."""
-    return tuple(axis.name for axis in AXES.values() if axis.of(cell) != axis.usual(cell))
+def varied_axes(cell: Cell) -> tuple[str, ...]:
+    """Names of the axes whose value in a cell is not the default: none for most cells, one for a cell of a map."""
+    return tuple(axis.name for axis in AXES.values() if axis.value(cell) != axis.default_value(cell))

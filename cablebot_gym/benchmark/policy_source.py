@@ -1,4 +1,4 @@
-"""Where a policy's code and data are, by its name."""
+"""The modules and data files of a policy, from which its code hash is computed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cablebot_gym.utils.code_hash import module_file
 
 @cache
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
-    """Modules and data files that a policy's name, as on the command line, stands for.
+    """Modules and data files of a policy, given its name as on the command line.
 
-    A file's are its content, and the code of all that could load it.
+    For a policy file, these are the modules of all installed loaders and the file itself.
     """
     if policy.endswith(".zip"):
         loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
@@ -28,12 +28,12 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     if entry is not None and entry.files is not None:
         return (module,), entry.files
     path = module_file(module)
-    beside = path.parent if path is not None and "." in module else None  # a package's own folder
-    return (module,), _data_files(beside) if beside is not None else ()
+    folder = path.parent if path is not None and "." in module else None
+    return (module,), _data_files(folder) if folder is not None else ()
 
 
 @cache
 def _data_files(folder: Path) -> tuple[Path, ...]:
-    """What lies beside and below the modules of a package and is none itself, such as weights."""
-    found = (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
-    return tuple(sorted(path for path in found if path.suffix not in {".py", ".pyc"}))
+    """All files in the folder of a package, such as weights, except for its Python files."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return tuple(sorted(path for path in paths if path.suffix not in {".py", ".pyc"}))

@@ -1,4 +1,4 @@
-"""Scores: a policy's payload as a share of the best found for the same robot, motion and limits."""
+"""Scores: the DLCC of a policy as a fraction of the best known payload for the same robot, motion and error bounds."""
 
 from __future__ import annotations
 
@@ -7,249 +7,257 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, canonical
-from cablebot_gym.benchmark.maps import AXES, Axis, unusual
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, canonical
+from cablebot_gym.benchmark.maps import AXES, Axis, varied_axes
+from cablebot_gym.task import payload_model_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class Best:
-    """The best found for one robot, motion and limits."""
+class BestKnown:
+    """The best known payload for one robot, motion and set of error bounds."""
 
-    cell: BestCell
-    """What was asked."""
+    cell: BestKnownCell
+    """The cell."""
     result: Mapping[str, Any]
-    """What the search found; ``error`` is a sentence if nothing."""
+    """Result of the search, or an ``error`` message if it failed."""
     payload: float | None
-    """What scores refer to [kg]: the search's payload, or a policy's that is larger; None if the search found none that
-    passed its replay."""
+    """Reference of the scores [kg]: the payload found by the search, or the larger payload of a policy. None if the
+    search found no payload that its replay verifies."""
     raised_by: str | None
-    """Policy and information set to which the payload was raised; None if it is the search's own."""
+    """Policy and payload model that raised the payload; None if the payload is the search's own."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
-    """What a policy carries under one set of conditions, and what share of the best found that is."""
+class Score:
+    """The DLCC of a policy under one set of conditions, and its fraction of the best known payload."""
 
     cell: PolicyCell
-    """The conditions."""
+    """The cell."""
     result: Mapping[str, Any]
-    """What was found; ``error`` is a sentence if the policy failed."""
-    best: float | None
-    """Best found [kg]; None if there is none."""
+    """Result of the evaluation, or an ``error`` message if the policy failed."""
+    best_known: float | None
+    """Best known payload [kg]; None if there is none."""
     score: float | None
-    """Share of it, 0 if not even zero payload is carried; None by the paper's criterion, without a best found, and
-    where the policy failed."""
+    """Fraction of the best known payload; 0 if the policy fails unloaded. None for the paper criterion, without a best
+    known payload, and if the policy raised an error."""
     raised: bool
-    """Whether the best found was raised to this very payload."""
+    """Whether this payload raised the best known payload."""
 
     @property
     def error(self) -> str | None:
-        """Why the policy failed; None if it did not."""
+        """Error message of the evaluation; None if it succeeded."""
         return self.result.get("error")
 
     @property
     def payload(self) -> float | None:
-        """[kg]; None if not even zero is carried, if the policy failed, and where the criterion does not apply."""
+        """DLCC [kg]; None if the policy fails unloaded, raised an error, or if the criterion is not applicable."""
         return self.result.get("payload")
 
     @property
-    def weight(self) -> str:
-        """The payload in words; one that nothing stopped up to the end of the scan is a lower bound."""
+    def payload_text(self) -> str:
+        """The payload as text. ``≥`` marks a lower bound: the scan ended while the payload was still feasible."""
         if self.payload is None:
-            return "none"
-        at_least = (self.result.get("limit") or {}).get("kind") == "scan_end"
+            return "fails unloaded"
+        at_least = self.result.get("scan_ended")
         return f"{'≥ ' if at_least else ''}{self.payload:.2f}"
 
 
-def find_bests(records: Sequence[Record]) -> dict[str, Best]:
-    """The best found by :func:`motion_key`.
+def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
+    """The best known payloads by :func:`motion_key`.
 
-    Every payload that is carried by the task criterion without uncertainty was carried by some motion inside the
-    limits, whatever the policy was told: none can be better than the best.
+    A policy that carries a payload by the task criterion without uncertainty demonstrates a motion within all limits,
+    whatever its payload model. If this payload exceeds the search's, it becomes the best known payload.
     """
-    bests: dict[str, Best] = {}
+    references: dict[str, BestKnown] = {}
     for record in records:
-        if isinstance(record.cell, BestCell):
+        if isinstance(record.cell, BestKnownCell):
             payload = record.result["payload"] if record.result.get("verified") else None
-            best = Best(cell=record.cell, result=record.result, payload=payload, raised_by=None)
-            bests[motion_key(record.cell)] = best
+            reference = BestKnown(cell=record.cell, result=record.result, payload=payload, raised_by=None)
+            references[motion_key(record.cell)] = reference
     for record in records:
         cell, payload = record.cell, record.result.get("payload")
-        if isinstance(cell, BestCell) or cell.criterion != "task" or cell.uncertainty or payload is None:
+        if isinstance(cell, BestKnownCell) or cell.criterion != "task" or cell.uncertainty or payload is None:
             continue
-        found = bests.get(motion_key(cell))
-        if found is not None and found.payload is not None and payload > found.payload:
-            bests[motion_key(cell)] = replace(found, payload=payload, raised_by=_carrier(cell))
-    return bests
+        current = references.get(motion_key(cell))
+        if current is not None and current.payload is not None and payload > current.payload:
+            references[motion_key(cell)] = replace(current, payload=payload, raised_by=_policy_and_model(cell))
+    return references
 
 
-def standings(records: Sequence[Record]) -> list[Standing]:
-    """Every policy's cell with its score."""
-    bests = find_bests(records)
-    return [_standing(record, record.cell, bests) for record in records if isinstance(record.cell, PolicyCell)]
+def scores(records: Sequence[Record]) -> list[Score]:
+    """The scores of all policy cells, in the order of the records."""
+    references = best_known_payloads(records)
+    return [_score(record, record.cell, references) for record in records if isinstance(record.cell, PolicyCell)]
 
 
-def motion_key(cell: PolicyCell | BestCell) -> str:
-    """Tells apart what has a best found of its own."""
-    return canonical([cell.env_id, dict(cell.trajectory), dict(cell.limits), cell.control_frequency, cell.stiffness])
+def motion_key(cell: PolicyCell | BestKnownCell) -> str:
+    """Key of the best known payload of a cell: environment, motion, error bounds, control frequency and stiffness."""
+    return canonical(
+        [cell.env_id, dict(cell.trajectory), dict(cell.error_bounds), cell.control_frequency, cell.stiffness]
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """Conditions that all policies of a table meet."""
+    """Conditions of one column of a table."""
 
-    information: str
-    """See :data:`~cablebot_gym.benchmark.cells.TOLD_SHARE`."""
+    payload_known: bool
+    """Whether the policies' models include the payload."""
+    model_payload_factor: float
+    """Ratio of the policies' model payload to the true payload."""
     uncertainty: str | None
-    """What else is not known."""
+    """Name of an uncertainty; None for none."""
     criterion: str
-    """``task`` or ``paper``."""
+    """DLCC criterion: ``task`` or ``paper``."""
     draws: int
-    """Episodes at each payload."""
+    """Number of sampled episodes per payload."""
 
     @classmethod
     def of(cls, cell: PolicyCell) -> Column:
-        """The column to which a cell belongs."""
+        """The column of a cell."""
         return cls(
-            information=cell.information, uncertainty=cell.uncertainty, criterion=cell.criterion, draws=cell.draws
+            payload_known=cell.payload_known,
+            model_payload_factor=cell.model_payload_factor,
+            uncertainty=cell.uncertainty,
+            criterion=cell.criterion,
+            draws=cell.draws,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Board:
-    """One environment's table: policies by conditions, for one kind of motion. Each place has one cell per motion."""
+class Leaderboard:
+    """One table: policies by conditions, for one environment and one motion or family of motions."""
 
     env_id: str
-    """Environment."""
+    """Environment id."""
     motion: str
-    """Name of the motion, or of the family of motions."""
+    """Name of the motion or of the family of motions."""
     columns: tuple[Column, ...]
-    """In the order of the suite."""
+    """Columns in the order of the suite."""
     policies: tuple[str, ...]
-    """The best first: by the score of the first column, of a family its median."""
-    places: Mapping[tuple[str, Column], tuple[Standing, ...]]
-    """Cells of a policy under conditions; several for a family of motions."""
+    """Policies by decreasing score in the first column; the median score for a family of motions."""
+    entries: Mapping[tuple[str, Column], tuple[Score, ...]]
+    """Scores by policy and column, one score per motion."""
 
     @property
     def motions(self) -> int:
-        """How many there are: one, or a family."""
-        return len({canonical(dict(one.cell.trajectory)) for some in self.places.values() for one in some})
+        """Number of motions: 1, or the size of the family."""
+        return len({canonical(dict(score.cell.trajectory)) for entry in self.entries.values() for score in entry})
 
-    def share(self, policy: str, column: Column) -> Share | None:
-        """The score of a policy in a column; None if it has none."""
-        return _share(self.places.get((policy, column), ()))
+    def fraction(self, policy: str, column: Column) -> Fraction | None:
+        """The fraction of a policy in a column; None without a score for every motion."""
+        return _fraction(self.entries.get((policy, column), ()))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Share:
-    """A score over one motion or several."""
+class Fraction:
+    """Fractions of the best known payload over one motion or several."""
 
     median: float
-    """Of the motions."""
+    """Median over the motions."""
     worst: float
-    """Of the motions."""
+    """Minimum over the motions."""
 
 
-def boards(records: Sequence[Record]) -> list[Board]:
-    """The tables, in the order of the records; what only maps have is not in them."""
-    grouped: dict[tuple[str, str], list[Standing]] = {}
-    for standing in standings(records):
-        if unusual(standing.cell):
-            continue
-        grouped.setdefault((standing.cell.env_id, str(standing.cell.trajectory["name"])), []).append(standing)
-    return [_board(env_id, motion, some) for (env_id, motion), some in grouped.items()]
+def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
+    """The tables in the order of the records. Cells that only belong to a map are omitted."""
+    groups: dict[tuple[str, str], list[Score]] = {}
+    for score in scores(records):
+        if not varied_axes(score.cell):
+            groups.setdefault((score.cell.env_id, str(score.cell.trajectory["name"])), []).append(score)
+    return [_leaderboard(env_id, motion, group) for (env_id, motion), group in groups.items()]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadMap:
-    """What policies carry on one environment's circle, told the payload, while one number of the task varies."""
+    """DLCC of policies on the circle of one environment with known payload, as a function of one task parameter."""
 
     env_id: str
-    """Environment."""
+    """Environment id."""
     axis: Axis
-    """What varies."""
+    """Varied parameter."""
     values: tuple[float, ...]
-    """Of the axis, SI, rising."""
-    bests: tuple[float | None, ...]
-    """Best found at each value [kg]; None where there is none."""
-    policies: Mapping[str, tuple[Standing | None, ...]]
-    """Standings of each at each value; None where it was not asked."""
+    """Values of the parameter, SI, ascending."""
+    best_known: tuple[float | None, ...]
+    """Best known payload at each value [kg]; None where there is none."""
+    policies: Mapping[str, tuple[Score | None, ...]]
+    """Scores by policy, one for each value; None where the policy was not evaluated."""
 
 
 def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
-    """The maps that the records have: two values of an axis make one."""
-    asked = [
-        one
-        for one in standings(records)
-        if (one.cell.information, one.cell.uncertainty, one.cell.criterion) == ("told", None, "task")
+    """The maps of the records: one for each environment and axis with at least one varied cell."""
+    eligible = [
+        score
+        for score in scores(records)
+        if (score.cell.payload_model, score.cell.uncertainty, score.cell.criterion)
+        == (payload_model_text(True), None, "task")
     ]
-    bests = find_bests(records)
-    found = []
-    for env_id in dict.fromkeys(one.cell.env_id for one in asked):
+    references = best_known_payloads(records)
+    maps = []
+    for env_id in dict.fromkeys(score.cell.env_id for score in eligible):
+        own = [score for score in eligible if score.cell.env_id == env_id]
         for axis in AXES.values():
-            off = [one for one in asked if one.cell.env_id == env_id and unusual(one.cell) == (axis.name,)]
-            motions = {one.cell.trajectory["name"] for one in off}
-            usual = [
-                one
-                for one in asked
-                if one.cell.env_id == env_id and not unusual(one.cell) and one.cell.trajectory["name"] in motions
+            varied = [score for score in own if varied_axes(score.cell) == (axis.name,)]
+            motions = {score.cell.trajectory["name"] for score in varied}
+            default = [
+                score for score in own if not varied_axes(score.cell) and score.cell.trajectory["name"] in motions
             ]
-            if off:
-                found.append(_map(env_id, axis, [*usual, *off], bests))
-    return found
+            if varied:
+                maps.append(_map(env_id, axis, [*default, *varied], references))
+    return maps
 
 
-def _map(env_id: str, axis: Axis, some: Sequence[Standing], bests: Mapping[str, Best]) -> PayloadMap:
-    values = tuple(sorted({axis.of(one.cell) for one in some}))
-    carried = {(one.cell.policy, axis.of(one.cell)): one for one in some}
-    known = {axis.of(one.cell): bests.get(motion_key(one.cell)) for one in some}
-    varied = {one.cell.policy for one in some if unusual(one.cell)}
+def _map(env_id: str, axis: Axis, group: Sequence[Score], references: Mapping[str, BestKnown]) -> PayloadMap:
+    values = tuple(sorted({axis.value(score.cell) for score in group}))
+    by_policy_and_value = {(score.cell.policy, axis.value(score.cell)): score for score in group}
+    by_value = {axis.value(score.cell): references.get(motion_key(score.cell)) for score in group}
+    varied = {score.cell.policy for score in group if varied_axes(score.cell)}
     return PayloadMap(
         env_id=env_id,
         axis=axis,
         values=values,
-        bests=tuple(None if (best := known[value]) is None else best.payload for value in values),
+        best_known=tuple(None if (best := by_value[value]) is None else best.payload for value in values),
         policies={
-            policy: tuple(carried.get((policy, value)) for value in values)
-            for policy in dict.fromkeys(one.cell.policy for one in some)
+            policy: tuple(by_policy_and_value.get((policy, value)) for value in values)
+            for policy in dict.fromkeys(score.cell.policy for score in group)
             if policy in varied
         },
     )
 
 
-def _board(env_id: str, motion: str, some: Sequence[Standing]) -> Board:
-    places: dict[tuple[str, Column], tuple[Standing, ...]] = {}
-    for one in some:
-        place = (one.cell.policy, Column.of(one.cell))
-        places[place] = (*places.get(place, ()), one)
-    columns = tuple(dict.fromkeys(column for _, column in places))
+def _leaderboard(env_id: str, motion: str, group: Sequence[Score]) -> Leaderboard:
+    entries: dict[tuple[str, Column], tuple[Score, ...]] = {}
+    for score in group:
+        key = (score.cell.policy, Column.of(score.cell))
+        entries[key] = (*entries.get(key, ()), score)
+    columns = tuple(dict.fromkeys(column for _, column in entries))
 
     def rank(policy: str) -> tuple[float, str]:
-        share = _share(places.get((policy, columns[0]), ()))
-        return (1.0 if share is None else -share.median), policy
+        fraction = _fraction(entries.get((policy, columns[0]), ()))
+        return (1.0 if fraction is None else -fraction.median), policy
 
-    policies = sorted({policy for policy, _ in places}, key=rank)
-    return Board(env_id=env_id, motion=motion, columns=columns, policies=tuple(policies), places=places)
-
-
-def _share(some: Sequence[Standing]) -> Share | None:
-    scores = [one.score for one in some if one.score is not None]
-    return Share(median=median(scores), worst=min(scores)) if scores and len(scores) == len(some) else None
+    policies = sorted({policy for policy, _ in entries}, key=rank)
+    return Leaderboard(env_id=env_id, motion=motion, columns=columns, policies=tuple(policies), entries=entries)
 
 
-def _standing(record: Record, cell: PolicyCell, bests: Mapping[str, Best]) -> Standing:
-    best = bests.get(motion_key(cell))
+def _fraction(entry: Sequence[Score]) -> Fraction | None:
+    values = [score.score for score in entry if score.score is not None]
+    return Fraction(median=median(values), worst=min(values)) if values and len(values) == len(entry) else None
+
+
+def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
+    best = references.get(motion_key(cell))
     reference = None if best is None else best.payload
     payload = record.result.get("payload")
     ranked = cell.criterion == "task" and record.error is None and reference is not None and reference > 0
-    return Standing(
+    return Score(
         cell=cell,
         result=record.result,
-        best=reference,
+        best_known=reference,
         score=(payload or 0.0) / reference if ranked and reference else None,
-        raised=ranked and cell.uncertainty is None and best is not None and best.raised_by == _carrier(cell),
+        raised=ranked and cell.uncertainty is None and best is not None and best.raised_by == _policy_and_model(cell),
     )
 
 
-def _carrier(cell: PolicyCell) -> str:
-    return f"{cell.policy}, {cell.information}"
+def _policy_and_model(cell: PolicyCell) -> str:
+    return f"{cell.policy}, {cell.payload_model}"

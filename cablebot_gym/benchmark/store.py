@@ -1,4 +1,4 @@
-"""A folder of results, one file for each finished cell: nothing that is done gets lost, nothing broken gets used."""
+"""A folder of results with one file per finished cell."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, Record, canonical, cell_from
-from cablebot_gym.utils.files import write_text_whole
+from cablebot_gym.benchmark.cells import Cell, Record, canonical, cell_from_dict
+from cablebot_gym.utils.files import atomic_write_text
 
 FOLDER = "cells"
-"""Name of the folder beside the tables."""
+"""Name of the folder of the records, next to the tables."""
 
 
 class Store:
     """Records in a folder.
 
-    The name of a file holds what was asked (a readable stem, and a hash of all of it) and which code answered: results
-    of other code stay beside each other.
+    A file name consists of a readable stem, a hash of the cell and the hash of the code that computed it. Results of
+    different code versions therefore coexist.
 
     Args:
-        out: folder of the benchmark's results; the files are in its folder ``cells``.
-        say: gets a sentence for each file that cannot be used.
-        any_source: take results of other code where there is none of this one.
+        out: folder of the benchmark's results. The files are in its subfolder ``cells``.
+        say: called with one sentence for each unusable file.
+        any_source: whether to accept results of different code for cells without a result of the current code.
     """
 
     def __init__(self, out: Path, *, say: Callable[[str], None], any_source: bool = False) -> None:
         self._folder, self._say, self._any_source = out / FOLDER, say, any_source
         self.foreign = 0
-        """How many of the cells that were looked for are there by other code alone."""
+        """Number of requested cells that have only results of different code."""
 
     def find(self, cell: Cell) -> Record | None:
-        """The finished cell, or None: it is not there, broken, or of other code."""
+        """The record of a cell; None if it is missing, broken or computed by different code."""
         own = self._path(cell, cell.source)
         if own.exists() and (record := self._read(own, cell)) is not None and record.source == cell.source:
             return record
@@ -47,7 +47,7 @@ class Store:
         return next((record for path in newest if (record := self._read(path, cell)) is not None), None)
 
     def add(self, record: Record) -> None:
-        """Keeps a record that is final."""
+        """Writes a record if it is final."""
         if not record.final:
             return
         data: dict[str, Any] = {
@@ -59,25 +59,25 @@ class Store:
         }
         text = json.dumps(data | {"checksum": _checksum(data)}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         path = self._path(record.cell, record.source)
-        write_text_whole(path, text)
+        atomic_write_text(path, text)
 
     def _path(self, cell: Cell, source: str) -> Path:
         return self._folder / f"{cell.stem}-{_short(cell.key)}-{source}.json"
 
     def _read(self, path: Path, cell: Cell) -> Record | None:
-        """The record in a file if it is whole and the cell's, else None, and says why."""
+        """The record in a file; None, with a message, if the file is broken or belongs to another cell."""
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
             checksum = data.pop("checksum")
-            record = Record(**(data | {"cell": cell_from(data["cell"])}))
+            record = Record(**(data | {"cell": cell_from_dict(data["cell"])}))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-            self._say(f"{path} is broken ({type(error).__name__}): its cell is computed anew")
+            self._say(f"{path} is broken ({type(error).__name__}); its cell is computed again")
             return None
         if checksum != _checksum(data):
-            self._say(f"{path} was changed after it was written: its cell is computed anew")
+            self._say(f"{path} was modified after it was written; its cell is computed again")
             return None
         if record.cell.key != cell.key:
-            self._say(f"{path} holds another cell than its name says: its cell is computed anew")
+            self._say(f"{path} contains a different cell than its name says; its cell is computed again")
             return None
         return record
 

@@ -1,4 +1,4 @@
-"""Which cells a benchmark has: suites as data, and the policies that take part."""
+"""Suites of the benchmark as data, and the cells and policies that they contain."""
 
 from __future__ import annotations
 
@@ -8,50 +8,53 @@ from itertools import product
 from types import MappingProxyType
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestCell, Cell, PolicyCell
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Conditions under which every policy is asked, all combinations."""
+    """Conditions under which every policy is evaluated. All combinations of the tuples are cells."""
 
     loops: int = 0
-    """Held-out motions; 0 for the paper's circle."""
-    information: tuple[str, ...] = ("told", "untold")
-    """Information sets, see :data:`~cablebot_gym.benchmark.cells.TOLD_SHARE`."""
+    """Number of held-out motions; 0 for the paper's circle."""
+    payload_known: tuple[bool, ...] = (True, False)
+    """Whether the policies' models include the payload."""
+    model_payload_factors: tuple[float, ...] = (1.0,)
+    """Ratios of the policies' model payload to the true payload."""
     criterion: str = "task"
-    """``paper`` is asked of laws that declare ``unclipped``, and is never ranked."""
+    """DLCC criterion. ``paper`` applies to laws that declare ``unsaturated_actions``, and is never ranked."""
     uncertainty: str | None = None
-    """Name of what else the policies do not know."""
+    """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Episodes at each payload."""
+    """Number of sampled episodes per payload."""
     axis: str | None = None
-    """Name of what is varied, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for nothing."""
+    """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none."""
     slow: bool = False
-    """Whether policies whose entry says that they are slow take part."""
+    """Whether to include policies whose entry is marked as slow."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """A benchmark."""
+    """A set of cells, given as conditions for all policies."""
 
     name: str
-    """What ``--suite`` takes."""
+    """Value of ``--suite``."""
     summary: str
-    """One line."""
+    """Description in one line."""
     env_ids: tuple[str, ...]
-    """Environments."""
+    """Environment ids."""
     blocks: tuple[Block, ...]
     """Conditions."""
 
 
-_WRONG = ("told-0.9", "told-1.1")
+_WRONG: dict[str, Any] = {"payload_known": (True,), "model_payload_factors": (0.9, 1.1)}
+"""A payload model that is wrong by 10 %."""
 
 SUITES = MappingProxyType(
     {
@@ -65,37 +68,37 @@ SUITES = MappingProxyType(
             ),
             Suite(
                 name="standard",
-                summary="every id, circle with and without uncertainty, three held-out motions; under half an hour",
+                summary="all environments, circle with and without uncertainty, 3 held-out motions; under half an hour",
                 env_ids=ENV_IDS,
                 blocks=(
                     Block(slow=True),
-                    Block(information=_WRONG),
-                    Block(information=("told",), criterion="paper"),
+                    Block(**_WRONG),
+                    Block(payload_known=(True,), criterion="paper"),
                     Block(uncertainty="table6", draws=32),
-                    Block(information=("untold",), uncertainty="sensors", draws=32),
+                    Block(payload_known=(False,), uncertainty="sensors", draws=32),
                     Block(loops=3),
                 ),
             ),
             Suite(
                 name="full",
-                summary="as standard, with 256 draws, both uncertainties together and twenty held-out motions; hours",
+                summary="standard with 256 draws, combined uncertainties and 20 held-out motions; hours",
                 env_ids=ENV_IDS,
                 blocks=(
                     Block(slow=True),
-                    Block(information=_WRONG, slow=True),
-                    Block(information=("told",), criterion="paper"),
+                    Block(**_WRONG, slow=True),
+                    Block(payload_known=(True,), criterion="paper"),
                     Block(uncertainty="table6", draws=256),
                     Block(uncertainty="sensors", draws=256),
                     Block(uncertainty="table6+sensors", draws=256),
                     Block(loops=20, slow=True),
-                    Block(loops=20, information=_WRONG),
+                    Block(loops=20, **_WRONG),
                 ),
             ),
             Suite(
                 name="maps",
-                summary="every id's circle under other bounds R, durations and joint stiffness K; an hour",
+                summary="circle of all environments for varied error bound R, duration and joint stiffness K; an hour",
                 env_ids=ENV_IDS,
-                blocks=tuple(Block(information=("told",), axis=axis) for axis in AXES),
+                blocks=tuple(Block(payload_known=(True,), axis=axis) for axis in AXES),
             ),
         )
     }
@@ -107,63 +110,70 @@ def find_suite(name: str) -> Suite:
     """A suite by name.
 
     Raises:
-        ValueError: if there is none of this name, naming those there are.
+        ValueError: if the name is unknown. The message lists the valid names.
     """
     if name not in SUITES:
-        raise ValueError(no_such("suite", name, SUITES))
+        raise unknown_name_error("suite", name, SUITES)
     return SUITES[name]
 
 
 def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
-    """The environments ``env_ids``, or all of a suite for none, in the suite's order.
+    """The environments ``env_ids`` in the order of the suite; all environments of the suite if ``env_ids`` is empty.
 
     Raises:
-        ValueError: if one is unknown, or is not in the suite.
+        ValueError: if an environment is unknown or not part of the suite.
     """
     for env_id in env_ids:
         env_robot(env_id)
         if env_id not in suite.env_ids:
-            raise ValueError(f"suite {suite.name!r} does not have {env_id}; its ids are {', '.join(suite.env_ids)}")
+            raise ValueError(f"suite {suite.name!r} does not contain {env_id}; it contains {', '.join(suite.env_ids)}")
     return tuple(env_id for env_id in suite.env_ids if not env_ids or env_id in env_ids)
 
 
 def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Policies for each environment of ``env_ids``: those of these names, or all installed ones for none.
+    """The names of the policies to evaluate on each environment.
 
-    An installed policy takes part where it is made for, a file or a ``package.module:factory`` everywhere.
+    An installed policy is evaluated on the environments that it supports; a policy file or a
+    ``package.module:factory`` on all environments.
+
+    Args:
+        names: policy names as on the command line; empty for all installed policies.
+        env_ids: environments.
 
     Raises:
-        ValueError: if one is unknown, or cannot be made for any of the environments.
+        ValueError: if a policy is unknown or supports none of the environments.
     """
     entries = policy_entries()
     chosen = list(dict.fromkeys(names)) or list(entries)
-    made_for = {name: entries[name].env_ids if name in entries else tuple(env_ids) for name in chosen}
+    supported = {name: entries[name].env_ids if name in entries else tuple(env_ids) for name in chosen}
     for name in names:
-        fits = [env_id for env_id in env_ids if env_id in made_for[name]]
+        fits = [env_id for env_id in env_ids if env_id in supported[name]]
         if not fits:
-            raise ValueError(f"policy {name!r} is made for {', '.join(made_for[name])}, not for {', '.join(env_ids)}")
+            raise ValueError(f"policy {name!r} supports {', '.join(supported[name])}, not for {', '.join(env_ids)}")
         if name not in entries:
-            _check_made(name, fits)
-    return {env_id: tuple(name for name in chosen if env_id in made_for[name]) for env_id in env_ids}
+            _check_loadable(name, fits)
+    return {env_id: tuple(name for name in chosen if env_id in supported[name]) for env_id in env_ids}
 
 
 def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str, Cell]:
-    """The cells by key, those of each environment together, the best found first.
+    """The cells by key, grouped by environment; the best known payloads of an environment come first.
 
     Args:
-        suite: what to ask.
-        policies: of each environment that is to be asked, from :func:`find_policies`.
+        suite: the suite.
+        policies: names of the policies by environment, from :func:`find_policies`.
     """
     cells: list[Cell] = []
     slow = {name for name, entry in policy_entries().items() if entry.slow}
     for env_id, names in policies.items():
-        own = [block for block in suite.blocks if block.axis != "stiffness" or env_id in FLEXIBLE_ENV_IDS]
-        for block in own:
+        blocks = [block for block in suite.blocks if block.axis != "stiffness" or env_id in FLEXIBLE_ENV_IDS]
+        for block in blocks:
             for motion in _motions(env_id, block.loops):
-                cells += _varied(block, BestCell(env_id=env_id, trajectory=motion))
-        for block in own:
-            asked = [name for name in names if block.slow or name not in slow]
-            for motion, name, information in product(_motions(env_id, block.loops), asked, block.information):
+                cells += _varied(block, BestKnownCell(env_id=env_id, trajectory=motion))
+        for block in blocks:
+            included = [name for name in names if block.slow or name not in slow]
+            for motion, name, known, factor in product(
+                _motions(env_id, block.loops), included, block.payload_known, block.model_payload_factors
+            ):
                 cells += _varied(
                     block,
                     PolicyCell(
@@ -171,7 +181,8 @@ def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str,
                         trajectory=motion,
                         policy=name,
                         criterion=block.criterion,
-                        information=information,
+                        payload_known=known,
+                        model_payload_factor=factor,
                         uncertainty=block.uncertainty,
                         draws=block.draws,
                     ),
@@ -180,11 +191,11 @@ def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str,
 
 
 def _varied(block: Block, cell: Cell) -> list[Cell]:
-    """The cell at every value of the block's axis."""
+    """The cell at every value of the block's axis; the cell alone if the block has no axis."""
     if block.axis is None:
         return [cell]
     axis = AXES[block.axis]
-    return [axis.put(cell, value) for value in axis.values]
+    return [axis.with_value(cell, value) for value in axis.values]
 
 
 def _motions(env_id: str, loops: int) -> list[dict[str, Any]]:
@@ -194,13 +205,13 @@ def _motions(env_id: str, loops: int) -> list[dict[str, Any]]:
     return [{"name": f"loop-{kind}", "seed": seed} for seed in held_out_seeds(loops)]
 
 
-def _check_made(name: str, env_ids: Sequence[str]) -> None:
-    """Refuses what is no policy anywhere; one that is made for some robots only fails in the cells of the others."""
-    refused: list[ValueError] = []
+def _check_loadable(name: str, env_ids: Sequence[str]) -> None:
+    """Rejects a policy that cannot be loaded for any of the environments."""
+    errors: list[ValueError] = []
     for env_id in env_ids:
         try:
             load_policy(name, find_robot(env_robot(env_id)))
         except ValueError as error:
-            refused.append(error)
-    if len(refused) == len(env_ids):
-        raise refused[0]
+            errors.append(error)
+    if len(errors) == len(env_ids):
+        raise errors[0]

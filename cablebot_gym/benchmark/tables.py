@@ -1,4 +1,4 @@
-"""The benchmark's tables: what stands in each place, in the terminal and as CSV."""
+"""The tables of the benchmark: entries as text, console output and CSV."""
 
 from __future__ import annotations
 
@@ -12,173 +12,197 @@ from typing import Any
 from rich.table import Table
 
 from cablebot_gym.benchmark.cells import Cell, Record
-from cablebot_gym.benchmark.maps import AXES, unusual
+from cablebot_gym.benchmark.maps import AXES, varied_axes
 from cablebot_gym.benchmark.scores import (
-    Best,
-    Board,
+    BestKnown,
     Column,
+    Leaderboard,
     PayloadMap,
-    Standing,
-    boards,
-    find_bests,
+    Score,
+    best_known_payloads,
+    leaderboards,
     payload_maps,
-    standings,
+    scores,
 )
+from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.console import results_console
 
-_INFORMATION = {"told": "told", "untold": "not told", "told-0.9": "told 0.9 ×", "told-1.1": "told 1.1 ×"}
-
 _CSV_FIELDS = (
-    *("env_id", "trajectory", "policy", "criterion", "information", "uncertainty", "draws", "probability"),
+    *(
+        "env_id",
+        "trajectory",
+        "policy",
+        "criterion",
+        "payload_known",
+        "model_payload_factor",
+        "uncertainty",
+        "draws",
+        "probability",
+    ),
     *("position_bound", "rotation_bound", "stiffness", "control_frequency", "seed"),
-    *("payload", "total_mass", "best_found", "score", "raised", "limit", "assured_payload", "fallbacks", "error"),
+    *("payload", "total_mass", "best_known", "score", "raised", "violation", "assured_payload", "fallbacks", "error"),
 )
 
 
 def heading(column: Column) -> str:
-    """Name of a column."""
-    words = [_INFORMATION[column.information], *([column.uncertainty] if column.uncertainty else [])]
+    """Heading of a column: payload model, uncertainty and, if it is not ``task``, the criterion."""
+    words = [
+        payload_model_text(column.payload_known, column.model_payload_factor),
+        *([column.uncertainty] if column.uncertainty else []),
+    ]
     return ", ".join([*words, "paper criterion [kg]"] if column.criterion == "paper" else words)
 
 
-def motion_title(board: Board) -> str:
-    """What a table's motions are."""
-    if board.motions > 1:
-        return f"{board.motions} held-out motions, {board.motion}: median and worst share"
-    if board.motion.startswith("paper-"):
+def motion_title(leaderboard: Leaderboard) -> str:
+    """Title of a table: its motion or its family of motions."""
+    if leaderboard.motions > 1:
+        return f"{leaderboard.motions} held-out motions, {leaderboard.motion}: median and worst fraction"
+    if leaderboard.motion.startswith("paper-"):
         return "the paper's circle"
-    number = next(iter(board.places.values()))[0].cell.trajectory.get("seed")
-    return f"held-out motion {board.motion}" + ("" if number is None else f" {number}")
+    number = next(iter(leaderboard.entries.values()))[0].cell.trajectory.get("seed")
+    return f"held-out motion {leaderboard.motion}" + ("" if number is None else f" {number}")
 
 
-def place(board: Board, policy: str, column: Column) -> str:
-    """What a table says of a policy under some conditions."""
-    some = board.places.get((policy, column), ())
-    if not some:
+def entry_text(leaderboard: Leaderboard, policy: str, column: Column) -> str:
+    """Table entry of a policy in a column: payload [kg] and fraction, or the fractions of several motions."""
+    entry = leaderboard.entries.get((policy, column), ())
+    if not entry:
         return "–"
-    if any(one.error is not None for one in some):
-        return "failed"
-    if not all(one.result.get("applicable", True) for one in some):
+    if any(score.error is not None for score in entry):
+        return "error"
+    if not all(score.result.get("applicable", True) for score in entry):
         return "n/a"
-    share = board.share(policy, column)
-    if board.motions > 1:
-        payloads = [one.payload or 0.0 for one in some]
+    fraction = leaderboard.fraction(policy, column)
+    if leaderboard.motions > 1:
+        payloads = [score.payload or 0.0 for score in entry]
         kilograms = f"{median(payloads):.2f} kg, {min(payloads):.2f} kg"
-        mark = "*" if any(one.raised for one in some) else ""
-        return kilograms if share is None else f"{share.median:.0%}, {share.worst:.0%}{mark}"
-    weight = some[0].weight + ("*" if some[0].raised else "")
-    return weight if share is None else f"{weight}, {share.median:.0%}"
+        mark = "*" if any(score.raised for score in entry) else ""
+        return kilograms if fraction is None else f"{fraction.median:.0%}, {fraction.worst:.0%}{mark}"
+    text = entry[0].payload_text + ("*" if entry[0].raised else "")
+    return text if fraction is None else f"{text}, {fraction.median:.0%}"
 
 
-def map_title(found: PayloadMap) -> str:
-    """What the table of the map ``found`` is."""
-    return f"{found.env_id}, the paper's circle, told: payload by {found.axis.label}"
+def map_title(payload_map: PayloadMap) -> str:
+    """Title of the table of a map."""
+    return f"{payload_map.env_id}, the paper's circle, payload known: payload by {payload_map.axis.label}"
 
 
-def map_rows(found: PayloadMap) -> list[list[str]]:
-    """The table of the map ``found``: values of the axis above, then the best found, then a row for each policy."""
-    rows = [["", *(f"{value * found.axis.scale:g}" for value in found.values)]]
-    rows.append(["best found", *("–" if best is None else f"{best:.2f}" for best in found.bests)])
-    return rows + [[policy, *map(_on_map, some)] for policy, some in found.policies.items()]
+def map_rows(payload_map: PayloadMap) -> list[list[str]]:
+    """The table of a map: a row of parameter values, a row of best known payloads, and one row per policy."""
+    rows = [["", *(f"{value * payload_map.axis.scale:g}" for value in payload_map.values)]]
+    rows.append(["best known payload", *("–" if best is None else f"{best:.2f}" for best in payload_map.best_known)])
+    return rows + [[policy, *map(_map_entry, entries)] for policy, entries in payload_map.policies.items()]
 
 
-def _on_map(one: Standing | None) -> str:
-    if one is None or one.error is not None:
-        return "–" if one is None else "failed"
-    return one.weight if one.score is None else f"{one.weight}, {one.score:.0%}"
+def _map_entry(score: Score | None) -> str:
+    if score is None or score.error is not None:
+        return "–" if score is None else "error"
+    return score.payload_text if score.score is None else f"{score.payload_text}, {score.score:.0%}"
 
 
 def task_title(cell: Cell) -> str:
-    """Motion, and what of the task is not as usual."""
+    """The motion of a cell and the parameters that are not at their defaults."""
     fields = dict(cell.trajectory)
     words = [str(fields.pop("name")), *(str(value) for name, value in fields.items() if name != "duration")]
-    words += [f"{AXES[name].label} {AXES[name].of(cell) * AXES[name].scale:g}" for name in unusual(cell)]
+    words += [f"{AXES[name].label} {AXES[name].value(cell) * AXES[name].scale:g}" for name in varied_axes(cell)]
     return ", ".join([" ".join(words[:2]), *words[2:]]) if "seed" in fields else ", ".join(words)
 
 
-def best_text(best: Best) -> str:
-    """One line about a best found."""
+def best_known_text(best: BestKnown) -> str:
+    """One line about a best known payload."""
     motion = task_title(best.cell)
     if best.payload is None:
-        why = best.result.get("error") or "what was found does not pass its replay"
-        return f"{best.cell.env_id}, {motion}: none: {why}"
-    raised = f"; raised to {best.payload:.3f} kg, which {best.raised_by} carries" if best.raised_by else ""
+        reason = best.result.get("error") or "the replay does not verify the result of the search"
+        return f"{best.cell.env_id}, {motion}: none: {reason}"
+    raised = f"; raised to {best.payload:.3f} kg, the DLCC of {best.raised_by}" if best.raised_by else ""
     return f"{best.cell.env_id}, {motion}: {best.result['payload']:.3f} kg{raised}"
 
 
 def failures(records: Sequence[Record]) -> list[str]:
-    """A sentence for each policy's failure, each once."""
-    said: dict[str, None] = {}
-    for one in standings(records):
-        if one.error is not None:
-            said[f"{one.cell.policy} failed on {one.cell.env_id}: {one.error}"] = None
-    return list(said)
+    """One sentence per distinct error of a policy."""
+    lines: dict[str, None] = {}
+    for score in scores(records):
+        if score.error is not None:
+            lines[f"{score.cell.policy} failed on {score.cell.env_id}: {score.error}"] = None
+    return list(lines)
 
 
 def fallbacks(records: Sequence[Record]) -> list[str]:
-    """A sentence for each policy that fell back on something safer at a payload that counts."""
-    counted: dict[tuple[str, str], list[float]] = {}
-    for one in standings(records):
-        if (number := one.result.get("fallbacks")) is not None:
-            counted.setdefault((one.cell.policy, one.cell.env_id), []).append(number)
+    """One sentence per policy and environment with fallbacks at the DLCC."""
+    groups: dict[tuple[str, str], list[float]] = {}
+    for score in scores(records):
+        if (number := score.result.get("fallbacks")) is not None:
+            groups.setdefault((score.cell.policy, score.cell.env_id), []).append(number)
     return [
-        f"{policy} on {env_id} fell back {max(numbers):.3g} times an episode at most, in {_cells(numbers)} cells"
-        for (policy, env_id), numbers in counted.items()
+        f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per episode, in {_cells(numbers)} cells"
+        for (policy, env_id), numbers in groups.items()
         if max(numbers) > 0
     ]
 
 
 def print_benchmark(records: Sequence[Record]) -> None:
-    """The tables in the terminal, and what has to be said of them."""
+    """Prints the tables, the best known payloads and the notes."""
     console = results_console()
-    for board in boards(records):
-        console.print(f"{board.env_id}, {motion_title(board)}", highlight=False)
+    for leaderboard in leaderboards(records):
+        console.print(f"{leaderboard.env_id}, {motion_title(leaderboard)}", highlight=False)
         table = Table()
         table.add_column("policy", overflow="fold")
-        for column in board.columns:
+        for column in leaderboard.columns:
             table.add_column(heading(column), justify="right")
-        for policy in board.policies:
-            table.add_row(policy, *(place(board, policy, column) for column in board.columns))
+        for policy in leaderboard.policies:
+            table.add_row(policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns))
         console.print(table)
-    for found in payload_maps(records):
-        console.print(map_title(found), highlight=False)
-        first, *rows = map_rows(found)
+    for payload_map in payload_maps(records):
+        console.print(map_title(payload_map), highlight=False)
+        head, *rows = map_rows(payload_map)
         table = Table()
-        for place_, title in enumerate(first):
-            table.add_column(title, justify="right" if place_ else "left")
+        for index, title in enumerate(head):
+            table.add_column(title, justify="right" if index else "left")
         for row in rows:
             table.add_row(*row)
         console.print(table)
-    console.print("payload [kg] and its share of the best found, task criterion; best found:", highlight=False)
-    bests = list(find_bests(records).values())
-    for line in [*map(best_text, bests), *failures(records), *fallbacks(records)]:
+    console.print(
+        "Entries: payload [kg] and its fraction of the best known payload, task criterion. Best known payloads:",
+        highlight=False,
+    )
+    references = list(best_known_payloads(records).values())
+    for line in [*map(best_known_text, references), *failures(records), *fallbacks(records)]:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
-    if any(best.raised_by for best in bests):
-        console.print("*: a payload is the best found itself, which is raised to it", highlight=False)
+    if any(best.raised_by for best in references):
+        console.print("*: this payload raised the best known payload", highlight=False)
 
 
 def csv_text(records: Sequence[Record]) -> str:
-    """One row for each policy's cell; units are SI."""
+    """CSV text with one row per policy cell, in SI units."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _CSV_FIELDS, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(flat(one) for one in standings(records))
+    writer.writerows(csv_row(score) for score in scores(records))
     return text.getvalue()
 
 
-def flat(one: Standing) -> dict[str, Any]:
-    """One standing as a row of :func:`csv_text`."""
-    cell, result, limit = one.cell, one.result, one.result.get("limit") or {}
-    conditions = ("criterion", "information", "uncertainty", "draws", "probability", "stiffness", "control_frequency")
+def csv_row(score: Score) -> dict[str, Any]:
+    """One score as a row of :func:`csv_text`."""
+    cell, result, violation = score.cell, score.result, score.result.get("violation") or {}
+    conditions = (
+        "criterion",
+        "payload_known",
+        "model_payload_factor",
+        "uncertainty",
+        "draws",
+        "probability",
+        "stiffness",
+        "control_frequency",
+    )
     return {
         **{name: getattr(cell, name) for name in ("env_id", "policy", *conditions, "seed")},
         "trajectory": json.dumps(dict(cell.trajectory)),
-        "position_bound": cell.limits["position"],
-        "rotation_bound": cell.limits["rotation"],
-        "best_found": one.best,
-        "score": one.score,
-        "raised": one.raised,
-        "limit": " ".join(str(limit[name]) for name in ("kind", "index") if limit.get(name) is not None),
+        "position_bound": cell.error_bounds["position"],
+        "rotation_bound": cell.error_bounds["rotation"],
+        "best_known": score.best_known,
+        "score": score.score,
+        "raised": score.raised,
+        "violation": " ".join(str(violation[name]) for name in ("kind", "index") if violation.get(name) is not None),
         **{name: result.get(name) for name in ("payload", "total_mass", "assured_payload", "fallbacks", "error")},
     }
 

@@ -1,4 +1,4 @@
-"""Payload bounds without a policy: the closed form, the best known payload, a certificate of what is out of reach."""
+"""Payload bounds independent of a policy: closed form, best known payload, and certificate of an upper bound."""
 
 from cablebot_gym.bounds.closed_form import ExactPayload, exact_payload
 

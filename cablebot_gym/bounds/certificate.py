@@ -1,42 +1,44 @@
-"""An upper certificate of the payload: a proof that no motion and no inputs carry more, planar robots.
+"""Certificate of an upper payload bound for planar robots: a proof that no motion and no inputs carry more.
 
-**Statement.** A rigid planar robot starts at the reference's pose and velocity. No motion that stays within R of the
-reference ``p_d`` at every time, with taut cables that only pull (T ≥ 0) and motors below their torque-speed lines, has
-a total mass above ``total_mass``. Nothing is assumed of the motion's speed or acceleration.
+**Statement.** A rigid planar robot starts at the pose and velocity of the reference. Consider all motions that stay
+within R of the reference ``p_d`` at every time, with taut cables that only pull (T ≥ 0) and motors below their
+torque-speed lines. No such motion has a total mass above ``total_mass``. The statement makes no assumption about the
+speed or acceleration of the motion.
 
-**Proof.** Let M be the total mass, ``q_i`` the cables' lengths and ``d_i`` their directions from the platform to the
-anchors. Equations 1 and 37 give ``M p̈ = Σ T_i d_i`` and, since ``β̇ = −q̇/r``,
+**Proof.** Let M be the total mass, ``q_i`` the lengths of the cables and ``d_i`` their directions from the platform to
+the anchors. Equations 1 and 37 give ``M p̈ = Σ T_i d_i`` and, since ``β̇ = −q̇/r``,
 
     0 ≤ T_i ≤ s_i + k_i q̇_i + μ_i q̈_i,    s = τ_s/r,  k = (τ_s/ω_n + c)/r²,  μ = J/r².                            (1)
 
-Take *any* functions of time alone, w(t) in the plane and φ_i(t) ≥ 0, with
+Choose *any* functions of time, w(t) in the plane and φ_i(t) ≥ 0, with
 
     φ_i(t) ≥ w(t)·d_i(p)  for every p within R of p_d(t).                                                          (2)
 
 As T_i ≥ 0, every motion satisfies ``M ∫ w·p̈ = ∫ Σ T_i w·d_i ≤ ∫ Σ T_i φ_i ≤ ∫ Σ φ_i (s_i + k_i q̇_i + μ_i q̈_i)``.
-Let w, φ and their rates vanish at the end (and at their start, unless that is t = 0, where pose and velocity are
-known). Integrating by parts until only positions are left, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
+Let w, φ and their rates vanish at the end. Let them also vanish at their start, unless that is t = 0, where pose and
+velocity are known. Integration by parts until only positions remain gives, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
 
     M (ẇ(0)·p(0) − w(0)·ṗ(0) + ∫ ẅ·p) − Σ (∫ s_i φ_i + μ_i (φ̇_i(0) q_i(0) − φ_i(0) q̇_i(0)) − k_i φ_i(0) q_i(0)
       + ∫ b_i q_i) ≤ 0.                                                                                            (3)
 
-Positions are known up to the tube: with ``p = p_d + e``, |e| ≤ R and u_i = −d_i(p_d), geometry gives
-``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i``. So the left side of (3) is at least
+Positions are known up to the tube. With ``p = p_d + e``, |e| ≤ R and u_i = −d_i(p_d), geometry gives
+``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i``. Hence the left side of (3) is at least
 
     h(M) = [the same at p_d] − ∫ (R |M ẅ − Σ b_i u_i| + Σ max(b_i, 0) κ_i) dt.                                     (4)
 
-Where h(M) > 0 nothing carries M. Nor does anything carry more, as there is no gravity: a lighter mass takes the same
-motion with tensions scaled down. The certificate is the zero of the concave function h.
+If h(M) > 0, no motion carries M. No motion carries a larger mass either: there is no gravity, so a lighter mass admits
+the same motion with tensions scaled down. The certificate is the zero of the concave function h.
 
-**Quadrature.** w and φ are quadratic splines, C¹. Between instants η apart p_d is replaced by its chord, and R by
-``R + max|p̈_d| η²/8``; what is left are functions of known curvature along straight lines, and a function lies within
-η²/8 of its largest second derivative of its own chord. With speed V of the chord and a cable no shorter than ρ, a
-direction turns by at most V/ρ, with at most √(4/3) V²/ρ² as second derivative, and q̈ is in [0, V²/ρ]. Each estimate is
-taken to the safe side in :func:`proved_mass`; only rounding is neglected. (2) is closed: over a disc of radius R at
-distance q a direction turns by up to arcsin(R/q).
+**Quadrature.** w and φ are quadratic splines, C¹. Between instants η apart, p_d is replaced by its chord, and R by
+``R + max|p̈_d| η²/8``. The remaining functions have a known curvature along straight lines. A function differs from its
+chord by at most η²/8 times its largest second derivative. With speed V of the chord and a cable no shorter than ρ, a
+direction turns at a rate of at most V/ρ, its second derivative is at most √(4/3) V²/ρ², and q̈ is in [0, V²/ρ].
+:func:`proved_mass` applies each estimate conservatively and neglects only rounding. Condition (2) has a closed form:
+over a disc of radius R at distance q, a direction turns by up to arcsin(R/q).
 
-**Choice of w and φ.** For given M the largest h, with ∫ w·p̈_d = 1, is a second-order cone problem, solved here as a
-linear programme with polygons for circles; its exactness does not matter to the proof. M is lowered until h vanishes.
+**Choice of w and φ.** For given M, the maximum of h subject to ∫ w·p̈_d = 1 is a second-order cone program. It is solved
+as a linear program in which polygons replace circles. The accuracy of its solution does not affect the proof. M is
+lowered until h vanishes.
 """
 
 from __future__ import annotations
@@ -53,34 +55,34 @@ from scipy.optimize import brentq, linprog, minimize_scalar
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits, find_limits
+from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 
 REFINEMENT = 8
-"""Chords of the reference in each interval between knots."""
+"""Number of chords of the reference in each interval between knots."""
 
-WILDNESS = 1.1
-"""Between samples, the reference's acceleration is taken to stay below this multiple of the largest one sampled."""
+ACCELERATION_FACTOR = 1.1
+"""Assumed largest ratio of the acceleration of the reference between samples to the largest sampled one."""
 
 _COARSE, _FINE = 80, 160
-"""Intervals between knots: on the whole motion, and where the first multiplier turned out not to vanish."""
+"""Number of intervals between knots: on the full motion, and on the support of the first multiplier."""
 _DIRECTIONS = 24
-"""Corners of the polygon that stands for a circle in the linear programme."""
+"""Number of corners of the polygon that approximates a circle in the linear program."""
 _ENOUGH = 1e-3
-"""Relative improvement at which the search stops."""
+"""Relative improvement below which the search stops."""
 _TRIALS = 12
-"""Linear programmes in a pass, at most."""
+"""Largest number of linear programs in a pass."""
 _ROUNDING = 1e-12
-"""Share of the largest w that is nothing to it."""
+"""Fraction of the largest w below which a coefficient counts as zero."""
 _HEAVIEST = 1e12
-"""Mass [kg] beyond which nothing is looked for."""
+"""Largest mass in the search [kg]."""
 _TURN = math.sqrt(4 / 3)
-"""Largest |d²u/dt²| of a direction u to a point passed in a straight line, in V²/ρ²: max of sin·√(sin² + 4 cos²)."""
+"""Largest |d²u/dt²| of a direction u to a point during straight motion [V²/ρ²]: maximum of sin·√(sin² + 4 cos²)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Multiplier:
-    """w and φ as quadratic splines on N equal intervals: what proves a certificate."""
+    """The functions w and φ of a proof, as quadratic splines on N equal intervals."""
 
     start: float
     """First knot [s]."""
@@ -92,14 +94,14 @@ class Multiplier:
     """Coefficients of φ, (N + 2, m)."""
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
-        """``(w, ẇ, ẅ)`` of shape (3, …, 2) and ``(φ, φ̇, φ̈)`` of shape (3, …, m) at times of shape (…); ẅ and φ̈ from
-        the right at knots, and all zero outside."""
+        """``(w, ẇ, ẅ)`` of shape (3, …, 2) and ``(φ, φ̇, φ̈)`` of shape (3, …, m) at times of shape (…). At knots ẅ and
+        φ̈ are the limits from the right. All values are zero outside the knots."""
         intervals = len(self.force) - 2
         width = (self.end - self.start) / intervals
-        place = (np.asarray(times, float) - self.start) / width
-        interval = np.clip(np.floor(place).astype(int), 0, intervals - 1)
-        inside = ((place >= 0) & (place <= intervals))[..., None]
-        at = np.stack(_spline(place - interval, width))  # (3, 3, …): derivative, coefficient
+        position = (np.asarray(times, float) - self.start) / width
+        interval = np.clip(np.floor(position).astype(int), 0, intervals - 1)
+        inside = ((position >= 0) & (position <= intervals))[..., None]
+        at = np.stack(_spline(position - interval, width))  # (3, 3, …): derivative, coefficient
         first, second = (
             np.where(inside, np.einsum("dc...,c...i->d...i", at, np.stack([c[interval + j] for j in range(3)])), 0.0)
             for c in (self.force, self.tension)
@@ -109,32 +111,33 @@ class Multiplier:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate:
-    """No motion and no inputs carry more than this within the limits, see the module for statement and proof."""
+    """Proved upper bound of the mass. The module docstring has the statement and the proof."""
 
     total_mass: float
-    """Platform and payload [kg]; ``inf``: no mass is excluded."""
+    """Upper bound of the mass of platform and payload [kg]; ``inf`` if no mass is excluded."""
     platform_mass: float
-    """Mass without payload [kg]."""
-    limits: Limits
-    """Bounds of the error; the position's is R."""
+    """Mass of the platform [kg]."""
+    error_bounds: ErrorBounds
+    """Bounds of the tracking error; the position bound is R."""
     conditions: str
-    """What it takes for granted, in words."""
+    """Assumptions of the proof, as text."""
     method: str
-    """How it was proved, in words."""
+    """Method of the proof, as text."""
     multiplier: Multiplier | None
-    """What proves it: ``proved_mass(robot, trajectory, limits, multiplier)`` gives ``total_mass``. None: no proof."""
+    """Multiplier of the proof: ``proved_mass(robot, trajectory, error_bounds, multiplier)`` returns ``total_mass``.
+    None without proof."""
 
     @property
     def payload(self) -> float:
-        """Payload that no motion exceeds [kg]; negative: not even the platform can be moved so."""
+        """Upper bound of the payload [kg]; negative if the motion is infeasible even unloaded."""
         return self.total_mass - self.platform_mass
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able data, without the multiplier; masses that nothing bounds are None."""
+        """JSON-able data without the multiplier. Infinite masses are None."""
         return {
             "total_mass": self.total_mass if math.isfinite(self.total_mass) else None,
             "payload": self.payload if math.isfinite(self.payload) else None,
-            "limits": {"position": self.limits.position},
+            "error_bounds": {"position": self.error_bounds.position},
             "conditions": self.conditions,
             "method": self.method,
         }
@@ -143,35 +146,37 @@ class Certificate:
 CONDITIONS = (
     "the nominal rigid robot without disturbances, started on the reference; taut cables that only pull; errors and "
     "torque-speed lines kept at every instant (a simulated drive reads its speed once in a physics step); a reference "
-    f"whose acceleration, between samples, stays below {WILDNESS} times the largest one sampled"
+    f"whose acceleration, between samples, stays below {ACCELERATION_FACTOR} times the largest one sampled"
 )
 METHOD = "duality: multipliers in time for force balance and torque-speed lines, integrated by parts to positions"
 
 
 def planar_certificate(
-    robot: Robot, trajectory: Trajectory, limits: Limits | dict[str, float] | None = None, *, passes: int = 3
+    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None = None, *, passes: int = 3
 ) -> Certificate:
-    """A mass that no motion and no inputs of a planar robot exceed within the limits, proved as in the module.
+    """Computes a mass that no motion and no inputs of a planar robot exceed within the limits.
+
+    The module docstring has the statement and the proof.
 
     Args:
-        robot: planar, with a rigid transmission.
-        trajectory: for a planar robot.
-        limits: bound R of the position error; None for the default.
-        passes: how often the knots are refined, a few seconds each; ≥ 1. One gives a valid, looser certificate.
+        robot: a planar robot with a rigid transmission.
+        trajectory: reference motion of a planar robot.
+        error_bounds: bound R of the position error; None for the default.
+        passes: number of refinements of the knots, a few seconds each; ≥ 1. One pass gives a valid, looser bound.
 
     Raises:
-        ValueError: if an argument is not valid, the tube reaches an anchor, or no certificate is known for this kind
-            of robot.
+        ValueError: if an argument is invalid, if the tube reaches an anchor, or if no certificate is known for this
+            kind of robot.
     """
-    trajectory, limits = _checked(robot, trajectory, limits)
+    trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
     if isinstance(passes, bool) or not isinstance(passes, int) or passes < 1:
-        raise ValueError(f"passes must be a whole number of at least 1, not {passes!r}")
-    multipliers = list(_multipliers(robot, trajectory, limits, passes))
+        raise ValueError(f"passes must be an integer of at least 1, not {passes!r}")
+    multipliers = list(_multipliers(robot, trajectory, error_bounds, passes))
     best = multipliers[-1] if multipliers else None
     return Certificate(
-        total_mass=math.inf if best is None else proved_mass(robot, trajectory, limits, best),
+        total_mass=math.inf if best is None else proved_mass(robot, trajectory, error_bounds, best),
         platform_mass=robot.mass,
-        limits=limits,
+        error_bounds=error_bounds,
         conditions=CONDITIONS,
         method=METHOD,
         multiplier=best,
@@ -179,36 +184,36 @@ def planar_certificate(
 
 
 def proved_mass(
-    robot: Robot, trajectory: Trajectory, limits: Limits | dict[str, float] | None, multiplier: Multiplier
+    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None, multiplier: Multiplier
 ) -> float:
-    """The total mass above which a multiplier proves that no motion exists [kg]; ``inf`` if it proves nothing.
+    """Total mass above which a multiplier excludes every motion [kg]; ``inf`` if it excludes no mass.
 
     Args:
-        robot: planar and rigid.
-        trajectory: for a planar robot.
-        limits: bound R of the position error; None for the default.
-        multiplier: any; whether it fulfils (2) and vanishes where it has to is checked here.
+        robot: a planar robot with a rigid transmission.
+        trajectory: reference motion of a planar robot.
+        error_bounds: bound R of the position error; None for the default.
+        multiplier: any multiplier. The function checks condition (2) and the zeros at the ends.
 
     Raises:
-        ValueError: as :func:`planar_certificate`, or if the multiplier's knots leave the motion.
+        ValueError: as in :func:`planar_certificate`, or if a knot of the multiplier is outside the motion.
     """
-    trajectory, limits = _checked(robot, trajectory, limits)
+    trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
     if not 0 <= multiplier.start < multiplier.end <= trajectory.duration:
         raise ValueError(
-            f"the multiplier's knots must lie in the motion's 0 to {trajectory.duration:g} s, not from "
+            f"the knots of the multiplier must lie within the motion, 0 to {trajectory.duration:g} s, not "
             f"{multiplier.start:g} to {multiplier.end:g} s"
         )
-    tube = _Tube(robot, trajectory, limits, multiplier.start, multiplier.end, len(multiplier.force) - 2)
+    tube = _Tube(robot, trajectory, error_bounds, multiplier.start, multiplier.end, len(multiplier.force) - 2)
     return _zero(tube, multiplier.force, multiplier.tension)
 
 
 def _checked(
-    robot: Robot, trajectory: Trajectory, limits: Limits | dict[str, float] | None
-) -> tuple[Trajectory, Limits]:
+    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None
+) -> tuple[Trajectory, ErrorBounds]:
     if not robot.planar or robot.flexible:
-        kind = "has flexible joints" if robot.flexible else "is spatial"
-        raise ValueError(f"no upper certificate is known for {robot.name!r}, which {kind}: it must be planar and rigid")
-    return find_trajectory(trajectory, robot.coordinates), find_limits(limits)
+        kind = "flexible" if robot.flexible else "spatial"
+        raise ValueError(f"robot {robot.name!r} is {kind}: a certificate is only available for planar rigid robots")
+    return find_trajectory(trajectory, robot.coordinates), find_error_bounds(error_bounds)
 
 
 def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:
@@ -222,22 +227,23 @@ def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:
 
 
 class _Tube:
-    """The reference's chords between ``start`` and ``end`` with what (3) and (4) need of them.
+    """Chords of the reference between ``start`` and ``end``, with the quantities of (3) and (4).
 
-    Arrays over chords have shape (chords, …), over their ends (chords + 1, …); chords = REFINEMENT · intervals.
+    Arrays over chords have shape (chords, …) with chords = REFINEMENT · intervals. Arrays over their ends have shape
+    (chords + 1, …).
     """
 
     def __init__(
-        self, robot: Robot, trajectory: Trajectory, limits: Limits, start: float, end: float, intervals: int
+        self, robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, start: float, end: float, intervals: int
     ) -> None:
         self.robot, self.start, self.end, self.intervals = robot, start, end, intervals
         self.width = (end - start) / intervals
         self.chord = self.width / REFINEMENT
-        self.known_start = start == 0  # pose and velocity
+        self.known_start = start == 0  # pose and velocity are known at t = 0
         chords = intervals * REFINEMENT
         twice = trajectory(np.minimum(start + np.arange(2 * chords + 1) * (self.chord / 2), trajectory.duration))
-        self.acceleration = WILDNESS * float(np.linalg.norm(twice.acceleration, axis=-1).max())
-        self.radius = limits.position + self.acceleration * self.chord**2 / 8
+        self.acceleration = ACCELERATION_FACTOR * float(np.linalg.norm(twice.acceleration, axis=-1).max())
+        self.radius = error_bounds.position + self.acceleration * self.chord**2 / 8
         self.position, self.first_velocity = twice.position[::2], twice.velocity[0]
         self.speed = np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
 
@@ -250,8 +256,8 @@ class _Tube:
         if np.any(shortest <= self.radius):
             cable = int(np.argmin(shortest.min(axis=0))) + 1
             raise ValueError(
-                f"no certificate: the tube of {limits.position:g} m reaches the anchor of cable {cable}; choose a "
-                "smaller position bound or another trajectory"
+                f"no certificate exists: the tube of {error_bounds.position:g} m reaches the anchor of cable {cable}. "
+                "Choose a smaller position bound or another trajectory"
             )
         self.arc = np.arcsin(self.radius / self.length)
         self.bulge = shortest - np.sqrt(shortest**2 - self.radius**2)  # κ
@@ -261,7 +267,7 @@ class _Tube:
         self.sagging = self.speed**2 / shortest
 
         fractions = np.arange(REFINEMENT + 1) / REFINEMENT
-        self.splines: Array = np.array(_spline(fractions, self.width))  # (derivative, coefficient, place in interval)
+        self.splines: Array = np.array(_spline(fractions, self.width))  # (derivative, coefficient, point in interval)
         self.free_force = np.ones(intervals + 2, bool)
         self.free_tension = np.ones(intervals + 2, bool)
         self.free_tension[-2:] = self.free_force[-4:] = False
@@ -281,19 +287,21 @@ class _Tube:
         return ends(value), ends(rate), second[:, :-1].reshape(-1, *second.shape[2:])
 
     def _functionals(self) -> None:
-        """The left side of (3) on the chords, with every q_i linear along each, as linear functions of coefficients:
-        ``force`` (N + 2, 2) without its factor M, and ``tension`` (N + 2, m)."""
+        """Computes the left side of (3) as linear functions of the coefficients. Every q_i is linear along each chord.
+
+        The result is ``force`` (N + 2, 2), without its factor M, and ``tension`` (N + 2, m).
+        """
         n, eta = self.intervals, self.chord
         self.force, self.tension = np.zeros((n + 2, 2)), np.zeros((n + 2, self.robot.cables))
-        place = self.position[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
+        position = self.position[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
         length = self.length[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
-        whole = eta * np.concatenate([[0.5], np.ones(REFINEMENT - 1), [0.5]])
+        trapezoid = eta * np.concatenate([[0.5], np.ones(REFINEMENT - 1), [0.5]])
         for j in range(3):
             _, rate, second = self.splines[:, j]
-            self.force[j : j + n] += np.einsum("s,ksi->ki", whole * second, place)
+            self.force[j : j + n] += np.einsum("s,ksi->ki", trapezoid * second, position)
             area = self.width * (1 / 6, 2 / 3, 1 / 6)[j]
-            bent = np.einsum("s,ksi->ki", whole * second, length)
-            # ∫ of a product of two functions that are linear along each chord, exactly
+            bent = np.einsum("s,ksi->ki", trapezoid * second, length)
+            # exact ∫ of a product of two functions that are linear along each chord
             left, right = rate[:-1], rate[1:]
             weight = np.zeros(REFINEMENT + 1)
             weight[:-1] += eta * (2 * left + right) / 6
@@ -308,7 +316,7 @@ class _Tube:
             self.tension[:3] += self.slope * np.outer(value, self.length[0])
 
     def deficits(self, force: Array, tension: Array) -> Array:
-        """By how much (2) may fail on each chord, at most, shape (chords, m); ≤ 0 where it holds."""
+        """Upper bound of the violation of (2) on each chord, shape (chords, m); ≤ 0 where (2) holds."""
         w, w_rate, w_second = (_norm(x) for x in self.chords(force))
         phi, _, phi_second = self.chords(tension)
         bend = w_second[:, None] + 2 * w_rate.max(axis=1)[:, None] * self.turning_in_tube
@@ -316,11 +324,11 @@ class _Tube:
         bend = bend + largest[:, None] * self.bending_in_tube + phi_second
         margin = np.maximum(bend, 0.0) * self.chord**2 / 8
         deficit = (self._support(force) - phi).max(axis=1) + margin
-        # Where w vanishes, (2) is φ ≥ 0: so it is with coefficients ≥ 0.
+        # Where w vanishes, (2) is φ ≥ 0, which follows from coefficients ≥ 0.
         return np.where((largest > 0)[:, None], deficit, 0.0)
 
     def _support(self, force: Array) -> Array:
-        """max of w·d_i over the disc, at both ends of each chord, shape (chords, 2, m)."""
+        """Maximum of w·d_i over the disc at both ends of each chord, shape (chords, 2, m)."""
         w = self.chords(force)[0][:, :, None]  # (chords, 2, 1, 2)
         towards = -np.stack([self.away[:-1], self.away[1:]], axis=1)
         arc = np.stack([self.arc[:-1], self.arc[1:]], axis=1)
@@ -330,7 +338,7 @@ class _Tube:
         return np.hypot(along, across) * np.cos(np.maximum(angle - arc, 0.0))
 
     def surplus(self, mass: float, force: Array, tension: Array) -> float:
-        """h(M) of (4), to the safe side."""
+        """Lower bound of h(M) in (4)."""
         _, _, w_second = self.chords(force)
         _, rate, second = self.chords(tension)
         b = self.inertia * second[:, None] - self.slope * rate  # (chords, 2, m)
@@ -351,16 +359,16 @@ def _norm(vectors: Array) -> Array:
 
 
 def _zero(tube: _Tube, force: Array, tension: Array) -> float:
-    """The mass where h changes its sign to positive; ``inf`` if there is none, or (2) fails."""
-    held = not (np.any(force[~tube.free_force]) or np.any(tension[~tube.free_tension]))
-    if not held or np.any(tension < 0) or np.any(tube.deficits(force, tension) > 0):
+    """The mass at which h becomes positive; ``inf`` if there is none or if (2) is violated."""
+    vanishes = not (np.any(force[~tube.free_force]) or np.any(tension[~tube.free_tension]))
+    if not vanishes or np.any(tension < 0) or np.any(tube.deficits(force, tension) > 0):
         return math.inf
     if tube.surplus(0.0, force, tension) > 0:
         return 0.0
     high = 1.0
     while tube.surplus(2 * high, force, tension) > tube.surplus(high, force, tension) and high < _HEAVIEST:
         high *= 2
-    # h is concave: its largest value is at most one doubling away.
+    # h is concave, so its maximum is at most one doubling away.
     top = minimize_scalar(lambda mass: -tube.surplus(mass, force, tension), bounds=(high / 2, 2 * high)).x
     if tube.surplus(top, force, tension) <= 0:
         return math.inf
@@ -368,53 +376,53 @@ def _zero(tube: _Tube, force: Array, tension: Array) -> float:
 
 
 def _lifted(tube: _Tube, force: Array, tension: Array) -> Array:
-    """The least change of φ's coefficients, more or less, with which (2) holds everywhere."""
+    """Raises the coefficients of φ, approximately as little as possible, until (2) holds everywhere."""
     for _ in range(50):
         deficit = tube.deficits(force, tension).reshape(tube.intervals, REFINEMENT, -1).max(axis=1)
         if np.all(deficit <= 0):
             break
-        # A little more than needed, or rounding would leave nothing of a small lift.
+        # A small surplus, because rounding would cancel a small lift.
         lift = np.where(deficit > 0, deficit * (1 + 1e-6) + _ROUNDING * np.abs(force).max(), 0.0)
         padded = np.pad(lift, ((2, 2), (0, 0)))
-        needed = np.max([padded[j : j + tube.intervals + 2] for j in range(3)], axis=0)
-        tension = tension + np.where(tube.free_tension[:, None], needed, 0.0)
+        raised = np.max([padded[j : j + tube.intervals + 2] for j in range(3)], axis=0)
+        tension = tension + np.where(tube.free_tension[:, None], raised, 0.0)
     return tension
 
 
-def _multipliers(robot: Robot, trajectory: Trajectory, limits: Limits, passes: int) -> Iterator[Multiplier]:
-    """Multipliers that prove less and less: on the whole motion first, then on fine knots where it matters."""
+def _multipliers(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, passes: int) -> Iterator[Multiplier]:
+    """Multipliers with decreasing bounds: first on the full motion, then on fine knots over the support of w."""
     start, end, intervals, mass = 0.0, float(trajectory.duration), _COARSE, math.inf
     for _ in range(passes):
-        tube = _Tube(robot, trajectory, limits, start, end, intervals)
-        before, mass, found = mass, *_best(tube, mass)
-        if found is None:
+        tube = _Tube(robot, trajectory, error_bounds, start, end, intervals)
+        before, mass, multiplier = mass, *_best(tube, mass)
+        if multiplier is None:
             return
-        yield found
+        yield multiplier
         if mass > before * (1 - _ENOUGH):
             return
-        weight = _norm(found.force)
+        weight = _norm(multiplier.force)
         used = np.flatnonzero(weight > 1e-3 * weight.max())  # coefficient j acts on intervals j - 2 to j
         start = max(0.0, start + float(used[0] - 8) * tube.width)
-        end = min(end, found.start + float(used[-1] + 6) * tube.width)
+        end = min(end, multiplier.start + float(used[-1] + 6) * tube.width)
         intervals = _FINE
 
 
 def _best(tube: _Tube, mass: float) -> tuple[float, Multiplier | None]:
-    """The least mass that a multiplier on the tube's knots proves, and it; None if that is not below ``mass``."""
-    if tube.acceleration == 0:  # standing still, anything is carried
+    """The least bound of a multiplier on the knots of the tube, and the multiplier; None if not below ``mass``."""
+    if tube.acceleration == 0:  # a reference at rest excludes no mass
         return mass, None
-    programme, found = _Programme(tube), None
-    # The multiplier that is best for a wrong mass proves some mass, too, and mostly a close one.
+    program, multiplier = _LinearProgram(tube), None
+    # The optimal multiplier of a trial mass also proves a bound, which is usually close to the best one.
     trial = mass if math.isfinite(mass) else float(np.sum(tube.pull)) / tube.acceleration
     for _ in range(_TRIALS):
-        solution = programme.solve(trial)
+        solution = program.solve(trial)
         proved = math.inf
         if solution is not None:
             force, tension = solution[0], _lifted(tube, *solution)
             proved = _zero(tube, force, tension)
         if proved < mass:
             before, mass = mass, proved
-            found = Multiplier(start=tube.start, end=tube.end, force=force, tension=tension)
+            multiplier = Multiplier(start=tube.start, end=tube.end, force=force, tension=tension)
             trial = mass
             if mass > before * (1 - _ENOUGH):
                 break
@@ -422,13 +430,13 @@ def _best(tube: _Tube, mass: float) -> tuple[float, Multiplier | None]:
             break
         else:
             trial *= 4
-    return mass, found
+    return mass, multiplier
 
 
-class _Programme:
-    """The linear programme of a tube: variables are coefficients of w (2), of φ (m), and |ψ| in mid-interval (N).
+class _LinearProgram:
+    """Linear program of a tube. Its variables are the coefficients of w and φ, and |ψ| at the middle of each interval.
 
-    ψ = ẅ − Σ b_i u_i / M, times the interval's width squared: of the size of w.
+    ψ = ẅ − Σ b_i u_i / M is scaled by the squared width of an interval, so that it has the magnitude of w.
     """
 
     def __init__(self, tube: _Tube) -> None:
@@ -439,13 +447,13 @@ class _Programme:
         self.rate = tube.width**2 * self._table(1, middle)
         self.away = tube.away[middle::REFINEMENT][:n]
         rows = []
-        for place in range(0, REFINEMENT, 2):
-            value = self._table(0, place)
-            at = np.arange(n) * REFINEMENT + place
+        for point in range(0, REFINEMENT, 2):
+            value = self._table(0, point)
+            at = np.arange(n) * REFINEMENT + point
             towards, arc = -tube.away[at], tube.arc[at]
             left = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
             cosine, sine = np.cos(arc)[..., None], np.sin(arc)[..., None]
-            # The hull of an arc of directions lies in that of its ends and the corner of its tangents.
+            # The hull of an arc of directions lies in the hull of its ends and the intersection of its tangents.
             for corner in (towards * cosine + left * sine, towards * cosine - left * sine, towards / cosine):
                 for i in range(m):
                     rows.append(
@@ -455,13 +463,14 @@ class _Programme:
                     )
         self.cone = sparse.block_array(rows, format="csr")
 
-    def _table(self, derivative: int, place: int) -> Any:
+    def _table(self, derivative: int, point: int) -> Any:
+        """Matrix from coefficients to a derivative at one point of each interval, (N, N + 2)."""
         n = self.tube.intervals
-        local = self.tube.splines[derivative, :, place]
+        local = self.tube.splines[derivative, :, point]
         return sparse.diags_array([np.full(n, x) for x in local], offsets=[0, 1, 2], shape=(n, n + 2), format="csr")
 
     def solve(self, mass: float) -> tuple[Array, Array] | None:
-        """The multiplier with the largest h(M), more or less, coefficients of w and φ; None if there is none."""
+        """Coefficients of w and φ that approximately maximise h(M); None if the program is infeasible."""
         tube, n, m = self.tube, self.tube.intervals, self.tube.robot.cables
         angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         rows = []
@@ -482,7 +491,7 @@ class _Programme:
         lower = np.where(free, np.r_[np.full(2 * (n + 2), -np.inf), np.zeros(m * (n + 2) + n)], 0.0)
         upper = np.where(free, np.inf, 0.0)
         bounds: Any = np.stack([lower, upper], axis=-1)
-        found = linprog(
+        solution = linprog(
             -gain,
             A_ub=inequalities,
             b_ub=np.zeros(inequalities.shape[0]),
@@ -491,11 +500,11 @@ class _Programme:
             bounds=bounds,
             method="highs-ipm",
         )
-        if found.x is None:
+        if solution.x is None:
             return None
         split = 2 * (n + 2)
-        force = found.x[:split].reshape(2, -1).T
-        tension = found.x[split : split + m * (n + 2)].reshape(m, -1).T
+        force = solution.x[:split].reshape(2, -1).T
+        tension = solution.x[split : split + m * (n + 2)].reshape(m, -1).T
         noise = np.abs(force) < _ROUNDING * np.abs(force).max()
         return (
             np.where(tube.free_force[:, None] & ~noise, force, 0.0),

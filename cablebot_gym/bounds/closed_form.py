@@ -1,8 +1,8 @@
-"""The payload with which a rigid robot can still follow a motion exactly, in closed form.
+"""Largest payload with which a rigid robot can track a motion exactly, in closed form.
 
-On the reference, lengths and speeds of the cables do not depend on the payload, and what the motors have to give is
-piecewise affine in it. So nothing is simulated or searched: every limit is broken on intervals of payloads whose ends
-are ratios, and the answer is an end of one of the gaps that are left.
+On the reference, lengths and speeds of the cables do not depend on the payload, and the required torques are piecewise
+affine in it. Therefore no simulation and no search is necessary. Each limit is violated on intervals of payloads whose
+ends are ratios. The result is an end of one of the remaining intervals.
 """
 
 from __future__ import annotations
@@ -23,36 +23,37 @@ Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
 
 GRID = 2000.0
-"""Instants per second that stand for all times [Hz]; smooth extrema are met to the square of their distance."""
+"""Default number of instants per second that approximate all times [Hz]. The error at smooth extrema is quadratic in
+their distance."""
 
 _LIMITS: tuple[tuple[Kind, Line], ...] = (("torque", "upper"), ("torque", "lower"), ("tension", "lower"))
-"""The last axis of :func:`_margins`."""
+"""Limits along the last axis of :func:`_margins`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExactPayload:
-    """The interval of payloads with which exact tracking respects every limit, and what ends it."""
+    """Interval of payloads for which exact tracking satisfies every limit, and the limit at its upper end."""
 
     payload: float
-    """Largest payload [kg]. Negative: the platform alone is too heavy by that much. ``inf``: nothing limits it.
-    ``-inf``: no mass makes the motion possible, and the next fields name one limit in its way."""
+    """Largest payload [kg]. A negative value means that the platform alone is too heavy by this mass. ``inf``: no limit
+    is active. ``-inf``: the motion is infeasible for every mass, and the next fields name one violated limit."""
     lowest: float
-    """Least payload of the same interval [kg]: minus the platform's mass if lighter is always possible, positive if
+    """Least payload of the same interval [kg]: minus the platform mass if every lighter mass is feasible, positive if
     the platform needs ballast, ``inf`` if ``payload`` is ``-inf``."""
     platform_mass: float
-    """Mass without payload [kg]."""
+    """Mass of the platform [kg]."""
     motor: int | None
-    """Motor that a larger payload saturates, or whose cable it slackens, counted from 1; None if nothing limits."""
+    """Number of the motor or cable of the limit at the upper end, from 1; None without a limit."""
     time: float | None
-    """When it does [s]; the earliest, if there are more."""
+    """Earliest time of the limit [s]; None without a limit."""
     kind: Kind | None
-    """Whether the motor's torque or the cable's tension is the limit."""
+    """Kind of the limit: torque of the motor or tension of the cable; None without a limit."""
     line: Line | None
-    """Which limit of it: U⁺ or U⁻ of the torque, and always "lower" of the tension."""
+    """Side of the limit: U⁺ or U⁻ of the torque, always "lower" for the tension; None without a limit."""
 
     @property
     def total_mass(self) -> float:
-        """Platform and payload [kg]."""
+        """Mass of platform and payload [kg]."""
         return self.platform_mass + self.payload
 
 
@@ -65,28 +66,28 @@ def exact_payload(
     line_speed: ArrayLike = 1.0,
     grid: float = GRID,
 ) -> ExactPayload:
-    """The largest payload with which ``robot`` follows ``trajectory`` exactly inside its motors' limits.
+    """Computes the largest payload with which ``robot`` tracks ``trajectory`` exactly within its limits.
 
-    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``. The infimum is over
-    all times from 0 to ``duration``, that itself left out: over a fine grid with both sides of each of its instants, so
-    that where the paper's circles jump, both accelerations count. With ``frequency`` it is over the control instants of
-    a simulated episode alone, which sees one side of a jump and comes close to the other.
+    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``. The infimum covers
+    all times from 0 up to, but excluding, ``duration``. It uses a fine grid with both sides of each instant, so that
+    both accelerations count where the circles of the paper jump. With ``frequency`` it covers only the control instants
+    of a simulated episode, which contain one side of a jump and a point close to the other side.
 
-    The feasible payloads of a spatial robot are one interval, since its tensions are affine in the mass. The least
-    tensions of a planar robot have kinks, and there may be more intervals; the one taken holds zero payload, or is the
-    nearest to it.
+    The feasible payloads of a spatial robot form one interval, because its tensions are affine in the mass. The least
+    tensions of a planar robot have kinks, so there can be several intervals. The result is the interval that contains
+    zero payload, or the one nearest to it.
 
     Args:
-        robot: with a rigid transmission.
-        trajectory: for a robot with as many coordinates.
-        minimum_tension: that every cable has to keep [N]; ≥ 0. Planar: the least tensions of all that keep it are used.
+        robot: robot with a rigid transmission.
+        trajectory: reference motion with as many coordinates as the robot.
+        minimum_tension: minimum tension of every cable [N]; ≥ 0. Planar robots use the least tensions that satisfy it.
         frequency: control instants per second [Hz]; None for all times.
-        line_speed: the speed in the torque-speed lines, as a multiple of β̇, one or one per motor: 0 for limits that do
-            not depend on it.
-        grid: instants per second that stand for all times, without ``frequency`` [Hz]; 100 is enough for a map.
+        line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor; 0 for limits
+            independent of the speed.
+        grid: instants per second that approximate all times, without ``frequency`` [Hz]; 100 suffices for a map.
 
     Raises:
-        ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.
+        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
     if not 0 <= minimum_tension < np.inf:
         raise ValueError(f"minimum_tension must be finite and at least 0 N, not {minimum_tension}")
@@ -95,23 +96,23 @@ def exact_payload(
     )
     masses = _nodes(robot, reference, minimum_tension)
     margins = _margins(robot, reference, masses, minimum_tension, np.asarray(line_speed, float))
-    starts, ends, where = _broken(masses, margins)
+    starts, ends, indices = _violated(masses, margins)
 
     gaps = _gaps(starts, ends)
     if not gaps:
-        first = np.lexsort((starts, -ends))[0]  # the limit that is broken from the least mass on upwards for ever
-        return _result(robot, -np.inf, np.inf, times, where[first])
+        first = np.lexsort((starts, -ends))[0]  # the limit that is violated from the least mass upwards
+        return _result(robot, -np.inf, np.inf, times, indices[first])
     low, high = min(gaps, key=lambda gap: max(gap[0] - robot.mass, robot.mass - gap[1], 0.0))
-    # Of limits that end the interval together, but for rounding, ``where`` has the earliest first.
-    ending = where[(starts >= high) & (starts <= high + 1e-9 * (1 + high)) & np.isfinite(starts)]
+    # Several limits can end the interval together, up to rounding; ``indices`` lists the earliest first.
+    ending = indices[(starts >= high) & (starts <= high + 1e-9 * (1 + high)) & np.isfinite(starts)]
     return _result(robot, high - robot.mass, low - robot.mass, times, ending[0] if len(ending) else None)
 
 
 def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> tuple[Array, Reference]:
-    """The times at which an episode commands the motors [s], shape (K,), at a frequency [Hz], and the motion then.
+    """Control instants of an episode [s], shape (K,), at a control frequency [Hz], and the reference at these times.
 
     Raises:
-        ValueError: if the trajectory is for another kind of robot, or there is no such instant.
+        ValueError: if the trajectory is for another kind of robot, or if there is no control instant.
     """
     trajectory = find_trajectory(trajectory, robot.coordinates)
     if not 0 < frequency < np.inf or round(trajectory.duration * frequency) < 1:
@@ -121,7 +122,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
 
 
 def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
-    """A grid that stands for all times, each instant with its two sides; half time, where circles jump, is on it."""
+    """Grid that approximates all times, with both sides of each instant. It contains half time, where circles jump."""
     trajectory = find_trajectory(trajectory, robot.coordinates)
     if not 0 < grid < np.inf:
         raise ValueError(f"grid must be greater than 0 Hz, not {grid}")
@@ -133,7 +134,7 @@ def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array
 
 
 def _repeated(reference: Reference, count: int) -> tuple[Array, Array, Array]:
-    """Pose, velocity and acceleration, each once per mass, shape (K, count, n)."""
+    """Pose, velocity and acceleration, repeated for each mass, shape (K, count, n)."""
     x, v, a = (
         np.repeat(array[:, None], count, axis=1)
         for array in (reference.position, reference.velocity, reference.acceleration)
@@ -144,9 +145,9 @@ def _repeated(reference: Reference, count: int) -> tuple[Array, Array, Array]:
 def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
     """Total masses between which every tension is affine, ascending from 0, shape (K, nodes) [kg].
 
-    The last only shows the slope beyond the last but one. The least tensions of a planar robot have a kink where the
-    force ``w(M) = −Sᵀ(T − minimum)``, which is affine in the mass M, turns from one pair of cables to the next: where
-    it is parallel to a cable.
+    The last node only defines the slope beyond the previous one. The force ``w(M) = −Sᵀ(T − minimum)`` is affine in the
+    mass M. The least tensions of a planar robot have a kink where it is parallel to a cable, because a different pair
+    of cables becomes active.
     """
     kinks = np.zeros((len(reference.position), 0))
     if robot.planar:
@@ -163,24 +164,27 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
 
 
 def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array) -> Array:
-    """How far each limit is from being broken with each mass, shape (K, nodes, m, limits), negative if it is."""
+    """Margin of each limit for each mass, shape (K, nodes, m, limits); negative if the limit is violated."""
     motion = _repeated(reference, masses.shape[1])
-    if robot.planar:  # refuses what no tensions can give
-        needed = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
+    if robot.planar:  # raises an error if no tensions produce the motion
+        required = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
     else:
-        needed = inverse_dynamics(robot, masses, *motion)
-    if not np.all(np.isfinite(needed.torques)):
-        raise ValueError(f"{robot.name} is singular on the motion: no tensions give its accelerations")
-    lower, upper = textbook.torque_limits(robot, line_speed * needed.speeds)
-    # The least tensions of a planar robot keep the minimum by construction; rounding must not say that they do not.
-    surplus = np.zeros_like(needed.tensions) if robot.planar else needed.tensions - minimum
-    return np.stack([upper - needed.torques, needed.torques - lower, surplus], axis=-1)
+        required = inverse_dynamics(robot, masses, *motion)
+    if not np.all(np.isfinite(required.torques)):
+        raise ValueError(
+            f"robot {robot.name!r} is singular on the motion: no tensions produce its accelerations. Choose another "
+            "trajectory"
+        )
+    lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
+    # The least tensions of a planar robot satisfy the minimum by construction; rounding must not violate it.
+    surplus = np.zeros_like(required.tensions) if robot.planar else required.tensions - minimum
+    return np.stack([upper - required.torques, required.torques - lower, surplus], axis=-1)
 
 
-def _broken(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
-    """Where limits are broken: intervals of total masses, first and last (count,), and their (k, motor, limit).
+def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
+    """Intervals of total masses with a violated limit: lower ends, upper ends (count,), and indices (k, motor, limit).
 
-    One interval per limit and piece between two nodes; a margin is affine there, and goes on beyond the last.
+    There is one interval per limit and piece between two nodes. A margin is affine there and beyond the last node.
     """
     start, end = masses[:, :-1, None, None], masses[:, 1:, None, None]
     first, last = margins[:, :-1], margins[:, 1:].copy()
@@ -191,25 +195,25 @@ def _broken(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
     end = np.concatenate([end[:, :-1], np.full_like(end[:, -1:], np.inf)], axis=1)
     starts = np.where(first < 0, start, zero)
     ends = np.where(last < 0, end, zero)
-    broken = (first < 0) | (last < 0)
-    k, _, motor, limit = np.nonzero(broken)
-    return starts[broken], ends[broken], np.stack([k, motor, limit], axis=-1)
+    violated = (first < 0) | (last < 0)
+    k, _, motor, limit = np.nonzero(violated)
+    return starts[violated], ends[violated], np.stack([k, motor, limit], axis=-1)
 
 
 def _gaps(starts: Array, ends: Array) -> list[tuple[float, float]]:
-    """What some intervals leave of the half line from 0, ascending."""
+    """Complement of intervals in the half line from 0, ascending."""
     order = np.argsort(starts)
     lows = np.maximum.accumulate(np.append(0.0, ends[order]))
     highs = np.append(starts[order], np.inf)
     return [(float(low), float(high)) for low, high in zip(lows, highs, strict=True) if low < high]
 
 
-def _result(robot: Robot, payload: float, lowest: float, times: Array, where: Array | None) -> ExactPayload:
-    if where is None:
+def _result(robot: Robot, payload: float, lowest: float, times: Array, index: Array | None) -> ExactPayload:
+    if index is None:
         motor, time, kind, line = None, None, None, None
     else:
-        motor, time = int(where[1]) + 1, round(float(times[where[0]]), 7)
-        kind, line = _LIMITS[where[2]]
+        motor, time = int(index[1]) + 1, round(float(times[index[0]]), 7)
+        kind, line = _LIMITS[index[2]]
     return ExactPayload(
         payload=payload, lowest=lowest, platform_mass=robot.mass, motor=motor, time=time, kind=kind, line=line
     )

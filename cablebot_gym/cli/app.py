@@ -1,6 +1,6 @@
-"""``cablebot``: the table of its commands, and how errors become one message and an exit status.
+"""``cablebot``: the table of its commands, and the conversion of errors to a message and an exit status.
 
-Exit status: 0 done, 1 ran and failed, 2 bad input, 130 interrupted. Results go to standard output, everything else to
+Exit status: 0 success, 1 failure, 2 invalid input, 130 interrupted. Results go to standard output, everything else to
 standard error.
 """
 
@@ -18,7 +18,8 @@ from typer.core import TyperGroup
 from cablebot_gym.utils.console import notes_console
 
 COMMAND_GROUP = "cablebot_gym.commands"
-"""Entry points of further commands: functions with typer's annotations."""
+"""Entry point group of commands. A package adds a command by an entry point that names a function with typer's
+annotations."""
 
 COMMANDS = {
     "Evaluate policies": {
@@ -31,28 +32,28 @@ COMMANDS = {
         "watch": "cablebot_gym.cli.watch:watch",
         "video": "cablebot_gym.cli.video:video",
     },
-    "Benchmark": {
+    "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",
     },
-    "Look around": {
+    "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",
         "doctor": "cablebot_gym.cli.doctor:doctor",
     },
 }
-"""Built-in commands by group; a module is imported when its command is typed."""
+"""Built-in commands by group. The module of a command is imported when the command is run."""
 
-ADDED = "Commands of installed packages"
-"""Group of the commands that entry points add."""
+ADDED = "Commands of other installed packages"
+"""Title of the group of commands that entry points add."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
 
 class _GroupedCommands(TyperGroup):
-    """Lists commands by group, each with its whole summary."""
+    """Lists the commands by group, with the full first sentence of each help text."""
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # click's types, of a copy inside typer or not
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # types of click, which typer may vendor
         added = [name for name in self.commands if not any(name in names for names in COMMANDS.values())]
         for title, names in {**COMMANDS, ADDED: added}.items():
             rows = [(name, self.commands[name].get_short_help_str(limit=1000)) for name in names]
@@ -65,11 +66,17 @@ app = typer.Typer(
     name="cablebot",
     cls=_GroupedCommands,
     help=(
-        "How many kilograms does a controller carry on a cable robot?\n\n"
-        "Exit status: 0 done, whatever is carried; 1 ran and failed: a policy raised, a file could not be written, a "
-        "cell of the benchmark failed, a best payload was not verified, or doctor found something wrong; 2 bad input, "
-        "a folder that cannot be written to too; "
-        "130 interrupted."
+        "Evaluate controllers of cable-driven parallel robots by the largest payload that they carry along a "
+        "trajectory, the dynamic load-carrying capacity (DLCC).\n\n"
+        "`cablebot COMMAND --help` shows the options of a command and examples.\n\n"
+        "\b\n"
+        "Exit status:\n"
+        "  0    success, whatever the payload is\n"
+        "  1    failure: a policy raised an error, a file could not be written,\n"
+        "       a benchmark cell failed, a best known payload was not verified,\n"
+        "       or doctor found a fault\n"
+        "  2    invalid input, or a folder that is not writable\n"
+        "  130  interrupted"
     ),
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -92,12 +99,12 @@ BUILT_IN = {
 
 
 def command_points() -> dict[str, EntryPoint]:
-    """Every command by name: the built-in ones, then those that installed packages add."""
+    """All commands by name: first the built-in commands, then those that installed packages add."""
     return BUILT_IN | {point.name: point for point in entry_points(group=COMMAND_GROUP) if point.name not in BUILT_IN}
 
 
 def add_commands(points: Mapping[str, EntryPoint]) -> None:
-    """Loads commands into :data:`app`; a command that is there already stays."""
+    """Loads commands into :data:`app`. A command that :data:`app` already has is not replaced."""
     present = {item.name for item in app.registered_commands}
     for name, point in points.items():
         if name not in present:
@@ -105,52 +112,58 @@ def add_commands(points: Mapping[str, EntryPoint]) -> None:
 
 
 def main() -> None:
-    """Entry point: turns errors into one sentence and an exit status."""
+    """Runs the command line. Converts errors to a message of one line and an exit status."""
     from cablebot_gym.policies import PolicyError
 
-    sys.path.insert(0, "")  # so that package.module:factory is found in the folder in which one works
+    sys.path.insert(0, "")  # makes package.module:factory importable from the working directory
     try:
         if len(sys.argv) < 2:
             sys.argv.append("--help")
         typed = sys.argv[1]
         add_commands({typed: BUILT_IN[typed]} if typed in BUILT_IN else command_points())
-        status = app(standalone_mode=False)  # a number where the parser ended the command itself, as Ctrl-C does
+        status = app(standalone_mode=False)  # a number if the parser ended the command, for example after Ctrl-C
         if status == INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(status if isinstance(status, int) else 0)
     except KeyboardInterrupt:
-        _fail("interrupted: nothing was left half-written", INTERRUPTED)
+        _fail("interrupted. No file was left incomplete.", INTERRUPTED)
     except (ValueError, ImportError) as error:
-        _fail(_as_typed(str(error)), 2)
+        _fail(_with_option_names(str(error)), 2)
     except OSError as error:
         _fail(f"cannot write {error.filename!r}: {error.strerror}", 1)
     except PolicyError as error:
         _fail(str(error), 1)
     except Exception as error:
-        show = getattr(error, "format_message", None)  # what the option parser found wrong
-        if show is None:
+        format_message = getattr(error, "format_message", None)  # an error of the option parser has this method
+        if format_message is None:
             raise
-        message = show()
+        message = format_message()
+        if not message.endswith((".", "?")):
+            message += "."
         if message.startswith("No such command"):
             message += f" The commands are {', '.join(command_points())}."
         elif example := _example(sys.argv[1]):
-            message = f"{message.rstrip('.')}; for example: {example}"
+            message += f" Example: {example}"
         _fail(message, getattr(error, "exit_code", 2))
 
 
 def _example(name: str) -> str:
-    """The first in the docstring of a command; empty if there is no such command."""
+    """The first example in the docstring of a command; empty if there is no such command."""
     texts = [item.callback.__doc__ or "" for item in app.registered_commands if item.name == name and item.callback]
-    found = re.search(r"^ *(?:Example: )?(cablebot .+)$", "\n".join(texts), re.MULTILINE)
-    return found[1] if found else ""
+    match = re.search(r"^ *(?:Example: )?(cablebot .+)$", "\n".join(texts), re.MULTILINE)
+    return match[1] if match else ""
 
 
-def _as_typed(message: str) -> str:
-    """A message about a keyword, about the option instead that gave it."""
-    keyword = re.match(r"([a-z][a-z0-9_]*) must ", message)
-    option = f"--{keyword[1].replace('_', '-')}" if keyword else ""
-    typed = (argument.partition("=")[0] for argument in sys.argv)
-    return option + message[len(keyword[1]) :] if keyword and option in typed else message
+def _with_option_names(message: str) -> str:
+    """Replaces the Python keyword at the start of an error message by the option that the user typed."""
+    keyword = re.match(r"(?:error_bounds: )?([a-z][a-z0-9_]*)(?= must )", message)
+    typed = {argument.partition("=")[0] for argument in sys.argv}
+    if keyword is not None:
+        name = keyword[1].replace("_", "-")
+        for option in (f"--{name}", f"--{name}-bound"):
+            if option in typed:
+                return option + message[keyword.end() :]
+    return message
 
 
 def _fail(message: str, status: int) -> None:

@@ -15,36 +15,47 @@ if TYPE_CHECKING:
     from cablebot_gym.benchmark.engine import Backend
 
 MARKDOWN, CSV, JSON = "leaderboard.md", "results.csv", "results.json"
-"""Names of the files in the folder of results."""
+"""Names of the files in the results folder."""
 
 
 def benchmark(
     suite: Annotated[
-        str, typer.Option(help="smoke (two minutes), standard (half an hour), full (hours) or maps (an hour).")
+        str, typer.Option(help="Suite: smoke (two minutes), standard (half an hour), full (hours) or maps (an hour).")
     ] = "smoke",
     policies: Annotated[
-        str | None, typer.Option(help="Names as for `dlcc --policy`, separated by commas; all installed if not given.")
+        str | None,
+        typer.Option(
+            help="Policies as for `dlcc --policy`, separated by commas. The default is all installed policies."
+        ),
     ] = None,
     ids: Annotated[
-        str | None, typer.Option(help="Environments, separated by commas; the suite's if not given.")
+        str | None, typer.Option(help="Environment ids, separated by commas. The default is those of the suite.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if not given.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Number of worker processes. The default is one per core.")
+    ] = None,
     ray: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A Ray cluster instead: its address, auto, or local (extra ray)."),
+        typer.Option(
+            metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray."
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the tables and for every finished cell.")] = Path("benchmark"),
-    page: Annotated[Path | None, typer.Option(help=f"The page; {MARKDOWN} in the folder if not given.")] = None,
+    out: Annotated[Path, typer.Option(help="Results folder, for the tables and all finished cells.")] = Path(
+        "benchmark"
+    ),
+    page: Annotated[
+        Path | None, typer.Option(help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder.")
+    ] = None,
     any_source: Annotated[
-        bool, typer.Option("--any-source", help="Take finished cells of other code where there are none of this.")
+        bool, typer.Option("--any-source", help="Reuse finished cells that were computed with different code.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help=f"Print what {JSON} holds.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False,
 ) -> None:
-    """Every policy's payload as a share of the best found, on the paper's circle and on held-out motions.
+    """Score policies by their payload over the best known payload, on the paper's circle and held-out trajectories.
 
-    Finished cells stay in the folder, one file each: the same command goes on where it was interrupted, and computes
-    only what is missing, broken or of other code: this package's, or the policy's own package or folder.
-    The exit status is 1 if a cell failed.
+    Each finished cell is stored as a file in the results folder. The same command resumes an interrupted benchmark. It
+    computes only cells that are missing, damaged or computed with different code: that of this package, or of the
+    package or folder of the policy. The exit status is 1 if a cell failed.
 
     Examples:
 
@@ -59,9 +70,9 @@ def benchmark(
     from cablebot_gym.benchmark.store import Store
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
     from cablebot_gym.benchmark.tables import csv_text, failures, print_benchmark
-    from cablebot_gym.utils.files import write_text_whole
+    from cablebot_gym.utils.files import atomic_write_text
 
-    compute_on = _backend(workers, ray)
+    backend = _backend(workers, ray)
     chosen = find_suite(suite)
     env_ids = find_env_ids(chosen, split_names(ids))
     cells = suite_cells(chosen, find_policies(split_names(policies), env_ids))
@@ -76,23 +87,25 @@ def benchmark(
             records = run_cells(
                 cells,
                 store,
-                compute_on,
+                backend,
                 progress=lambda done, expected: bar.update(task, completed=done, total=expected),
                 say=errors.print,
             )
         except KeyboardInterrupt:
             done = int(bar.tasks[task].completed)
-            kept = (
-                f"{done} of {len(cells)} cells are in {out}; go on" if done else "no cell was finished yet; start again"
+            state = (
+                f"{done} of {len(cells)} cells are finished and stored in {out}. Resume"
+                if done
+                else "No cell is finished yet. Start again"
             )
-            errors.print(f"{kept} with: {command}")
+            errors.print(f"{state} with: {command}")
             raise
     text = results_json(suite, command, records)
     for path, content in zip(files, (text, csv_text(records), markdown(suite, command, records)), strict=True):
-        write_text_whole(path, content)
+        atomic_write_text(path, content)
     if store.foreign:
-        how = "taken as they are" if any_source else "computed anew and kept beside them (--any-source takes them)"
-        errors.print(f"{store.foreign} cells were there by other code alone: {how}")
+        use = "they are reused" if any_source else "they are computed again (--any-source reuses them)"
+        errors.print(f"{store.foreign} cells exist only with results of different code: {use}")
     errors.print("wrote " + ", ".join(map(str, files)))
     if as_json:
         print(text, end="")
@@ -109,7 +122,9 @@ def _backend(workers: int | None, ray: str | None) -> Backend:
     if ray is None:
         return local(check_workers(workers))
     if workers is not None:
-        raise ValueError("--workers and --ray exclude each other: a Ray cluster has workers of its own")
+        raise ValueError(
+            "--workers and --ray exclude each other, because a Ray cluster has its own workers. Give only one of them."
+        )
     from cablebot_gym.benchmark.ray_backend import on_ray
 
     return on_ray(ray)
@@ -117,13 +132,14 @@ def _backend(workers: int | None, ray: str | None) -> Backend:
 
 def _check_writable(out: Path, files: tuple[Path, ...]) -> None:
     from cablebot_gym.benchmark.store import FOLDER
-    from cablebot_gym.utils.files import usable_file, usable_folder
+    from cablebot_gym.utils.files import check_writable_dir, check_writable_file
 
-    usable_folder(out / FOLDER)
+    check_writable_dir(out / FOLDER)
     for path in files:
-        usable_file(path)
+        check_writable_file(path)
 
 
 def _command(**options: str | None) -> str:
+    """The command line that repeats this benchmark."""
     given = (f"--{name} {shlex.quote(value)}" for name, value in options.items() if value is not None)
     return " ".join(["cablebot benchmark", *given])

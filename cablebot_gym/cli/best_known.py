@@ -16,28 +16,30 @@ def best_known(
     position_bound: PositionBound = 0.01,
     rotation_bound: RotationBound = 0.01,
     control_frequency: Frequency = 500.0,
-    cache: Annotated[bool, typer.Option(help="Keep the result on disk, and take it from there.")] = True,
+    cache: Annotated[
+        bool, typer.Option(help="Whether to store the result on disk, and to read a stored result.")
+    ] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False,
 ) -> None:
-    """The best found: the largest payload for which some motion and inputs stay inside all limits, by optimization.
+    """Compute the best known payload of an environment by trajectory optimisation.
 
-    A lower bound of what is possible, verified by a replay of its inputs in the environment; for rigid planar robots
-    with a payload that is proved to be out of reach. Task criterion. Needs the extra: pip install
-    'cablebot-gym[optimal]'.
+    It is the largest payload for which a motion and torques within all limits are known, and therefore a lower bound of
+    the optimal payload. A replay of the torques in the environment verifies it under the task criterion. For rigid
+    planar robots, the result also has a proven upper bound. Requires the extra: pip install 'cablebot-gym[optimal]'.
 
     Example: cablebot best-known CableBot-Spatial-v0 --position-bound 0.02 --json
     """
-    from cablebot_gym.bounds.best_known import best_found
+    from cablebot_gym.bounds.best_known import find_best_known
 
     with working(notes_console()) as say:
-        found = best_found(
+        result = find_best_known(
             env_id,
             trajectory=as_data("--trajectory", trajectory),
-            limits={"position": position_bound, "rotation": rotation_bound},
+            error_bounds={"position": position_bound, "rotation": rotation_bound},
             control_frequency=control_frequency,
             cache=cache,
             progress=say,
         )
-    print(found.to_json() if as_json else found)
-    if not found.verified:
+    print(result.to_json() if as_json else result)
+    if not result.verified:
         raise typer.Exit(1)

@@ -3,40 +3,273 @@
 from __future__ import annotations
 
 import json
-import sys
-from typing import Annotated
+from collections.abc import Iterator
+from dataclasses import MISSING, fields, is_dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
+
+from cablebot_gym.utils.console import results_console
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_WIDTH = 80
+"""Largest width of the tables [columns]."""
+
+_TRAJECTORY_UNITS = {
+    "duration": "s",
+    "radius": "m",
+    "amplitude": "m",
+    "center": "m, rad",
+    "pose": "m, rad",
+    "start": "m, rad",
+    "end": "m, rad",
+    "reach": "m, rad",
+    "acceleration": "m/s², rad/s²",
+    "seed": "",
+}
+"""Unit of each trajectory field, for lengths and for angles."""
+
+_UNCERTAINTY_UNITS = {
+    "low": "fraction",
+    "high": "fraction",
+    "mean": "fraction",
+    "std": "fraction",
+    "force_mean": "N",
+    "force_std": "N",
+    "moment_mean": "N·m",
+    "moment_std": "N·m",
+    "correlation_time": "s",
+    "position": "m",
+    "rotation": "rad",
+    "velocity": "m/s",
+    "rotation_rate": "rad/s",
+    "motor_angle": "rad",
+    "motor_speed": "rad/s",
+    "delay": "control steps",
+}
+"""Unit of each uncertainty field that has one. Parameters are fractions of their nominal values if ``relative``."""
+
+_PARAMETER_UNITS = {
+    "platform_mass": "kg",
+    "payload": "kg",
+    "platform_inertia": "kg·m²",
+    "pulley_inertia": "kg·m²",
+    "damping": "N·m·s/rad",
+    "stiffness": "N·m/rad",
+    "motor_inertia": "kg·m²",
+    "motor_damping": "N·m·s/rad",
+    "motor_strength": "N·m",
+    "base_anchors": "m",
+    "platform_anchors": "m",
+}
+"""Unit of each uncertain parameter."""
 
 
 def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False) -> None:
-    """Environments, trajectories, uncertainties and installed policies.
+    """List environments, trajectories, uncertainties and installed policies.
+
+    The tables of trajectories and uncertainties show the fields and default values of `--trajectory` and
+    `--uncertainty` as JSON.
 
     Example: cablebot list --json
     """
+    if as_json:
+        print(json.dumps(_data(), indent=2))
+        return
+    console = results_console()
+    console.width = min(console.width, _WIDTH)
+    for table in _tables():
+        console.print(table, highlight=False)
+        console.print()
+
+
+def _data() -> dict[str, Any]:
+    """The lists as JSON-able data."""
     from cablebot_gym.envs import ENV_IDS
     from cablebot_gym.policies import policy_entries
-    from cablebot_gym.trajectories import trajectory_names
+    from cablebot_gym.trajectories import TRAJECTORIES, trajectory_names
     from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
 
-    entries = policy_entries().values()
-    if as_json:
-        policies = [{"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in entries]
-        data = {
-            "env_ids": list(ENV_IDS),
-            "trajectories": trajectory_names(),
-            "uncertainties": list(UNCERTAINTIES),
-            "uncertain_parameters": list(PARAMETERS),
-            "policies": policies,
+    policies = [{"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in _sorted_policies()]
+    by_name = {policy["name"]: policy for policy in policies}
+    return {
+        "env_ids": list(ENV_IDS),
+        "trajectories": trajectory_names(),
+        "trajectory_fields": {name: _trajectory_fields(make()) for name, make in TRAJECTORIES.items()},
+        "uncertainties": list(UNCERTAINTIES),
+        "uncertainty_fields": {name: _uncertainty_fields(name) for name in UNCERTAINTIES},
+        "uncertain_parameters": list(PARAMETERS),
+        "uncertain_parameter_units": {name: _PARAMETER_UNITS.get(name, "") for name in PARAMETERS},
+        "policies": [by_name[name] for name in policy_entries()],
+    }
+
+
+def _sorted_policies() -> list[Any]:
+    """Entries of the installed policies, by kind and name."""
+    from cablebot_gym.policies import policy_entries
+
+    return sorted(policy_entries().values(), key=lambda item: (item.kind, item.name))
+
+
+def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
+    """Default and unit of each JSON field of a trajectory, the duration first."""
+    if not is_dataclass(trajectory):
+        return {}
+    found = {}
+    for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
+        if field.name != "name":
+            unit = _TRAJECTORY_UNITS.get(field.name, "")
+            unit = unit.partition(",")[0] if getattr(trajectory, "coordinates", None) == 2 else unit
+            # A field whose default is None gets its value from the other fields.
+            default = None if field.default is None else getattr(trajectory, field.name)
+            found[field.name] = {"default": default, "unit": unit}
+    return found
+
+
+def _uncertainty_fields(name: str) -> dict[str, dict[str, Any]]:
+    """Value, unit and environments of each field that a named uncertainty sets, over all environments."""
+    from cablebot_gym.envs import ENV_IDS, env_robot
+    from cablebot_gym.robots import find_robot
+    from cablebot_gym.uncertainty import find_uncertainty
+
+    found: dict[str, dict[str, Any]] = {}
+    for env_id in ENV_IDS:
+        uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
+        for path, (value, unit) in _set_values(uncertainty).items():
+            found.setdefault(path, {"value": value, "unit": unit, "env_ids": []})["env_ids"].append(env_id)
+    groups = ("parameters", "wrench", "sensors", "delay")
+    return dict(sorted(found.items(), key=lambda item: groups.index(item[0].partition(".")[0])))
+
+
+def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
+    """Value and unit of each field that an uncertainty sets, by its path in JSON. A parameter omits default values."""
+    found: dict[str, tuple[Any, str]] = {}
+    for name, distribution in uncertainty.parameters.items():
+        value = {
+            field.name: setting
+            for field in fields(distribution)
+            if (setting := getattr(distribution, field.name)) != field.default
         }
-        print(json.dumps(data, indent=2))
-        return
-    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False, emoji=False)
-    console.print("environments: " + ", ".join(ENV_IDS))
-    console.print("trajectories: " + ", ".join(trajectory_names()))
-    console.print("uncertainties: " + ", ".join(UNCERTAINTIES))
-    console.print("uncertain parameters: " + ", ".join(PARAMETERS))
-    console.print("policies:")
-    for item in entries:
-        console.print(f"  {item.name} ({item.kind}): {item.summary}; for {', '.join(item.env_ids)}")
+        found[f"parameters.{name}"] = (value, "" if distribution.relative else _PARAMETER_UNITS.get(name, ""))
+    for group in ("wrench", "sensors"):
+        part = getattr(uncertainty, group)
+        for field in () if part is None else fields(part):
+            found[f"{group}.{field.name}"] = (getattr(part, field.name), _UNCERTAINTY_UNITS.get(field.name, ""))
+    if uncertainty.delay:
+        found["delay"] = (uncertainty.delay, _UNCERTAINTY_UNITS["delay"])
+    return found
+
+
+def _tables() -> Iterator[Table]:
+    """The tables for the terminal."""
+    from cablebot_gym.envs import ENV_IDS, env_robot
+    from cablebot_gym.robots import find_robot
+    from cablebot_gym.trajectories import TRAJECTORIES
+    from cablebot_gym.uncertainty import (
+        PARAMETERS,
+        UNCERTAINTIES,
+        ExternalWrench,
+        ParameterDistribution,
+        SensorNoise,
+        Uncertainty,
+    )
+
+    table = _table("Environments", "id", "robot", "cables", "coordinates", "joints")
+    for env_id in ENV_IDS:
+        robot = find_robot(env_robot(env_id))
+        joints = "flexible" if robot.flexible else "rigid"
+        table.add_row(env_id, robot.name, str(robot.cables), str(robot.coordinates), joints)
+    yield table
+
+    table = _table('Trajectories: {"name": NAME, FIELD: VALUE}', "name", "field", "default", "unit")
+    for name, make in TRAJECTORIES.items():
+        trajectory = make()
+        for index, (field, entry) in enumerate(_trajectory_fields(trajectory).items()):
+            default = _json_text(entry["default"])
+            if entry["default"] is None:
+                default += f" ({_json_text(getattr(trajectory, field))} with these fields)"
+            table.add_row(name if index == 0 else "", field, default, entry["unit"])
+    yield table
+
+    table = _table("Uncertainties", "name", "field", "value")
+    for name in UNCERTAINTIES:
+        entries = _uncertainty_fields(name)
+        if not entries:
+            table.add_row(name, "–", "no uncertainty")
+        for index, (path, entry) in enumerate(entries.items()):
+            value = f"{_json_text(entry['value'])} {entry['unit']}".strip()
+            if len(entry["env_ids"]) < len(ENV_IDS):
+                value += f" ({_short_ids(entry['env_ids'])} only)"
+            table.add_row(name if index == 0 else "", path, value)
+    yield table
+
+    table = _table("Fields of an uncertainty in JSON", "group", "field", "default", "unit")
+    groups = {"parameters.NAME": ParameterDistribution, "wrench": ExternalWrench, "sensors": SensorNoise}
+    for group, kind in groups.items():
+        for index, item in enumerate(fields(kind)):
+            default = "required" if item.default is MISSING else _json_text(item.default)
+            table.add_row(group if index == 0 else "", item.name, default, _UNCERTAINTY_UNITS.get(item.name, ""))
+    delay = next(field.default for field in fields(Uncertainty) if field.name == "delay")
+    table.add_row("delay", "–", _json_text(delay), _UNCERTAINTY_UNITS["delay"])
+    table.caption = 'Fractions refer to the nominal value; with "relative": false, the unit is that of the parameter.'
+    yield table
+
+    table = _table("Uncertain parameters", "name", "unit", "robots")
+    for name, parameter in PARAMETERS.items():
+        robots = "flexible" if parameter.flexible else "spatial" if parameter.spatial else "all"
+        table.add_row(name, _PARAMETER_UNITS.get(name, ""), robots)
+    yield table
+
+    policies = _sorted_policies()
+    for kind in dict.fromkeys(item.kind for item in policies):
+        table = _table(f"{kind.capitalize()} policies", "name", "environments", "summary")
+        for item in policies:
+            if item.kind == kind:
+                ids = "all" if set(item.env_ids) >= set(ENV_IDS) else _short_ids(item.env_ids)
+                table.add_row(item.name, ids, item.summary)
+        yield table
+
+
+def _table(title: str, *columns: str) -> Table:
+    """An empty table that wraps only the columns with long texts."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        caption_justify="left",
+        caption_style="",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+    )
+    for column in columns:
+        wrapped = column in ("default", "value", "environments", "summary")
+        table.add_column(
+            column,
+            no_wrap=not wrapped,
+            overflow="fold",
+            max_width=22 if column == "environments" else None,
+            justify="right" if column in ("cables", "coordinates") else "left",
+        )
+    return table
+
+
+def _json_text(value: Any) -> str:
+    """A value as short JSON: numbers with six significant digits, whole numbers without a point."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_json_text, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{json.dumps(key)}: {_json_text(item)}' for key, item in value.items())}}}"
+    return json.dumps(value)
+
+
+def _short_ids(env_ids: Any) -> str:
+    """Environment ids without their common prefix and suffix, such as ``Planar, FlexSpatial``."""
+    return ", ".join(env_id.removeprefix("CableBot-").removesuffix("-v0") for env_id in env_ids)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cablebot_gym.cli.options import (
     EnvId,
     Frequency,
-    Known,
+    PayloadKnown,
     PolicyNameOrNone,
     Seed,
     TrajectoryName,
@@ -24,24 +24,25 @@ def watch(
     speed: Speed = SPEED,
     size: Size = None,
     trajectory: TrajectoryName = None,
-    payload_known: Known = True,
+    payload_known: PayloadKnown = True,
     uncertainty: UncertaintyName = None,
     control_frequency: Frequency = 500.0,
     seed: Seed = 0,
 ) -> None:
-    """An episode in a window, again and again: cables by tension, motors against their limits, errors against bounds.
+    """Show an episode in a window, in a loop.
 
-    Space stops and goes on, the arrows go a picture back or on, r starts again, q or Esc ends. Needs the extra: pip
-    install 'cablebot-gym[render]'.
+    Colours show the cable tensions. Bars show the motor torques against their limits and the errors against their
+    bounds. Keys: Space pauses and resumes, the arrow keys step by one frame, r restarts, q or Esc closes the window.
+    Requires the extra: pip install 'cablebot-gym[render]'.
 
-    Example: cablebot watch CableBot-Spatial-v0 --policy tube --payload 7
+    Example: cablebot watch CableBot-Spatial-v0 --policy trajopt --payload 7
     """
     from cablebot_gym.rendering.window import NoDisplayError
     from cablebot_gym.video.recording import check_speed, play
 
-    each = picture_size(size)
+    frame_size = picture_size(size)
     check_speed(speed)
-    films = record_videos(
+    videos = record_videos(
         env_id,
         policy_names(policy, policies),
         payload=payload,
@@ -52,7 +53,9 @@ def watch(
         seed=seed,
     )
     try:
-        play(films, speed=speed, size=each)
+        play(videos, speed=speed, size=frame_size)
     except NoDisplayError as error:
-        instead = f"cablebot video {env_id} film.gif with the same options"
-        raise ValueError(f"no display to open a window on: write a film instead, {instead}") from error
+        alternative = f"cablebot video {env_id} video.gif"
+        raise ValueError(
+            f"there is no display for a window. Write a video instead, with the same options: {alternative}"
+        ) from error

@@ -1,4 +1,4 @@
-"""The Gymnasium face of the plants: ids, registered when :mod:`cablebot_gym` is imported."""
+"""Environment ids. Importing :mod:`cablebot_gym` registers them with Gymnasium."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 ENV_ROBOTS = {
     "CableBot-Planar-v0": "planar",
@@ -15,23 +15,23 @@ ENV_ROBOTS = {
     "CableBot-FlexPlanar-v0": "flex-planar",
     "CableBot-FlexSpatial-v0": "flex-spatial",
 }
-"""Robot of each id."""
+"""Name of the robot of each environment id."""
 
 ENV_IDS = tuple(ENV_ROBOTS)
-"""Every id."""
+"""All environment ids."""
 
 FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
-"""Ids of robots with joint springs."""
+"""Ids of the environments whose robots have joint springs."""
 
 RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV_IDS)
-"""Ids of robots without."""
+"""Ids of the environments whose robots have no joint springs."""
 
 MAX_EPISODE_STEPS = 500
-"""Time limit in the specs: 1 s at the default control frequency."""
+"""Time limit of the registered specs [control steps]: 1 s at the default control frequency."""
 
 
 def register_envs() -> None:
-    """Registers every id with Gymnasium; a second call changes nothing."""
+    """Registers every id with Gymnasium. A second call has no effect."""
     for env_id, robot in ENV_ROBOTS.items():
         if env_id not in gym.registry:
             gym.register(
@@ -44,43 +44,46 @@ def register_envs() -> None:
 
 
 def env_robot(env_id: str) -> str:
-    """The robot's name of an id.
+    """Name of the robot of an environment id.
 
     Raises:
-        ValueError: if the id is unknown, naming the known ones.
+        ValueError: if the id is unknown; the message lists the known ids.
     """
     if env_id not in ENV_ROBOTS:
-        raise ValueError(no_such("environment", env_id, ENV_IDS))
+        raise unknown_name_error("environment", env_id, ENV_IDS)
     return ENV_ROBOTS[env_id]
 
 
 def described(env_id: str, robot_name: str) -> str:
-    """An id for titles, with ``robot_name`` where it is not the id's own."""
+    """Title text of an environment: its id, followed by ``robot_name`` if this is not the default robot of the id."""
     return env_id if ENV_ROBOTS.get(env_id) == robot_name else f"{env_id} with robot {robot_name!r}"
 
 
 def check_robot(env_id: str, robot: Any) -> None:
-    """Refuses an unknown id, and a robot of another kind than the id's.
+    """Checks that an environment id exists and that a robot is of the kind of the id.
+
+    Kinds are planar or spatial, with or without joint springs.
 
     Raises:
-        ValueError: naming the valid ids, or the id that fits the robot.
+        ValueError: if the id is unknown or the robot does not fit. The message lists the valid ids, or gives the id
+            that fits the robot.
     """
-    usual = env_robot(env_id)
+    default = env_robot(env_id)
     if robot is None:
         return
-    from cablebot_gym.robots import find_robot  # not at import: making an id has to stay light
+    from cablebot_gym.robots import find_robot  # imported here because importing cablebot_gym must stay fast
 
-    own, wanted = find_robot(robot), find_robot(usual)
-    if not _same_kind(own, wanted):
-        fits = next(i for i, name in ENV_ROBOTS.items() if _same_kind(own, find_robot(name)))
-        raise ValueError(f"robot {own.name!r} does not fit {env_id}: use {fits}")
+    given = find_robot(robot)
+    if not _same_kind(given, find_robot(default)):
+        fitting_id = next(i for i, name in ENV_ROBOTS.items() if _same_kind(given, find_robot(name)))
+        raise ValueError(f"robot {given.name!r} does not fit {env_id}: use {fitting_id}")
 
 
 def check_spec(spec: EnvSpec | None, robot: Any) -> None:
-    """Refuses a robot of another kind than that of the id by which Gymnasium made an environment.
+    """Checks that a robot is of the kind of the id from which Gymnasium made an environment.
 
     Raises:
-        ValueError: naming the id that fits the robot.
+        ValueError: if the robot does not fit; the message gives the id that fits it.
     """
     if spec is not None and spec.id in ENV_ROBOTS:
         check_robot(spec.id, robot)

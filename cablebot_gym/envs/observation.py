@@ -1,4 +1,4 @@
-"""The layout of the flat observation: named slices, units and bounds, in one place for envs, policies and documents."""
+"""Layout of the flat observation: names, slices, units and bounds of its blocks."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Trajectory
 
 PREVIEWS = (0.02, 0.05, 0.1, 0.2)
-"""How far ahead the reference is previewed [s]."""
+"""Preview times: how far ahead the observation shows the reference [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """One named part of the observation."""
+    """One named block of the observation."""
 
     name: str
-    """Key of :meth:`ObservationLayout.slices`."""
+    """Name of the block, a key of :meth:`ObservationLayout.slices`."""
     start: int
-    """First component."""
+    """Index of the first component."""
     size: int
     """Number of components."""
     low: tuple[float, ...]
@@ -32,22 +32,22 @@ class Block:
     high: tuple[float, ...]
     """Upper bounds, (size,)."""
     unit: str
-    """Units: positions, then angles."""
+    """Units of the components: of positions, then of angles."""
     meaning: str
-    """One line."""
+    """Meaning in one line."""
 
     @property
     def slice(self) -> slice:
-        """Where the block stands."""
+        """Slice of the block in the observation."""
         return slice(self.start, self.start + self.size)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationLayout:
-    """Named blocks of the observation of one robot. Works on one observation (size,) and on a batch (N, size)."""
+    """Named blocks of the observation of one robot. Methods accept one observation (size,) or a batch (N, size)."""
 
     blocks: tuple[Block, ...]
-    """In the order of the observation."""
+    """Blocks in the order of the observation."""
 
     @property
     def size(self) -> int:
@@ -59,16 +59,16 @@ class ObservationLayout:
         return {block.name: block.slice for block in self.blocks}
 
     def checked(self, observation: ArrayLike, robot_name: str) -> Array:
-        """The observation as an array (..., size); ``robot_name`` is for the error alone.
+        """The observation as a float array (..., size). ``robot_name`` is used in the error message.
 
         Raises:
-            ValueError: if it has another size: it belongs to another robot.
+            ValueError: if the last axis has another size, as the observation of another robot has.
         """
         array = np.asarray(observation, float)
         if array.shape[-1:] != (self.size,):
             raise ValueError(
-                f"a policy for robot {robot_name!r} reads {self.size} components, not {array.shape[-1:]}: "
-                "build it for the environment's robot"
+                f"a policy for robot {robot_name!r} reads observations of {self.size} components, not of shape "
+                f"{array.shape}: build it for the environment's robot"
             )
         return array
 
@@ -77,18 +77,18 @@ class ObservationLayout:
         return {block.name: observation[..., block.slice] for block in self.blocks}
 
     def space(self) -> Box:
-        """The bounded Box; an observation saturates at its bounds, which no useful motion reaches."""
+        """The bounded observation space. Components saturate at the bounds; useful motions do not reach them."""
         low = np.concatenate([block.low for block in self.blocks])
         high = np.concatenate([block.high for block in self.blocks])
         return Box(low, high, dtype=np.float64)
 
     def table(self) -> str:
-        """The observation as a Markdown table."""
+        """Markdown table of the blocks."""
         lines = ["| components | name | unit | low | high | meaning |", "|---|---|---|---|---|---|"]
         for block in self.blocks:
-            place = str(block.start) if block.size == 1 else f"{block.start}–{block.start + block.size - 1}"
+            components = str(block.start) if block.size == 1 else f"{block.start}–{block.start + block.size - 1}"
             low, high = (_bounds_text(bounds) for bounds in (block.low, block.high))
-            lines.append(f"| {place} | `{block.name}` | {block.unit} | {low} | {high} | {block.meaning} |")
+            lines.append(f"| {components} | `{block.name}` | {block.unit} | {low} | {high} | {block.meaning} |")
         return "\n".join(lines)
 
 
@@ -98,50 +98,53 @@ def _bounds_text(bounds: tuple[float, ...]) -> str:
 
 
 def preview_name(ahead: float) -> str:
-    """Name of the block that previews the reference so far ahead [s]."""
+    """Name of the block that previews the reference ``ahead`` seconds ahead."""
     return f"preview_{round(ahead * 1e3)}ms"
 
 
 @lru_cache(maxsize=64)
 def observation_layout(robot: Robot) -> ObservationLayout:
-    """The layout for a robot. Bounds follow from its workspace: half as much again on each side."""
+    """Layout for a robot. The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre."""
     n = robot.coordinates
     low, high = robot.pose_bounds
-    middle, reach = (low + high) / 2, 0.75 * (high - low)
-    pose = (tuple(middle - reach), tuple(middle + reach))
+    centre, reach = (low + high) / 2, 0.75 * (high - low)
+    pose = (tuple(centre - reach), tuple(centre + reach))
     angles = np.arange(n) >= 3
     units = ("m", "m/s", "m/s²") if robot.planar else ("m, rad", "m/s, rad/s", "m/s², rad/s²")
     symmetric = {
-        order: (tuple(-np.where(angles, turn, line)), tuple(np.where(angles, turn, line)))
-        for order, line, turn in ((0, 2.0, 4.0), (1, 20.0, 100.0), (2, 1e3, 1e4), (3, 1e5, 1e6), (4, 1e7, 1e8))
+        order: (tuple(-np.where(angles, angle, length)), tuple(np.where(angles, angle, length)))
+        for order, length, angle in ((0, 2.0, 4.0), (1, 20.0, 100.0), (2, 1e3, 1e4), (3, 1e5, 1e6), (4, 1e7, 1e8))
     }
-    wide = [((-bound,) * robot.cables, (bound,) * robot.cables) for bound in (1e3, 1e3)]
+    motor_bounds = ((-1e3,) * robot.cables, (1e3,) * robot.cables)
     motors = [
-        ("motor_angle", robot.cables, wide[0], "rad", "β′; less the pulley's angle, the wind-up of the springs"),
-        ("motor_speed", robot.cables, wide[1], "rad/s", "β̇′"),
+        (
+            "motor_angle",
+            robot.cables,
+            motor_bounds,
+            "rad",
+            "motor angle β′; β′ minus the pulley angle β is the spring deflection",
+        ),
+        ("motor_speed", robot.cables, motor_bounds, "rad/s", "motor speed β̇′"),
     ]
     higher = [
         ("reference_jerk", n, symmetric[3], units[2].replace("²", "³"), "third derivative of X_d"),
         ("reference_snap", n, symmetric[4], units[2].replace("²", "⁴"), "fourth derivative of X_d"),
     ]
-    parts = [
-        ("pose", n, pose, units[0], "X, measured: exact unless sensors are noisy"),
-        ("velocity", n, symmetric[1], units[1], "Ẋ"),
+    rows = [
+        ("pose", n, pose, units[0], "measured pose X, exact without sensor noise"),
+        ("velocity", n, symmetric[1], units[1], "measured velocity Ẋ, exact without sensor noise"),
         *(motors if robot.flexible else []),
-        ("time_left", 1, ((0.0,), (1e3,)), "s", "until the reference motion ends; 0 afterwards"),
-        ("reference_pose", n, pose, units[0], "X_d at the present control instant"),
+        ("time_to_go", 1, ((0.0,), (1e3,)), "s", "time until the reference motion ends; 0 afterwards"),
+        ("reference_pose", n, pose, units[0], "reference pose X_d at the present control instant"),
         ("reference_velocity", n, symmetric[1], units[1], "first derivative of X_d"),
         ("reference_acceleration", n, symmetric[2], units[2], "second derivative of X_d"),
         *(higher if robot.flexible else []),
-        *(
-            (preview_name(ahead), n, symmetric[0], units[0], f"X_d {ahead:g} s ahead, less X_d now")
-            for ahead in PREVIEWS
-        ),
-        ("told_payload", 1, ((0.0,), (1e3,)), "kg", "payload as told; 0 if it is not known"),
-        ("payload_known", 1, ((0.0,), (1.0,)), "–", "1 if the payload is told, else 0"),
+        *((preview_name(ahead), n, symmetric[0], units[0], f"X_d in {ahead:g} s minus X_d now") for ahead in PREVIEWS),
+        ("model_payload", 1, ((0.0,), (1e3,)), "kg", "payload of the controller's model; 0 if the payload is unknown"),
+        ("payload_known", 1, ((0.0,), (1.0,)), "–", "1 if the payload is known, else 0"),
     ]
     blocks, start = [], 0
-    for name, size, (lows, highs), unit, meaning in parts:
+    for name, size, (lows, highs), unit, meaning in rows:
         lows, highs = tuple(map(float, lows)), tuple(map(float, highs))
         blocks.append(Block(name=name, start=start, size=size, low=lows, high=highs, unit=unit, meaning=meaning))
         start += size
@@ -149,19 +152,19 @@ def observation_layout(robot: Robot) -> ObservationLayout:
 
 
 def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
-    """What an observation says of the reference at each time (K,): its blocks by name, each (K, size), in order.
+    """Blocks of the observation that describe the reference, by name and in order, each (K, size).
 
     Args:
-        trajectory: the reference.
-        times: since the episode's start [s].
-        to_snap: whether the robot is flexible.
+        trajectory: the reference motion.
+        times: times since the start of the episode [s], (K,).
+        to_snap: whether to include jerk and snap, which observations of flexible robots have.
     """
     now = trajectory(times)
     derivatives = {"pose": now.position, "velocity": now.velocity, "acceleration": now.acceleration}
     if to_snap:
         derivatives |= {"jerk": now.jerk, "snap": now.snap}
     return {
-        "time_left": np.maximum(trajectory.duration - times, 0.0)[:, None],
+        "time_to_go": np.maximum(trajectory.duration - times, 0.0)[:, None],
         **{f"reference_{name}": values for name, values in derivatives.items()},
         **{preview_name(ahead): trajectory(times + ahead).position - now.position for ahead in PREVIEWS},
     }

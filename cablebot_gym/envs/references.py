@@ -1,4 +1,4 @@
-"""Reference motions tabulated on the grids on which the compiled steps read them."""
+"""Tables of reference motions on the time grids that the compiled steps read."""
 
 from __future__ import annotations
 
@@ -14,31 +14,32 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Reference, Trajectory
 
 LONGEST_MOTION = 1000.0
-"""Longest motion that is tabulated [s]; the observation's clock ends there too."""
+"""Longest duration of a motion [s]; also the upper bound of ``time_to_go`` in the observation."""
 
 MOST_STEPS = 1_000_000
-"""Of a motion, at the control frequency: beyond, tables would take gigabytes."""
+"""Largest number of control steps of a motion; longer tables would take gigabytes."""
 
 ORDERS = tuple(field.name for field in fields(Reference))
-"""Of a motion: its position and the derivatives of it."""
+"""Orders of a motion: position and its time derivatives."""
 
 CHANGE_ERROR = 0.05
-"""A derivative is doubted where its integral over a physics step is further than this from the change of what it is
-the derivative of, as a share of the largest change."""
+"""Tolerance of the check of derivatives: largest difference between the integral of a derivative over a physics step
+and the change of the lower order, as a fraction of the largest change."""
 
-STANDING = 1e-9
-"""After its duration a motion moves less than this, m/s or m and rad/s or rad."""
+REST_TOLERANCE = 1e-9
+"""Largest motion after the end of a trajectory: velocity [m/s, rad/s] and displacement [m, rad]."""
 
-DOUBTED_STEPS = 0.1
-"""Share of the steps from which on a doubt is told: a jump concerns single ones."""
+FAILED_STEPS = 0.1
+"""Fraction of the steps that must fail the check before a warning is given: a jump fails in single steps only."""
 
 
 class ReferenceTables:
-    """The motions that some lane of a batch follows now, tabulated once each, to snap if ``to_snap``.
+    """Tables of the motions that the environments of a batch follow at present, one table per motion.
 
-    ``physics``: poses at every physics step, ``substeps`` a control period, (trajectories, lines, n); ``control``: the
-    observation's reference part at every control instant, (trajectories, lines, columns). The last line of each, at
-    ``physics_ends`` and ``control_ends``, is the motion's last pose at rest and holds for ever.
+    ``physics`` (trajectories, rows, n): poses at every physics step, ``substeps`` per control period. ``control``
+    (trajectories, rows, columns): reference blocks of the observation at every control instant, with jerk and snap if
+    ``to_snap``. ``physics_ends`` and ``control_ends`` are the indices of the last rows: the final pose at rest, which
+    is held from then on.
     """
 
     def __init__(self, control_frequency: float, substeps: int, *, to_snap: bool) -> None:
@@ -49,99 +50,113 @@ class ReferenceTables:
         self.physics_ends = self.control_ends = np.zeros(0, np.int64)
 
     def prepare(self, trajectory: Trajectory) -> None:
-        """Tabulates a motion, if it is new, for the next :meth:`follow`.
+        """Tabulates a motion for the next :meth:`follow`, if it has no table yet.
 
         Raises:
-            ValueError: if the motion is too long, has too many steps, or is not finite numbers of the right shape;
-                nothing has changed then.
+            ValueError: if the motion is too long, has too many steps, or returns values that are not finite or not of
+                the right shape. The tables are unchanged then.
         """
         if not any(table[0] is trajectory for table in self._tables):
             self._tables = [*self._tables, (trajectory, *self._tabulate(trajectory))]
 
-    def follow(self, lanes: NDArray[np.int64], trajectory: Trajectory, which: NDArray[np.int64]) -> None:
-        """Lets ``lanes`` follow a prepared motion; ``which`` (width,) is brought up to date, fill lanes included."""
-        if all(self._followed.get(lane) is trajectory for lane in lanes.tolist()):
+    def follow(
+        self, env_indices: NDArray[np.int64], trajectory: Trajectory, trajectory_index: NDArray[np.int64]
+    ) -> None:
+        """Makes the environments ``env_indices`` follow a prepared motion.
+
+        Args:
+            env_indices: environments, (k,).
+            trajectory: the motion, after :meth:`prepare`.
+            trajectory_index: index of each environment's table, (width,); updated here, with the fill at its end.
+        """
+        if all(self._followed.get(env_index) is trajectory for env_index in env_indices.tolist()):
             return
-        self._followed.update(dict.fromkeys(lanes.tolist(), trajectory))
-        wanted = {id(motion): motion for motion in self._followed.values()}
-        self._tables = [table for table in self._tables if id(table[0]) in wanted]
+        self._followed.update(dict.fromkeys(env_indices.tolist(), trajectory))
+        followed = {id(motion) for motion in self._followed.values()}
+        self._tables = [table for table in self._tables if id(table[0]) in followed]
         self.physics, self.physics_ends = _stacked([table[1] for table in self._tables])
         self.control, self.control_ends = _stacked([table[2] for table in self._tables])
-        places = {id(table[0]): place for place, table in enumerate(self._tables)}
-        for lane, motion in self._followed.items():
-            which[lane] = places[id(motion)]
-        which[len(self._followed) :] = which[len(self._followed) - 1]
+        indices = {id(table[0]): index for index, table in enumerate(self._tables)}
+        for env_index, motion in self._followed.items():
+            trajectory_index[env_index] = indices[id(motion)]
+        trajectory_index[len(self._followed) :] = trajectory_index[len(self._followed) - 1]
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
         if not 0 < trajectory.duration <= LONGEST_MOTION:
-            raise ValueError(f"a motion lasts up to {LONGEST_MOTION:g} s here, not {trajectory.duration} s")
+            raise ValueError(
+                f"trajectory {trajectory.name!r} lasts {trajectory.duration} s: its duration must be > 0 and at most "
+                f"{LONGEST_MOTION:g} s"
+            )
         steps = int(np.ceil(trajectory.duration * self._frequency - 1e-9)) + 1
         if steps > MOST_STEPS:
             raise ValueError(
-                f"a motion has up to {MOST_STEPS:,} control steps here, not {steps:,} ({trajectory.duration:g} s at "
-                f"{self._frequency:g} Hz): choose a lower control_frequency"
+                f"trajectory {trajectory.name!r} has {steps:,} control steps ({trajectory.duration:g} s at "
+                f"{self._frequency:g} Hz), more than {MOST_STEPS:,}: choose a lower control_frequency"
             )
         rate = self._frequency * self._substeps
         times = np.arange(steps + 1) / self._frequency
         physics_times = np.arange(steps * self._substeps + 1) / rate
-        checked = _checked(trajectory, physics_times, ORDERS if self._to_snap else ORDERS[:3])
+        orders = _evaluate(trajectory, physics_times, ORDERS if self._to_snap else ORDERS[:3])
         blocks = observed_reference(trajectory, times, to_snap=self._to_snap)
         control = np.concatenate(list(blocks.values()), axis=1)
         if not np.all(np.isfinite(control)):
             raise ValueError(
-                f"trajectory {trajectory.name!r} is not finite after its duration: hold its last pose there, at rest"
+                f"trajectory {trajectory.name!r} is not finite after its duration: return its final pose at rest there"
             )
         after = [blocks["reference_velocity"][-1], *(blocks[preview_name(ahead)][-1] for ahead in PREVIEWS)]
-        if np.max(np.abs(after)) > STANDING:
+        if np.max(np.abs(after)) > REST_TOLERANCE:
             warnings.warn(
-                f"trajectory {trajectory.name!r} moves on after its duration of {trajectory.duration:g} s: hold its "
-                "last pose there, at rest",
+                f"trajectory {trajectory.name!r} still moves after its duration of {trajectory.duration:g} s: return "
+                "its final pose at rest there",
                 stacklevel=2,
             )
-        return np.ascontiguousarray(checked[0]), control
+        return np.ascontiguousarray(orders[0]), control
 
 
-def _checked(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> list[Array]:
-    """A motion's ``orders`` at each time, (K, n) each; warns of a derivative that is none.
+def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> list[Array]:
+    """The ``orders`` of a motion at the times (K,), each (K, n).
+
+    Warns if an order is not the time derivative of the order below it.
 
     Raises:
-        ValueError: if one is not finite numbers of the right shape.
+        ValueError: if the values are not finite or not of the right shape.
     """
-    who = f"trajectory {trajectory.name!r}"
+    label = f"trajectory {trajectory.name!r}"
     motion = trajectory(times)
     if not isinstance(motion, Reference):
-        raise ValueError(f"{who} must return a Reference, not {type(motion).__name__}")
+        raise ValueError(f"{label} must return a Reference, not {type(motion).__name__}")
     shape = (len(times), trajectory.coordinates)
     checked = [np.asarray(getattr(motion, name)) for name in orders]
     for name, values in zip(orders, checked, strict=True):
         if values.shape != shape:
             raise ValueError(
-                f"{who} must give each {name} as (..., {shape[1]}): at {shape[0]} times {shape}, not {values.shape}"
+                f"{label} must return a {name} of shape (..., {shape[1]}): {shape} for {shape[0]} times, not "
+                f"{values.shape}"
             )
         if not np.all(np.isfinite(values)):
-            late = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
-            raise ValueError(f"{who} must give finite numbers, and its {name} at {late:g} s is not")
+            time = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
+            raise ValueError(f"{label} must return finite numbers: its {name} at {time:g} s is not finite")
     for (below, before), (name, values) in pairwise(zip(orders, checked, strict=True)):
         change = np.diff(before, axis=0)
         integral = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
         largest = np.max(np.maximum(np.abs(change), np.abs(integral)), axis=0)
         rounding = 1e-12 * (1 + np.max(np.abs(before), axis=0))
-        doubted = np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1)
-        if np.count_nonzero(doubted) > max(DOUBTED_STEPS * len(doubted), 5):
-            place = np.flatnonzero(doubted)[0]
+        failed = np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1)
+        if np.count_nonzero(failed) > max(FAILED_STEPS * len(failed), 5):
+            first = np.flatnonzero(failed)[0]
             warnings.warn(
-                f"the {name} of {who} is not the time derivative of its {below}, first at {times[place]:.3g} s: laws "
-                "feed it forward",
+                f"the {name} of {label} is not the time derivative of its {below}, first at {times[first]:.3g} s. "
+                "Control laws use it as feedforward",
                 stacklevel=2,
             )
     return checked
 
 
 def _stacked(tables: list[Array]) -> tuple[Array, Array]:
-    """Tables of different lengths as one array, the rest filled with their last line, and where that line stands."""
+    """Tables of different lengths as one array, padded with their last rows, and the index of each last row."""
     ends = np.array([len(table) - 1 for table in tables], np.int64)
     stack = np.zeros((len(tables), ends.max() + 1, tables[0].shape[1]))
-    for place, table in enumerate(tables):
-        stack[place, : len(table)] = table
-        stack[place, len(table) :] = table[-1]
+    for index, table in enumerate(tables):
+        stack[index, : len(table)] = table
+        stack[index, len(table) :] = table[-1]
     return stack, ends

@@ -1,4 +1,4 @@
-"""A batch of episodes: plant, references, seeded draws, and what each step returns. Two env classes are its faces."""
+"""Batch of episodes, which both environment classes wrap: plant, references, random draws and step results."""
 
 from __future__ import annotations
 
@@ -19,39 +19,42 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import RobotArrays
-from cablebot_gym.task import Limits, Task
+from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import PARAMETERS, Uncertainty, draw_size
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Start:
-    """Where the episodes of some lanes begin, k of them."""
+    """Initial conditions of k episodes that have the same uncertainty."""
 
-    lanes: NDArray[np.int64]
+    env_indices: NDArray[np.int64]
+    """Environments, (k,)."""
     uncertainty: Uncertainty
+    """Uncertainty of the episodes."""
     robot: RobotArrays
-    """Of all k, or of each."""
+    """True robot: one for all k, or a batch of k."""
     payload: Array
-    """True, (k,)."""
+    """True payload [kg], (k,)."""
     parameters: Array
-    """The kernel's, (k, rows)."""
+    """Kernel parameters, (k, rows)."""
     pose: Array
+    """Start pose X, (k, n)."""
     velocity: Array
+    """Start velocity Ẋ, (k, n)."""
     angle: Array
-    """Of the motors behind springs, (k, m); zeros if rigid."""
+    """Motor angles β′ of flexible robots [rad], (k, m); zeros for rigid robots."""
     torque: Array
-    """That holds the robot at rest, (k, m); zeros if nobody asks."""
+    """Motor torques that hold the robot at rest [N·m], (k, m); zeros without actuation delay."""
     speed: Array
-    """Of the pulleys, (k, m); zeros if nobody asks."""
+    """Pulley speeds [rad/s], (k, m); zeros for rigid robots without actuation delay."""
 
 
 class Simulation:
-    """N lanes, each with an episode of its own. The single environment is a batch of one.
+    """N environments, each with its own episode. The single environment is a batch of one.
 
-    After :meth:`reset` and :meth:`step`, ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,), codes of
-    :data:`outcome.TERMINATION_REASONS`, and ``info`` (N, columns) hold the result; they are overwritten by the next
-    call.
+    :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
+    an index of :data:`outcome.TERMINATION_REASONS`, and ``info`` (N, columns). The next call overwrites them.
     """
 
     def __init__(self, settings: Settings, count: int) -> None:
@@ -63,19 +66,19 @@ class Simulation:
         self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
         space = self.layout.space()
         self._bounds = np.array([space.low, space.high])
-        self._workspace = np.array(robot.pose_bounds, order="C")  # each order of an array is compiled for anew
+        self._workspace = np.array(robot.pose_bounds, order="C")  # numba compiles once per memory order
         self._stall = np.tile(robot.stall_torque, (count, 1))
-        self._lane_settings = np.zeros((count, outcome.LANE_SETTINGS))
+        self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
         self._slack_for = np.zeros(count)
-        self._everyone = np.arange(count)
+        self._all_indices = np.arange(count)
         self.streams = Streams(count)
-        """Where all random numbers come from."""
+        """Random streams of all draws."""
         self._disturbances = Disturbances(robot, count, settings.control_frequency, self.streams)
         self._draw_size = draw_size(robot)
         self.truth: dict[str, Array] = {}
         """True parameters of the present episodes by name, each (N, …)."""
         self._trajectories: list[Trajectory] = [settings.trajectory] * count
-        self._limits: list[Limits] = [settings.limits] * count
+        self._error_bounds: list[ErrorBounds] = [settings.error_bounds] * count
         self.observation = np.zeros((count, self.layout.size))
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
@@ -83,110 +86,113 @@ class Simulation:
 
     @property
     def tasks(self) -> tuple[Task, ...]:
-        """The public task of each lane's episode."""
-        settings, told = self.settings, self._lane_settings
+        """Task of each environment's episode: the public knowledge of a policy."""
+        settings, rows = self.settings, self._episode_settings
         return tuple(
             Task(
                 robot=settings.robot,
-                trajectory=self._trajectories[lane],
-                limits=self._limits[lane],
+                trajectory=self._trajectories[env_index],
+                error_bounds=self._error_bounds[env_index],
                 control_frequency=settings.control_frequency,
                 cable=settings.cable,
-                told_payload=float(told[lane, outcome.TOLD]),
-                payload_known=bool(told[lane, outcome.KNOWN]),
+                model_payload=float(rows[env_index, outcome.MODEL_PAYLOAD]),
+                payload_known=bool(rows[env_index, outcome.KNOWN]),
             )
-            for lane in range(self.count)
+            for env_index in range(self.count)
         )
 
     @property
     def stall_torque(self) -> Array:
-        """True τ_s, shape (N, m)."""
+        """True stall torques τ_s [N·m], shape (N, m)."""
         return self._stall
 
     @property
     def pose(self) -> Array:
-        """True X, shape (N, n)."""
+        """True poses X, shape (N, n)."""
         return self._plant.pose
 
     @property
     def velocity(self) -> Array:
-        """True Ẋ, shape (N, n)."""
+        """True velocities Ẋ, shape (N, n)."""
         return self._plant.velocity
 
-    def reset(self, lanes: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> None:
-        """Starts new episodes in ``lanes``; ``options`` hold for these episodes only.
+    def reset(self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> None:
+        """Starts new episodes in the environments ``env_indices``; ``options`` apply to these episodes only.
 
         Raises:
-            ValueError: if an option is unknown or not valid; nothing has changed then.
+            ValueError: if an option is unknown or invalid. The environments are unchanged then, apart from the episode
+                numbers of the streams.
         """
         settings, robot = self.settings, self.settings.robot
         given = check_options(options, robot, self.count)
-        trajectory, limits = given.get("trajectory", settings.trajectory), given.get("limits", settings.limits)
+        trajectory = given.get("trajectory", settings.trajectory)
+        error_bounds = given.get("error_bounds", settings.error_bounds)
         uncertainties = given.get("uncertainty", settings.uncertainty)
         if "uncertainty" in given:
             check_stability(robot, uncertainties, settings.control_frequency, settings.substeps)
         self._tables.prepare(trajectory)
 
-        self.streams.begin(lanes)
-        payload = self._of(lanes, given.get("payload", settings.payload))
+        self.streams.start_episode(env_indices)
+        payload = self._values_of(env_indices, given.get("payload", settings.payload))
         if settings.payload_range is not None and "payload" not in given:
             low, high = settings.payload_range
-            payload = low + (high - low) * self.streams.uniform(lanes, Purpose.PAYLOAD, 1)[:, 0]
-        known = self._of(lanes, given.get("payload_known", settings.payload_known))
+            payload = low + (high - low) * self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+        known = self._values_of(env_indices, given.get("payload_known", settings.payload_known))
+        factor = self._values_of(env_indices, given.get("model_payload_factor", settings.model_payload_factor))
         error = np.broadcast_to(given.get("initial_error", settings.initial_error), (self.count, robot.coordinates))
         start = trajectory(0.0)
-        pose = start.position + error[lanes]
+        pose = start.position + error[env_indices]
         if settings.initial_error_range is not None and "initial_error" not in given:
-            uniform = self.streams.uniform(lanes, Purpose.START, robot.coordinates)
+            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
             pose = pose + settings.initial_error_range * (2 * uniform - 1)
         velocity = np.broadcast_to(start.velocity, pose.shape)
         starts = [
-            self._drawn(lanes[some], uncertainty, payload[some], pose[some], velocity[some])
-            for uncertainty, some in self._by_uncertainty(lanes, uncertainties)
+            self._draw_start(env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows])
+            for uncertainty, rows in self._by_uncertainty(env_indices, uncertainties)
         ]
 
-        bounds = np.array([limits.position, limits.rotation])
-        self._lane_settings[lanes, outcome.TOLD] = payload * known
-        self._lane_settings[lanes, outcome.KNOWN] = known
-        self._lane_settings[lanes, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
-        for lane in lanes:
-            self._trajectories[lane], self._limits[lane] = trajectory, limits
-        for one in starts:
-            self._start(one)
-        self._tables.follow(lanes, trajectory, self._plant.which)
-        self._observe(lanes, fresh=True)
+        bounds = np.array([error_bounds.position, error_bounds.rotation])
+        self._episode_settings[env_indices, outcome.MODEL_PAYLOAD] = payload * known * factor
+        self._episode_settings[env_indices, outcome.KNOWN] = known
+        self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
+        for env_index in env_indices:
+            self._trajectories[env_index], self._error_bounds[env_index] = trajectory, error_bounds
+        for start_state in starts:
+            self._apply_start(start_state)
+        self._tables.follow(env_indices, trajectory, self._plant.trajectory_index)
+        self._observe(env_indices, fresh=True)
 
-    def _of(self, lanes: NDArray[np.int64], value: Any) -> Any:
-        """The lanes' part of a value that is one for all or one per lane."""
-        return np.broadcast_to(value, (self.count,))[lanes]
+    def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
+        """Values for ``env_indices`` of a value that is given once for all environments or once per environment."""
+        return np.broadcast_to(value, (self.count,))[env_indices]
 
     def _by_uncertainty(
-        self, lanes: NDArray[np.int64], uncertainties: tuple[Uncertainty, ...]
+        self, env_indices: NDArray[np.int64], uncertainties: tuple[Uncertainty, ...]
     ) -> Iterator[tuple[Uncertainty, NDArray[np.int64]]]:
-        """Each uncertainty and the places in ``lanes`` that it holds for."""
+        """Each uncertainty and the positions in ``env_indices`` to which it applies."""
         if len(uncertainties) == 1:
-            yield uncertainties[0], np.arange(len(lanes))
+            yield uncertainties[0], np.arange(len(env_indices))
             return
-        for uncertainty in dict.fromkeys(uncertainties[lane] for lane in lanes):
-            yield uncertainty, np.flatnonzero([uncertainties[lane] == uncertainty for lane in lanes])
+        for uncertainty in dict.fromkeys(uncertainties[env_index] for env_index in env_indices):
+            yield uncertainty, np.flatnonzero([uncertainties[env_index] == uncertainty for env_index in env_indices])
 
-    def _drawn(
-        self, lanes: NDArray[np.int64], uncertainty: Uncertainty, payload: Array, pose: Array, velocity: Array
+    def _draw_start(
+        self, env_indices: NDArray[np.int64], uncertainty: Uncertainty, payload: Array, pose: Array, velocity: Array
     ) -> _Start:
-        """Draws the true robots; changes nothing yet.
+        """Draws the true robots of k episodes, without a change of the plant.
 
         Raises:
-            ValueError: if no tensions hold a robot where it has to be held.
+            ValueError: if a robot has to be at rest at its start pose and no cable tensions hold it there.
         """
         robot: RobotArrays = self.settings.robot
         parameters = self._parameters
         if uncertainty.parameters:
-            uniform = self.streams.uniform(lanes, Purpose.PARAMETERS, self._draw_size)
+            uniform = self.streams.uniform(env_indices, Purpose.PARAMETERS, self._draw_size)
             robot = true = uncertainty.draw(self.settings.robot, payload, uniform)
             parameters, payload = pack_parameters(true), true.payload
-        rows = np.array(np.broadcast_to(parameters, (len(lanes), parameters.shape[-1])))
+        rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
-        angle = torque = speed = np.zeros((len(lanes), robot.cables))
+        angle = torque = speed = np.zeros((len(env_indices), robot.cables))
         loaded, minimum = robot.mass + payload, textbook.MINIMUM_TENSION
         try:
             if robot.flexible:
@@ -194,11 +200,13 @@ class Simulation:
             if uncertainty.delay:
                 torque = textbook.static_torque(robot, loaded, pose, minimum=minimum)
         except np.linalg.LinAlgError as error:
-            raise ValueError("no tensions hold the robot at its start pose: choose another start") from error
+            raise ValueError(
+                "no tensions hold the robot at rest at its start pose: choose another start pose"
+            ) from error
         if robot.flexible or uncertainty.delay:
             speed = textbook.pulley_speed(robot, pose, velocity)
         return _Start(
-            lanes=lanes,
+            env_indices=env_indices,
             uncertainty=uncertainty,
             robot=robot,
             payload=payload,
@@ -210,54 +218,55 @@ class Simulation:
             speed=speed,
         )
 
-    def _start(self, start: _Start) -> None:
-        """Puts the true robots where their episodes begin."""
-        lanes, robot = start.lanes, start.robot
-        self._stall[lanes] = robot.stall_torque
-        self._lane_settings[lanes, outcome.PAYLOAD] = start.payload
-        self._remember(lanes, robot, start.payload)
-        self._plant.set_parameters(lanes, start.parameters)
-        self._plant.set_state(lanes, start.pose, start.velocity)
+    def _apply_start(self, start: _Start) -> None:
+        """Writes the initial conditions to the plant."""
+        env_indices, robot = start.env_indices, start.robot
+        self._stall[env_indices] = robot.stall_torque
+        self._episode_settings[env_indices, outcome.PAYLOAD] = start.payload
+        self._store_truth(env_indices, robot, start.payload)
+        self._plant.set_parameters(env_indices, start.parameters)
+        self._plant.set_state(env_indices, start.pose, start.velocity)
         if robot.flexible:
-            self._plant.set_motors(lanes, start.angle, start.speed)
-        holding = textbook.drive_command(robot, start.torque, start.speed)
-        self._disturbances.begin(lanes, start.uncertainty, holding)
+            self._plant.set_motors(env_indices, start.angle, start.speed)
+        holding = textbook.normalised_action(robot, start.torque, start.speed)
+        self._disturbances.reset(env_indices, start.uncertainty, holding)
 
-    def _remember(self, lanes: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
+    def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
+        """Stores the true parameters that the robot has in :attr:`truth`."""
         for name, parameter in PARAMETERS.items():
             if (parameter.flexible and not robot.flexible) or (parameter.spatial and robot.planar):
                 continue
             nominal = getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
             if name not in self.truth:
                 self.truth[name] = np.zeros((self.count, *np.shape(nominal)))
-            self.truth[name][lanes] = payload if name == "payload" else getattr(robot, parameter.attribute)
+            self.truth[name][env_indices] = payload if name == "payload" else getattr(robot, parameter.attribute)
 
     def step(self, action: Array) -> None:
-        """One control period under drive commands (N, m), which have to be finite."""
+        """Advances all environments by one control period under the actions (N, m), which must be finite."""
         plant, tables, settings = self._plant, self._tables, self.settings
         if not self._disturbances.quiet:
-            action = self._disturbances.late(action)
-            self._disturbances.push(plant)
-        plant.set_demand(action)
+            action = self._disturbances.delayed(action)
+            self._disturbances.update_wrench(plant)
+        plant.set_action(action)
         plant.advance(tables.physics, tables.physics_ends, substeps=settings.substeps, step=settings.physics_step)
-        self._observe(self._everyone, fresh=False)
+        self._observe(self._all_indices, fresh=False)
 
-    def _observe(self, lanes: NDArray[np.int64], *, fresh: bool) -> None:
+    def _observe(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
         plant, tables, settings = self._plant, self._tables, self.settings
         if not self._disturbances.quiet:
-            self._disturbances.measure(lanes, plant.step_index[lanes])
+            self._disturbances.measure(env_indices, plant.step_index[env_indices])
         outcome.outcome(
             fresh,
             settings.robot.flexible,
-            lanes,
+            env_indices,
             plant.lanes,
             kernel.RECORD_ROWS,
             plant.record,
             tables.control,
             tables.control_ends,
-            plant.which,
+            plant.trajectory_index,
             plant.step_index,
-            self._lane_settings,
+            self._episode_settings,
             self._stall,
             self._workspace,
             self._bounds,

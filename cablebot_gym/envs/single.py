@@ -26,155 +26,209 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.task import Task
 
-SEED_MESSAGE = "a seed must be at least 0 and a whole number, not {!r}"
+SEED_MESSAGE = "a seed must be at least 0 and an integer, not {!r}"
 
 
 class CableBotEnv(gym.Env[Array, Array]):
-    """A cable-suspended robot carries a payload along a reference motion, within what its motors can give.
+    """A cable-suspended robot moves a payload along a reference motion with motors of limited torque.
 
-    The plants are those of Korayem, Tourajizadeh and Bamdad (2010), misprints corrected: `CableBot-Planar-v0`, a point
-    mass on three cables in the horizontal plane, and `CableBot-Spatial-v0`, a platform on six cables with six degrees
-    of freedom, z pointing down; `CableBot-FlexPlanar-v0` and `CableBot-FlexSpatial-v0` have springs between motors and
-    pulleys (Eq. 4). SI units and radians throughout.
+    The robots are those of Korayem, Tourajizadeh and Bamdad (2010), with misprints corrected:
+
+    * `CableBot-Planar-v0`: a point mass on three cables in the horizontal plane.
+    * `CableBot-Spatial-v0`: a platform with six degrees of freedom on six cables; the z axis points down.
+    * `CableBot-FlexPlanar-v0` and `CableBot-FlexSpatial-v0`: the same robots with springs between motors and pulleys
+      (Eq. 4).
+
+    All quantities are in SI units and radians.
 
     ## Action space
 
-    `Box(-1, 1, (m,))`: the drive command of each motor. +1 is U⁺, the torque-speed line at the motor's present speed,
-    −1 is U⁻: the requested torque τ_s a − (τ_s/ω_n)·β̇ is held for the control period and clipped to U± at the start
-    of each physics step. Commands beyond ±1, up to ±10⁶, are accepted, recorded as `info["drive_demand"]`, and clipped
-    by the line: |a| > 1 is the paper's torque violation.
+    `Box(-1, 1, (m,))`: one normalised action a for each of the m motors. The torque-speed line limits the torque of a
+    motor to U⁻ ≤ τ ≤ U⁺, with U± = ±τ_s − (τ_s/ω_n)·β̇ for the stall torque τ_s, the free speed ω_n and the present
+    motor speed β̇. Action +1 requests U⁺, action −1 requests U⁻.
+
+    At the start of a control period, the action sets the requested torque τ_s a − (τ_s/ω_n)·β̇, which is constant
+    during the period. At the start of each physics step, the requested torque is clipped to the present U±. The result
+    is the applied torque.
+
+    Actions outside [−1, 1] are accepted if their magnitude is below 10⁶. They are returned as
+    `info["commanded_action"]`, and the applied torque saturates at U±. |a| > 1 is the torque violation of the paper.
 
     ## Observation space
 
-    A flat, bounded `Box`; `env.unwrapped.layout` names its slices, and `layout.table()` prints them with their bounds.
-    n is 2 (x, y) or 6 (x, y, z, ψ, θ, φ). A component saturates at its bound.
+    A flat, bounded `Box`. `env.unwrapped.layout` gives the slices of the blocks, and `layout.table()` prints them with
+    their bounds. n is 2 (x, y) or 6 (x, y, z, ψ, θ, φ), m is the number of cables. A component saturates at its bound.
 
     | name | size | meaning |
     |---|---|---|
-    | `pose` | n | X, measured: exact unless sensors are noisy |
-    | `velocity` | n | Ẋ |
-    | `motor_angle` | m | flexible only: β′; less the pulley's angle, the wind-up of the springs |
-    | `motor_speed` | m | flexible only: β̇′ |
-    | `time_left` | 1 | until the reference motion ends; 0 afterwards |
-    | `reference_pose` | n | X_d at the present control instant |
+    | `pose` | n | measured pose X, exact without sensor noise |
+    | `velocity` | n | measured velocity Ẋ, exact without sensor noise |
+    | `motor_angle` | m | flexible only: motor angle β′; β′ minus the pulley angle β is the spring deflection |
+    | `motor_speed` | m | flexible only: motor speed β̇′ |
+    | `time_to_go` | 1 | time until the reference motion ends; 0 afterwards |
+    | `reference_pose` | n | reference pose X_d at the present control instant |
     | `reference_velocity` | n | first derivative of X_d |
     | `reference_acceleration` | n | second derivative of X_d |
     | `reference_jerk` | n | flexible only: third derivative of X_d |
     | `reference_snap` | n | flexible only: fourth derivative of X_d |
-    | `preview_20ms` | n | X_d 0.02 s ahead, less X_d now |
-    | `preview_50ms` | n | X_d 0.05 s ahead, less X_d now |
-    | `preview_100ms` | n | X_d 0.1 s ahead, less X_d now |
-    | `preview_200ms` | n | X_d 0.2 s ahead, less X_d now |
-    | `told_payload` | 1 | payload as told; 0 if it is not known |
-    | `payload_known` | 1 | 1 if the payload is told, else 0 |
+    | `preview_20ms` | n | X_d in 0.02 s minus X_d now |
+    | `preview_50ms` | n | X_d in 0.05 s minus X_d now |
+    | `preview_100ms` | n | X_d in 0.1 s minus X_d now |
+    | `preview_200ms` | n | X_d in 0.2 s minus X_d now |
+    | `model_payload` | 1 | payload of the controller's model; 0 if the payload is unknown |
+    | `payload_known` | 1 | 1 if the payload is known, else 0 |
 
     ## Reward
 
-    The weighted sum of `1/(1 + e/R)` for the position error e and its bound R (`limits`), the same for the rotation
-    error (spatial), minus the mean of |a| beyond 1, minus the share of slack cables, minus one when the episode fails.
-    Each term stands in `info` as `reward_…`, weighted.
+    The reward is the weighted sum of five terms. `reward_weights` sets the weights, and `info` contains each weighted
+    term as `reward_…`. The error bounds R are those of `error_bounds`.
+
+    | term | value |
+    |---|---|
+    | `position` | 1/(1 + e/R), with the position error e and its bound R |
+    | `rotation` | 1/(1 + e/R), with the rotation error e and its bound R; 0 for planar robots |
+    | `saturation` | minus the mean over the motors of max(0, abs(a) − 1) |
+    | `slack` | minus the fraction of cables that were slack in the control period |
+    | `failure` | −1 when the episode terminates, else 0 |
 
     ## Start
 
-    On the reference's pose and velocity at time 0, plus `initial_error`. Springs start wound to the static equilibrium
-    of the true payload (planar: with at least 5 N in each cable), motors at the pulleys' speed: a policy that reads
-    `motor_angle` can tell the payload from it. That is physics.
+    An episode starts at time 0 with the pose and velocity of the reference. `initial_error` is added to the pose. The
+    springs of a flexible robot start in static equilibrium with the true payload (planar: with a tension of at least
+    5 N in each cable), and its motors start at the speed of the pulleys. A policy that reads `motor_angle` can
+    therefore infer an unknown payload; this is physically correct.
 
     ## Termination
 
+    An episode terminates if one of these conditions is met:
+
     1. `tracking_error`: the position error exceeds `termination_radius`;
     2. `slack`: some cable has been slack for longer than `slack_time`;
-    3. `workspace`: the pose has left the robot's workspace;
-    4. `non_finite`: the state has ceased to be finite.
+    3. `workspace`: the pose is outside the workspace of the robot;
+    4. `non_finite`: the state is not finite.
 
-    `info["termination_reason"]` names it, an empty string otherwise.
+    `info["termination_reason"]` is the name of the condition, or an empty string. If several conditions are met,
+    `non_finite` takes precedence, then `workspace`, `tracking_error` and `slack`.
 
     ## Truncation
 
-    By `TimeLimit` alone, after the spec's `max_episode_steps` (500). A motion may be longer or shorter: after its
-    duration the reference holds its last pose.
+    Only the wrapper `TimeLimit` truncates episodes, after `max_episode_steps` of the spec (500). A reference motion can
+    be longer or shorter than that. After its duration the reference stays at its final pose.
 
     ## Copies
 
-    `copy.deepcopy(env)` and pickling branch an episode where it is: each copy goes on by itself, to the bit as the
-    original does under the same commands and with the same draws.
+    `copy.deepcopy(env)` and pickling copy the environment in the middle of an episode. The copy and the original are
+    independent. With equal actions they return equal results, bit for bit, including random draws.
 
     ## Info
 
-    The same keys at reset and at every step. Of the present instant: `time`, `tracking_error` [m], `rotation_error`
-    [rad], `payload` [kg, true]. Of the control period just passed: `tracking_error_peak`, `rotation_error_peak`
-    (largest at any physics step), `slack` (bool for each cable, at any physics step: it hangs loose or, if bilateral,
-    pushes), and, at its start `command_time`: `drive_demand`, `torques` [N·m], `tensions` [N], `motor_speeds` [rad/s],
-    `torque_margin` (τ_s (1 − |a|), [N·m]). At reset no period has passed: commands, torques, tensions and speeds are
-    zero, and the peaks are the errors at the start.
+    The dict has the same keys after a reset and after every step.
+
+    * At the present instant: `time` [s], `tracking_error` (position error) [m], `rotation_error` (largest difference of
+      an angle) [rad], `payload` (true payload) [kg].
+    * Over the last control period: `tracking_error_peak` and `rotation_error_peak` (largest values at any physics
+      step), and `slack` (m booleans: whether the cable was slack at any physics step or, if cables are bilateral,
+      pushed).
+    * At the start of the last control period, which is at `action_time` [s]: `commanded_action`, `torques` (applied
+      torques) [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin` (distance of the requested torque from
+      the torque limit, τ_s (1 − abs(a))) [N·m]. Each has m components.
+
+    After a reset there is no last period: actions, torques, tensions and speeds are 0, and the peaks are the errors at
+    the start.
 
     ## Arguments
 
-    All keyword-only, and each can be given as JSON has it. Those marked * are also reset options, which hold for one
-    episode.
+    All arguments are keyword-only and accept JSON-able values. Those marked * are also reset options, which apply to
+    one episode: `env.reset(options={"payload": 2.0})`.
 
     | name | default | meaning |
     |---|---|---|
-    | `payload`* | 0 | payload [kg]; the true one too, unless it is uncertain |
-    | `payload_range` | None | (low, high): uniform, drawn anew each episode, in place of `payload` |
-    | `payload_known`* | True | whether the observation tells the payload |
-    | `trajectory`* | the paper's circle | a name, `{"name": …, …}` or a `Trajectory` |
-    | `initial_error`* | 0 | start pose less reference, n values |
-    | `initial_error_range` | None | n half widths of a uniform start error |
-    | `uncertainty`* | None | what the controller does not know, see below |
-    | `limits`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, scale the reward |
+    | `payload`* | 0 | nominal payload [kg]; the true payload is equal to it, unless it is uncertain |
+    | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode; replaces `payload` |
+    | `payload_known`* | True | whether the payload is known to the controller |
+    | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
+    | `trajectory`* | the paper's circle | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
+    | `initial_error`* | 0 | start pose minus reference pose, n values |
+    | `initial_error_range` | None | n half widths of a uniform start error, drawn in each episode |
+    | `uncertainty`* | None | difference between the true and the nominal robot, see below |
+    | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds that scale the reward |
     | `robot` | by id | a name, `Robot.to_dict()` data or a `Robot` |
-    | `cable` | "unilateral" | or "bilateral", cables that can push |
-    | `control_frequency` | 500 | drive commands per second [Hz] |
-    | `substeps` | steps ≤ 1 ms, finer where springs are stiff | physics steps per control period |
-    | `termination_radius` | 0.1 | [m] |
-    | `slack_time` | 0.1 | [s] |
-    | `reward_weights` | see `DEFAULT_WEIGHTS` | weights by term |
+    | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
+    | `control_frequency` | 500 | actions per second [Hz] |
+    | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
+    | `termination_radius` | 0.1 | position error beyond which the episode terminates [m] |
+    | `slack_time` | 0.1 | longest time for which a cable may be slack [s] |
+    | `reward_weights` | see `DEFAULT_WEIGHTS` | weights by reward term |
+
+    ## Payload known or unknown
+
+    The *nominal payload* is `payload` or the draw from `payload_range`. The *true payload* acts on the robot:
+    `info["payload"]`. It differs from the nominal payload only by `uncertainty`. The *model payload* is the payload of
+    the controller's model. The controller reads it in the block `model_payload` of the observation and in
+    `env.unwrapped.task.model_payload`. It is `model_payload_factor` times the nominal payload if the payload is known
+    (`payload_known`), and 0 if the payload is unknown.
 
     ## Uncertainty
 
-    `uncertainty` is a name (`"table6"`, the paper's; `"sensors"`), names joined by `+`, a dict such as
-    `{"parameters": {"stiffness": {"low": -0.2, "high": 0.2}}, "wrench": {"force_std": 1.0}, "delay": 1}`, or a
-    :class:`~cablebot_gym.uncertainty.Uncertainty`. Parameters are drawn around the nominal robot at each reset; an
-    external wrench acts on the platform; sensor noise is added to `pose`, `velocity`, `motor_angle`, `motor_speed`;
-    commands arrive `delay` control steps late, until then the motors hold the start, and `info["drive_demand"]` is what
-    arrives. The observation and the
-    task keep telling the nominal robot and payload; `env.unwrapped.truth` has all that was drawn, `info["payload"]` the
-    true payload.
+    `uncertainty` describes how the true robot differs from the nominal robot. It is one of:
 
-    The fields; what is left out has the default given. In `parameters`, one of these for each name:
+    * a name: `"table6"` (the paper's Table 6) or `"sensors"`, or names joined by `+`;
+    * a dict such as `{"parameters": {"stiffness": {"low": -0.2, "high": 0.2}}, "wrench": {"force_std": 1.0},
+      "delay": 1}`;
+    * a :class:`~cablebot_gym.uncertainty.Uncertainty`.
+
+    It has four parts:
+
+    * `parameters`: true parameters, drawn around the nominal values at each reset.
+    * `wrench`: an external wrench on the platform.
+    * `sensors`: noise on the blocks `pose`, `velocity`, `motor_angle` and `motor_speed`.
+    * `delay`: number of control steps by which actions arrive late. Until the first action arrives, the motors hold the
+      true robot, with its true payload, at rest at the start pose. `info["commanded_action"]` is the action that
+      arrives.
+
+    The observation and the task contain the nominal robot and the model payload. `env.unwrapped.truth` contains the
+    true parameters, and `info["payload"]` is the true payload.
+
+    Fields that are omitted have their defaults. Each entry of `parameters` has these fields:
 
     | field | default | meaning |
     |---|---|---|
-    | `low`, `high` | | bounds of the deviation from nominal, a share of it: −0.1 is −10 % |
-    | `relative` | true | false: the deviation is in the parameter's own unit, as anchors need it |
-    | `distribution` | "uniform" | or "normal", with `mean` 0 and `std`, cut off at the bounds |
-    | `each` | true | a draw for each motor, axis or coordinate; false: one for all of them |
+    | `low`, `high` | | bounds of the deviation, as a fraction of the nominal value: −0.1 is −10 % |
+    | `relative` | true | false: the deviation is in the unit of the parameter, which anchors require |
+    | `distribution` | "uniform" | or "normal" with `mean` (default 0) and `std`, truncated at the bounds |
+    | `each` | true | one draw for each motor, axis or coordinate; false: one draw for all of them |
 
-    The names are `platform_mass`, `payload`, `platform_inertia`, `pulley_inertia`, `damping`, `stiffness`,
-    `motor_inertia`, `motor_damping`, `motor_strength` (τ_s; the free speed stays), `base_anchors` and
-    `platform_anchors`. In `wrench`:
+    The names of the parameters are `platform_mass`, `payload`, `platform_inertia`, `pulley_inertia`, `damping`,
+    `stiffness`, `motor_inertia`, `motor_damping`, `motor_strength` (τ_s at constant free speed), `base_anchors` and
+    `platform_anchors`.
+
+    `wrench` has these fields:
 
     | field | default | meaning |
     |---|---|---|
-    | `force_mean`, `force_std` | 0 | normal force along the base frame's axes, one number or one for each [N] |
-    | `moment_mean`, `moment_std` | 0 | moment about these axes through the centre of mass, spatial [N·m] |
-    | `correlation_time` | 0.01 | how long a draw is held [s] |
-    | `factor` | (1, 1) | (low, high) of a factor for each component, drawn once an episode |
+    | `force_mean`, `force_std` | 0 | normal force along the axes of the base frame, one number or one per axis [N] |
+    | `moment_mean`, `moment_std` | 0 | spatial only: moment about these axes through the centre of mass [N·m] |
+    | `correlation_time` | 0.01 | time for which a draw is constant [s] |
+    | `factor` | (1, 1) | (low, high) of a uniform factor for each component, drawn once per episode |
 
-    In `sensors`, standard deviations of white noise, 0 by default: `position` [m], `rotation` [rad], `velocity` [m/s],
-    `rotation_rate` [rad/s], `motor_angle` [rad], `motor_speed` [rad/s].
+    `sensors` has the standard deviations of white noise, 0 by default: `position` [m], `rotation` [rad], `velocity`
+    [m/s], `rotation_rate` [rad/s], `motor_angle` [rad] and `motor_speed` [rad/s].
 
     ## Rendering
 
-    `render_mode="rgb_array"`: `render()` returns the picture of now, 640 × 480; `"human"`: `reset` and `step` show it
-    in a window, 50 times in a second of the episode. Cables are coloured by tension, dashed and sagging while slack;
-    the payload is drawn as a steel ball that hangs below the platform, though it acts at its centre of mass; the tube
-    around the path is R wide to either side. A bar for each motor stands within its present U⁻ and U⁺, and is red where
-    more was asked for; the gauges show the errors against their bounds. A recording of every step, 500 a second, played
-    with `metadata["render_fps"]` shows an episode ten times as long. Needs the extra `render`; Gymnasium's
-    `RecordVideo` needs `moviepy` besides, which `cablebot video` does not. On a machine without display, "human" draws
-    its pictures without showing them, and a log message says so.
+    With `render_mode="rgb_array"`, `render()` returns the present picture of 640 × 480 pixels. With `"human"`, `reset`
+    and `step` show it in a window, 50 times per second of episode time. On a machine without display, `"human"` paints
+    the pictures without showing them and writes a log message.
+
+    * The colour of a cable shows its tension. A slack cable is dashed and sags.
+    * The payload is a steel ball below the platform, although it acts at the platform's centre of mass.
+    * The tube around the path extends by the position error bound R to either side.
+    * Each motor has a bar of its applied torque between its present U⁻ and U⁺. The bar is red if the motor saturates.
+    * Gauges compare the errors with their error bounds.
+
+    A recording of every step has 500 pictures per second of episode time. Played at `metadata["render_fps"]` (50), it
+    is ten times slower than the episode. Rendering requires the extra `render`. Gymnasium's `RecordVideo` also requires
+    `moviepy`; `cablebot video` does not.
 
     ## Version history
 
@@ -187,27 +241,27 @@ class CableBotEnv(gym.Env[Array, Array]):
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         check_keywords(keywords)
         self.settings = make_settings(robot=robot, count=1, **keywords)
-        """What the environment was made with."""
+        """Checked constructor keywords."""
         self._simulation = Simulation(self.settings, 1)
         self.layout = self._simulation.layout
-        """Names the slices of the observation."""
+        """Layout of the observation: names, slices, units and bounds of its blocks."""
         self._cables = self.settings.robot.cables
         self._cable_columns = tuple(cable_columns(self._cables).items())
         self.action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
         self.observation_space = self.layout.space()
-        self._lane = np.zeros(1, np.int64)
+        self._env_index = np.zeros(1, np.int64)
         title = self.settings.robot.name
         self._pictures = None if render_mode is None else Pictures(self._simulation, title)
         self._started = self._terminated = False
 
     @property
     def task(self) -> Task:
-        """What a policy may know of the present episode."""
+        """Task of the present episode: the public knowledge of a policy."""
         return self._simulation.tasks[0]
 
     @property
     def truth(self) -> dict[str, Array]:
-        """True parameters of the present episode, names as in :data:`cablebot_gym.uncertainty.PARAMETERS`."""
+        """True parameters of the present episode, named as in :data:`cablebot_gym.uncertainty.PARAMETERS`."""
         return {name: values[0].copy() for name, values in self._simulation.truth.items()}
 
     @property
@@ -218,22 +272,25 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     @property
     def scene(self) -> Scene:
-        """What there is to see throughout the present episode."""
+        """Constant content of the pictures of the present episode."""
         return scene(self._simulation, 0, self.settings.robot.name)
 
     @property
     def moment(self) -> Moment:
-        """What there is to see now: the true state."""
+        """True present state, as the painter needs it."""
         return moment(self._simulation, 0)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The present picture, shape (480, 640, 3), with ``rgb_array``; None otherwise, see the class.
+        """The present picture, shape (480, 640, 3), if the render mode is ``rgb_array``; else None. See the class.
 
         Raises:
             ResetNeeded: before the first reset.
         """
         if self._pictures is None:
-            gym.logger.warn('render() shows nothing: make the environment with render_mode="rgb_array" or "human"')
+            gym.logger.warn(
+                "render() has no effect without a render mode: make the environment with "
+                'render_mode="rgb_array" or "human"'
+            )
             return None
         if not self._started:
             raise ResetNeeded("call reset() before render()")
@@ -243,41 +300,41 @@ class CableBotEnv(gym.Env[Array, Array]):
         return None
 
     def close(self) -> None:
-        """Closes the window, if there is one."""
+        """Closes the window, if it is open."""
         if self._pictures is not None:
             self._pictures.close()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts an episode; ``options`` hold for this episode only, see the class.
+        """Starts an episode; ``options`` apply to this episode only, see the class.
 
         Raises:
-            ValueError: if an option is unknown or not valid; the present episode goes on then. At the first reset, if
-                the robot is of another kind than the id's.
+            ValueError: if an option or the seed is invalid; the present episode is unchanged then. At the first reset,
+                also if the robot is not of the kind of the id.
         """
         if not self._started:
             check_spec(self.spec, self.settings.robot)
         if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
             raise ValueError(SEED_MESSAGE.format(seed))
-        before = self._np_random, self._np_random_seed, self._simulation.streams.standing()
+        before = self._np_random, self._np_random_seed, self._simulation.streams.state()
         try:
             if seed is not None or not self._started:
                 super().reset(seed=None if seed is None else int(seed))
                 self._simulation.streams.seed([0], [self.np_random_seed])
-            self._simulation.reset(self._lane, options)
-        except Exception:  # a refused reset takes nothing, not even its seed
+            self._simulation.reset(self._env_index, options)
+        except Exception:  # an invalid reset changes nothing, not even the seed
             self._np_random, self._np_random_seed, streams = before
             self._simulation.streams.restore(streams)
             raise
         self._started, self._terminated = True, False
         if self._pictures is not None:
-            self._pictures.begun([0])
+            self._pictures.on_reset([0])
             if self.render_mode == "human":
                 self._pictures.show()
         observation, _, _, info = self._result()
         return observation, info
 
     def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """One control period.
+        """Advances the episode by one control period.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -287,10 +344,10 @@ class CableBotEnv(gym.Env[Array, Array]):
             raise ResetNeeded("call reset() before step()")
         checked = check_action(action, (self._cables,))
         if self._terminated:
-            gym.logger.warn("step() after the episode was terminated: what follows is no episode, call reset()")
+            gym.logger.warn("step() after the episode was terminated: the results are meaningless, call reset()")
         self._simulation.step(checked)
         if self._pictures is not None:
-            self._pictures.stepped()
+            self._pictures.on_step()
             if self.render_mode == "human":
                 self._pictures.show()
         observation, reward, self._terminated, info = self._result()
@@ -299,7 +356,7 @@ class CableBotEnv(gym.Env[Array, Array]):
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation = self._simulation
         row, reason = simulation.info[0].copy(), int(simulation.reason[0])
-        # The arrays are views of this step's own copy; the scalars become Python floats all at once.
+        # Arrays are views of the copied row. tolist() converts all scalars to Python floats at once, which is fastest.
         info: dict[str, Any] = dict(zip(INFO_NAMES, row[:FIRST_CABLE_INFO].tolist(), strict=True))
         for name, columns in self._cable_columns:
             info[name] = row[columns]
@@ -309,19 +366,19 @@ class CableBotEnv(gym.Env[Array, Array]):
 
 
 def check_action(action: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """The action as finite floats of the right shape.
+    """The action as an array of floats of the given shape.
 
     Raises:
-        ValueError: if it is anything else.
+        ValueError: if its shape differs, or a component is not finite or not within ± ``LARGEST``.
     """
     checked = np.asarray(action, dtype=np.float64)
     if checked.shape != shape:
-        raise ValueError(f"an action has shape {shape}, one drive command for each motor, not {checked.shape}")
-    # Of a few numbers a list is far the quickest to search.
+        raise ValueError(f"an action must have shape {shape}, one component for each motor, not {checked.shape}")
+    # A Python loop is faster than NumPy for a few numbers.
     if checked.ndim == 1:
-        sane = all(-LARGEST < command < LARGEST for command in checked.tolist())
+        valid = all(-LARGEST < component < LARGEST for component in checked.tolist())
     else:
-        sane = bool(np.all(np.abs(checked) < LARGEST))
-    if not sane:
-        raise ValueError(f"an action must be finite, each command within ± {LARGEST:g}: no NaN, no infinity")
+        valid = bool(np.all(np.abs(checked) < LARGEST))
+    if not valid:
+        raise ValueError(f"an action must be finite, each component within ± {LARGEST:g}: no NaN, no infinity")
     return checked

@@ -27,21 +27,25 @@ VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str,
 
 
 class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
-    """N :class:`~cablebot_gym.envs.single.CableBotEnv` at once, each lane equal to the single environment bit for bit.
+    """N environments :class:`~cablebot_gym.envs.single.CableBotEnv` in one batch.
 
-    Made by ``gym.make_vec(id, num_envs=N)``. Takes the single environment's keywords, where ``payload``,
-    ``payload_known``, ``initial_error`` and ``uncertainty`` may be given per environment, with a leading axis N, and:
+    Make it with ``gym.make_vec(id, num_envs=N)``. Each environment returns the same numbers as the single environment,
+    bit for bit. The keywords and options are those of the single environment. ``payload``, ``payload_known``,
+    ``model_payload_factor``, ``initial_error`` and ``uncertainty`` are given once for all environments, or once per
+    environment with a leading axis N.
 
     Args:
-        num_envs: N.
-        max_episode_steps: control steps to truncation; None for no limit.
-        autoreset_mode: an :class:`AutoresetMode` or its value. What holds beyond an autoreset is a constructor keyword;
-            options do not.
-        render_mode: None, or ``rgb_array``.
+        robot: as for the single environment.
+        num_envs: number of environments, N.
+        max_episode_steps: number of control steps until truncation; None for no limit.
+        autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor keywords: reset
+            options apply to one episode only.
+        render_mode: None or ``rgb_array``.
+        keywords: further keywords of the single environment.
 
-    ``info`` holds arrays with a leading axis N, valid for every environment. With same-step autoreset, ``final_obs``
-    and ``final_info`` hold the last observation and info of the environments marked in ``_final_obs``. The option
-    ``reset_mask`` restarts the marked environments and leaves the others as they are.
+    ``info`` contains arrays with a leading axis N, valid for every environment. With same-step autoreset, ``final_obs``
+    and ``final_info`` contain the last observation and info of the environments that are marked in ``_final_obs``. The
+    reset option ``reset_mask`` (N booleans) restarts the marked environments and leaves the others unchanged.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -74,31 +78,31 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         self.metadata = {**self.metadata, "autoreset_mode": self._autoreset}
         check_keywords(keywords)
         self.settings = make_settings(robot=robot, count=self.num_envs, **keywords)
-        """What the environment was made with."""
+        """Checked constructor keywords."""
         self._simulation = Simulation(self.settings, self.num_envs)
         self.layout = self._simulation.layout
-        """Names the slices of the observation."""
+        """Layout of the observation: names, slices, units and bounds of its blocks."""
         self._cables = self.settings.robot.cables
         self.single_action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
         self.single_observation_space = self.layout.space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._limit = max_episode_steps
+        self._max_steps = max_episode_steps
         self._steps = np.zeros(self.num_envs, np.int64)
         self._done = np.zeros(self.num_envs, np.bool_)
-        self._everyone = np.arange(self.num_envs)
+        self._all_indices = np.arange(self.num_envs)
         self._started = False
         title = self.settings.robot.name
         self._pictures = None if render_mode is None else Pictures(self._simulation, title)
 
     @property
     def tasks(self) -> tuple[Task, ...]:
-        """What a policy may know of the present episodes."""
+        """Tasks of the present episodes: the public knowledge of a policy."""
         return self._simulation.tasks
 
     @property
     def truth(self) -> dict[str, Array]:
-        """True parameters of the present episodes, names as in :data:`cablebot_gym.uncertainty.PARAMETERS`, (N, …)."""
+        """True parameters of the present episodes, keys of :data:`cablebot_gym.uncertainty.PARAMETERS`, each (N, …)."""
         return {name: values.copy() for name, values in self._simulation.truth.items()}
 
     @property
@@ -108,7 +112,7 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Seed of each environment, as Gymnasium's own vector environments give it."""
+        """Seed of each environment, in the form of Gymnasium's own vector environments."""
         return tuple(self._simulation.streams.seeds.tolist())
 
     def reset(
@@ -117,92 +121,99 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Starts episodes in all environments, or in those of ``options["reset_mask"]``; other options hold for these.
+        """Starts episodes in all environments, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: seeds environment i with ``seed + i``, or with item i of a sequence.
-            options: as for the single environment, and ``reset_mask``, N booleans.
+            seed: an integer, which seeds environment i with ``seed + i``, or a sequence of N seeds, or None.
+            options: as for the single environment, and ``reset_mask``, N booleans. They apply to the episodes that
+                start now.
 
         Raises:
-            ValueError: if an option or the number of seeds is not valid; nothing has changed then. At the first reset,
-                if the robot is of another kind than the id's.
+            ValueError: if an option or a seed is invalid; the environments are unchanged then. At the first reset, also
+                if the robot is not of the kind of the id.
+            ResetNeeded: if ``reset_mask`` is given at the first reset.
         """
         if not self._started:
             check_spec(self.spec, self.settings.robot)
-        lanes = self._masked(options)
+        env_indices = self._reset_indices(options)
         seeds = self._seeds(seed)
         if not self._started:
-            missing = [lane for lane, item in enumerate(seeds) if item is None]
+            missing = [env_index for env_index, item in enumerate(seeds) if item is None]
             entropy = np.random.SeedSequence().generate_state(len(missing), np.uint64)
-            for lane, item in zip(missing, entropy, strict=True):
-                seeds[lane] = int(item)
-        # Seeds first, so that this episode draws from them; taken back if an option turns out to be wrong.
-        before = self._simulation.streams.standing()
-        chosen = [lane for lane in lanes.tolist() if seeds[lane] is not None]
-        self._simulation.streams.seed(chosen, [seeds[lane] for lane in chosen])
+            for env_index, item in zip(missing, entropy, strict=True):
+                seeds[env_index] = int(item)
+        # Seed first, because this reset draws from the streams. An invalid option restores the old seeds.
+        before = self._simulation.streams.state()
+        seeded = [env_index for env_index in env_indices.tolist() if seeds[env_index] is not None]
+        self._simulation.streams.seed(seeded, [seeds[env_index] for env_index in seeded])
         try:
-            self._simulation.reset(lanes, options)
+            self._simulation.reset(env_indices, options)
         except Exception:
             self._simulation.streams.restore(before)
             raise
         self._started = True
-        self._begun(lanes)
-        self._done[lanes] = False
+        self._on_reset(env_indices)
+        self._done[env_indices] = False
         return self._simulation.observation.copy(), self._info(self._simulation.info.copy())
 
-    def _masked(self, options: dict[str, Any] | None) -> NDArray[np.int64]:
+    def _reset_indices(self, options: dict[str, Any] | None) -> NDArray[np.int64]:
         mask = (options or {}).get("reset_mask")
         if mask is None:
-            return self._everyone
+            return self._all_indices
         mask = np.asarray(mask)
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"reset_mask must be {self.num_envs} booleans with at least one True")
+            raise ValueError(
+                f"reset_mask must be {self.num_envs} booleans with at least one True, not {mask.tolist()!r}"
+            )
         if not self._started:
-            raise ResetNeeded("the first reset has to start all environments: leave reset_mask out")
+            raise ResetNeeded("the first reset has to start all environments: omit reset_mask")
         return np.flatnonzero(mask)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        whole = (int, np.integer)
+        integer = (int, np.integer)
         seeds: list[int | None]
-        if isinstance(seed, whole):
-            seeds = [int(seed) + lane for lane in range(self.num_envs)]
+        if isinstance(seed, integer):
+            seeds = [int(seed) + env_index for env_index in range(self.num_envs)]
         else:
             seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [-1]
-        if any(item is not None and (not isinstance(item, whole) or item < 0) for item in seeds):
+        if any(item is not None and (not isinstance(item, integer) or item < 0) for item in seeds):
             raise ValueError(SEED_MESSAGE.format(seed))
         if len(seeds) != self.num_envs:
-            raise ValueError(f"seed must be one number or {self.num_envs}, one for each environment, not {len(seeds)}")
+            raise ValueError(
+                f"seed must be one number or {self.num_envs} numbers, one for each environment, not {len(seeds)}"
+            )
         return [None if item is None else int(item) for item in seeds]
 
     def step(self, actions: ArrayLike, *, past_end: bool = False) -> VectorStep:
-        """One control period of every environment.
+        """Advances every environment by one control period.
 
         Args:
-            actions: drive commands (N, m).
-            past_end: with autoreset disabled, whether environments that have ended are stepped on, for a wrapper that
-                restarts them later; what they return means nothing.
+            actions: actions (N, m).
+            past_end: with autoreset disabled, whether a step is allowed while the episodes of some environments have
+                ended. A wrapper that resets them later needs this. Their results are meaningless.
 
         Raises:
-            ResetNeeded: before the first reset, or with autoreset disabled for an environment that has ended.
+            ResetNeeded: before the first reset. With autoreset disabled, also if an episode has ended and ``past_end``
+                is False.
             ValueError: if the actions are not (N, m) finite numbers.
         """
         if not self._started:
             raise ResetNeeded("call reset() before step()")
         actions = check_action(actions, (self.num_envs, self._cables))
         if self._autoreset is AutoresetMode.DISABLED and self._done.any() and not past_end:
-            raise ResetNeeded("an environment has ended: restart it by reset(options={'reset_mask': …})")
+            raise ResetNeeded("the episode of an environment has ended: call reset(options={'reset_mask': …})")
         simulation, ended = self._simulation, self._done
         simulation.step(actions)
         self._steps += 1
         if self._pictures is not None:
-            self._pictures.stepped()
+            self._pictures.on_step()
         restarted = ended if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
         if restarted.any():
             self._restart(restarted)
         reward, terminated = simulation.reward.copy(), simulation.reason > 0
-        truncated = self._steps >= self._limit if self._limit is not None else np.zeros_like(ended)
+        truncated = self._steps >= self._max_steps if self._max_steps is not None else np.zeros_like(ended)
         self._done = terminated | truncated
         if self._autoreset is AutoresetMode.DISABLED:
             self._done |= ended
@@ -215,17 +226,17 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         return simulation.observation.copy(), reward, terminated, truncated, info
 
     def _restart(self, mask: NDArray[np.bool_]) -> None:
-        lanes = np.flatnonzero(mask)
-        self._simulation.reset(lanes)
-        self._begun(lanes)
+        env_indices = np.flatnonzero(mask)
+        self._simulation.reset(env_indices)
+        self._on_reset(env_indices)
 
-    def _begun(self, lanes: NDArray[np.int64]) -> None:
-        self._steps[lanes] = 0
+    def _on_reset(self, env_indices: NDArray[np.int64]) -> None:
+        self._steps[env_indices] = 0
         if self._pictures is not None:
-            self._pictures.begun(lanes.tolist())
+            self._pictures.on_reset(env_indices.tolist())
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture of each environment, as the single one has it, with ``rgb_array``; None otherwise.
+        """A picture of each environment, as in the single environment, if the render mode is ``rgb_array``; else None.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -234,13 +245,13 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             return None
         if not self._started:
             raise ResetNeeded("call reset() before render()")
-        return tuple(self._pictures.array(lane) for lane in range(self.num_envs))
+        return tuple(self._pictures.array(env_index) for env_index in range(self.num_envs))
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """The last observation and info of ended environments, in the form of Gymnasium's own vector environments."""
+        """Last observation and info of the episodes that have ended, in the form of Gymnasium's vector environments."""
         observations = np.full(self.num_envs, None, dtype=object)
-        for lane in np.flatnonzero(mask):
-            observations[lane] = self._simulation.observation[lane].copy()
+        for env_index in np.flatnonzero(mask):
+            observations[env_index] = self._simulation.observation[env_index].copy()
         info = self._info(self._simulation.info.copy())
         info |= {f"_{name}": mask.copy() for name in info}
         return {"final_obs": observations, "_final_obs": mask.copy(), "final_info": info, "_final_info": mask.copy()}

@@ -1,22 +1,25 @@
-"""Dynamic load carrying capacity: the largest payload that a policy carries within the limits."""
+"""Evaluation of policies: dynamic load-carrying capacity (DLCC), comparison, recorded episodes.
+
+The DLCC is the largest payload that a policy carries within the limits.
+"""
 
 from cablebot_gym.evaluation.comparison import Comparison, compare_policies
-from cablebot_gym.evaluation.constraints import CRITERIA, DLCCMonitor, Limit, Verdict
+from cablebot_gym.evaluation.constraints import CRITERIA, DLCCMonitor, Verdict, Violation
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.policies import PolicyError
-from cablebot_gym.task import Limits, Task
+from cablebot_gym.task import ErrorBounds, Task
 
 __all__ = [
     "CRITERIA",
     "Comparison",
     "DLCCMonitor",
     "DLCCResult",
-    "Limit",
-    "Limits",
+    "ErrorBounds",
     "PolicyError",
     "Task",
     "Verdict",
+    "Violation",
     "compare_policies",
     "evaluate_dlcc",
 ]

@@ -1,4 +1,4 @@
-"""Judging an episode: which limit gave way first, when, and by how much. Reads ``info``, which tells the true state."""
+"""Checks the limits of an episode and records the first violation. Reads ``info``, which holds the true state."""
 
 from __future__ import annotations
 
@@ -10,50 +10,50 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.task import Limits, find_limits
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.task import ErrorBounds, find_error_bounds
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 Criterion = Literal["task", "paper"]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 
-LimitKind = Literal["torque", "position", "rotation", "slack", "terminated", "scan_end"]
+ViolationKind = Literal["torque", "position", "rotation", "slack", "terminated"]
 
 _ROUNDING = 1e-12
-"""How far |a| may exceed 1 by rounding."""
+"""Tolerance of |a| ≤ 1 for rounding errors."""
 
 
 def find_criterion(criterion: str) -> Criterion:
-    """The criterion of that name.
+    """The criterion with a name.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if the name is unknown.
     """
     for known in CRITERIA:
         if criterion == known:
             return known
-    raise ValueError(no_such("criterion", criterion, CRITERIA))
+    raise unknown_name_error("criterion", criterion, CRITERIA)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limit:
-    """What gave way first."""
+class Violation:
+    """The first violated limit of an episode."""
 
-    kind: LimitKind
-    """``torque``: |a| > 1; ``position``, ``rotation``: an error beyond its bound; ``slack``: a slack cable;
-    ``terminated``: the environment ended the episode; ``scan_end``: nothing did, up to the largest payload tried."""
+    kind: ViolationKind
+    """Kind of limit. ``torque``: |a| > 1. ``position``, ``rotation``: a tracking error exceeds its bound. ``slack``: a
+    cable is slack. ``terminated``: the environment terminated the episode."""
     index: int | None
-    """Motor or cable, counted from 1 as the paper does; None where there is none."""
+    """Number of the motor or cable from 1, as in the paper; None for the other kinds."""
     time: float | None
-    """When [s]: the control instant for torque, the end of the control period otherwise."""
+    """Time of the violation [s]: the control instant for torque, else the end of the control period."""
     excess: float | None
-    """By how much: torque beyond U± [N·m], error beyond its bound [m or rad]; None where it has no size."""
+    """Excess: torque beyond U± [N·m], or error beyond its bound [m or rad]; None for the other kinds."""
     reason: str = ""
-    """``termination_reason`` of the environment where ``kind`` is ``terminated``, else empty."""
+    """``termination_reason`` of the environment if ``kind`` is ``terminated``, else empty."""
 
     def __str__(self) -> str:
         where = {"torque": f"motor {self.index}", "slack": f"cable {self.index} slack"}
         unit = {"torque": ("N·m", 1.0), "position": ("mm", 1e3), "rotation": ("mrad", 1e3)}
-        text = where.get(self.kind, self.kind.replace("scan_end", "nothing, up to the largest payload tried"))
+        text = where.get(self.kind, self.kind)
         if self.reason:
             text += f" ({self.reason})"
         if self.time is not None:
@@ -66,17 +66,17 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """How an episode went."""
+    """Outcome of an episode."""
 
     carried: bool
-    """The whole motion was seen and no limit gave way."""
+    """Whether the full motion was observed without a violation."""
     complete: bool
-    """The whole motion was seen."""
-    limit: Limit | None
-    """What gave way first; None while nothing has."""
+    """Whether the full motion was observed."""
+    violation: Violation | None
+    """The first violation; None without a violation."""
     payload: float
     """True payload [kg]."""
-    peak_demand: tuple[float, ...]
+    peak_action: tuple[float, ...]
     """Largest |a| of each motor."""
     position_peak: float
     """Largest position error at any physics step [m]."""
@@ -91,94 +91,114 @@ class Verdict:
 
 
 class Judge:
-    """Watches N episodes through their ``info`` and keeps, for each, the first limit that gave way.
+    """Checks N episodes through their ``info`` and records the first violation of each episode.
 
     Args:
         criterion: ``task``: position, rotation, slack and termination; ``paper``: |a| ≤ 1, position, slack and
             termination.
-        limits: bounds of the errors.
-        cables: m.
-        count: N.
+        error_bounds: bounds of the tracking errors.
+        cables: number of cables m.
+        count: number of episodes N.
     """
 
-    def __init__(self, criterion: Criterion, limits: Limits, cables: int, count: int) -> None:
-        self.criterion, self.limits = criterion, limits
+    def __init__(self, criterion: Criterion, error_bounds: ErrorBounds, cables: int, count: int) -> None:
+        self.criterion, self.error_bounds = criterion, error_bounds
         self.failed = np.zeros(count, np.bool_)
-        """Which episodes have broken a limit, (N,)."""
-        self._failures: list[Limit | None] = [None] * count
-        self.peak_demand = np.zeros((count, cables))
+        """Mask of the episodes with a violation, (N,)."""
+        self._violations: list[Violation | None] = [None] * count
+        self.peak_action = np.zeros((count, cables))
         self.position_peak, self.rotation_peak = np.zeros(count), np.zeros(count)
         self.least_tension = np.full(count, np.inf)
         self.payload = np.zeros(count)
 
-    def begin(self, info: dict[str, Any]) -> None:
-        """Looks at the reset's info, arrays with a leading axis N: the errors at t = 0 count."""
+    def reset(self, info: dict[str, Any]) -> None:
+        """Checks the info of a reset, arrays with a leading axis N. The errors at t = 0 count."""
         self.payload = info["payload"].copy()
-        self._errors(info, np.ones(len(self.failed), np.bool_))
+        self._check_errors(info, np.ones(len(self.failed), np.bool_))
 
     def observe(self, info: dict[str, Any], terminated: NDArray[np.bool_]) -> None:
-        """Looks at the info of one step, arrays with a leading axis N, and at which lanes have terminated (N,)."""
-        watched = ~self.failed
-        demand = np.abs(info["drive_demand"])
-        np.maximum(self.peak_demand, demand, out=self.peak_demand, where=watched[:, None])
+        """Checks the info of one step, arrays with a leading axis N, and the terminated environments (N,)."""
+        running = ~self.failed
+        action = np.abs(info["commanded_action"])
+        np.maximum(self.peak_action, action, out=self.peak_action, where=running[:, None])
         tension = info["tensions"].min(axis=1)
-        np.minimum(self.least_tension, tension, out=self.least_tension, where=watched)
+        np.minimum(self.least_tension, tension, out=self.least_tension, where=running)
         if self.criterion == "paper":
-            for lane in _lanes(watched & (demand.max(axis=1) > 1 + _ROUNDING)):
-                motor = int(np.argmax(demand[lane]))
-                excess = -float(info["torque_margin"][lane, motor])
-                self._fail(lane, "torque", motor + 1, info["command_time"][lane], excess)
-        for lane in _lanes(~self.failed & info["slack"].any(axis=1)):
-            self._fail(lane, "slack", int(np.argmax(info["slack"][lane])) + 1, info["time"][lane], None)
-        self._errors(info, watched)
-        for lane in _lanes(~self.failed & terminated):
-            self._fail(lane, "terminated", None, info["time"][lane], None, str(info["termination_reason"][lane]))
+            for env_index in _env_indices(running & (action.max(axis=1) > 1 + _ROUNDING)):
+                motor = int(np.argmax(action[env_index]))
+                excess = -float(info["torque_margin"][env_index, motor])
+                self._fail(env_index, "torque", motor + 1, info["action_time"][env_index], excess)
+        for env_index in _env_indices(~self.failed & info["slack"].any(axis=1)):
+            self._fail(env_index, "slack", int(np.argmax(info["slack"][env_index])) + 1, info["time"][env_index], None)
+        self._check_errors(info, running)
+        for env_index in _env_indices(~self.failed & terminated):
+            self._fail(
+                env_index, "terminated", None, info["time"][env_index], None, str(info["termination_reason"][env_index])
+            )
 
-    def _errors(self, info: dict[str, Any], watched: NDArray[np.bool_]) -> None:
+    def _check_errors(self, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
         position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
-        np.maximum(self.position_peak, position, out=self.position_peak, where=watched)
-        np.maximum(self.rotation_peak, rotation, out=self.rotation_peak, where=watched)
-        for lane in _lanes(~self.failed & (position > self.limits.position)):
-            self._fail(lane, "position", None, info["time"][lane], float(position[lane] - self.limits.position))
+        np.maximum(self.position_peak, position, out=self.position_peak, where=running)
+        np.maximum(self.rotation_peak, rotation, out=self.rotation_peak, where=running)
+        for env_index in _env_indices(~self.failed & (position > self.error_bounds.position)):
+            self._fail(
+                env_index,
+                "position",
+                None,
+                info["time"][env_index],
+                float(position[env_index] - self.error_bounds.position),
+            )
         if self.criterion == "task":
-            for lane in _lanes(~self.failed & (rotation > self.limits.rotation)):
-                self._fail(lane, "rotation", None, info["time"][lane], float(rotation[lane] - self.limits.rotation))
+            for env_index in _env_indices(~self.failed & (rotation > self.error_bounds.rotation)):
+                self._fail(
+                    env_index,
+                    "rotation",
+                    None,
+                    info["time"][env_index],
+                    float(rotation[env_index] - self.error_bounds.rotation),
+                )
 
     def _fail(
-        self, lane: int, kind: LimitKind, index: int | None, time: float, excess: float | None, reason: str = ""
+        self,
+        env_index: int,
+        kind: ViolationKind,
+        index: int | None,
+        time: float,
+        excess: float | None,
+        reason: str = "",
     ) -> None:
-        self.failed[lane] = True
-        self._failures[lane] = Limit(kind=kind, index=index, time=float(time), excess=excess, reason=reason)
+        self.failed[env_index] = True
+        self._violations[env_index] = Violation(kind=kind, index=index, time=float(time), excess=excess, reason=reason)
 
-    def verdict(self, lane: int, *, complete: bool) -> Verdict:
-        """How the episode of one lane went; only a complete one, of the whole motion, is carried."""
-        tension = self.least_tension[lane]
+    def verdict(self, env_index: int, *, complete: bool) -> Verdict:
+        """Outcome of one episode. Only a complete episode, over the full motion, counts as carried."""
+        tension = self.least_tension[env_index]
         return Verdict(
-            carried=complete and not self.failed[lane],
+            carried=complete and not self.failed[env_index],
             complete=complete,
-            limit=self._failures[lane],
-            payload=float(self.payload[lane]),
-            peak_demand=tuple(self.peak_demand[lane].tolist()),
-            position_peak=float(self.position_peak[lane]),
-            rotation_peak=float(self.rotation_peak[lane]),
+            violation=self._violations[env_index],
+            payload=float(self.payload[env_index]),
+            peak_action=tuple(self.peak_action[env_index].tolist()),
+            position_peak=float(self.position_peak[env_index]),
+            rotation_peak=float(self.rotation_peak[env_index]),
             least_tension=float(tension) if np.isfinite(tension) else 0.0,
         )
 
 
 class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
-    """Judges every episode of anybody's loop over a single environment of this package.
+    """Wrapper that checks every episode of a single environment of this package.
 
-    ``monitor.verdict`` is the :class:`Verdict` so far, and ``info["dlcc_carried"]`` whether the payload has been
-    carried: the motion is over and no limit gave way.
+    ``monitor.verdict`` is the :class:`Verdict` up to the current step. ``info["dlcc_carried"]`` is True when the motion
+    is finished without a violation.
 
     Args:
         env: a single environment made by ``gym.make``.
         criterion: ``task`` or ``paper``.
-        limits: bounds; None for those of the episode.
+        error_bounds: bounds of the tracking errors; None for those of the episode.
 
     Raises:
-        ValueError: if the criterion is unknown or a limit is not valid.
-        TypeError: if the environment is none of this package's.
+        ValueError: if the criterion is unknown or a bound is invalid.
+        TypeError: if the environment is not from this package.
     """
 
     def __init__(
@@ -186,50 +206,52 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         env: gym.Env[Array, ArrayLike],
         *,
         criterion: str = "task",
-        limits: Limits | dict[str, float] | None = None,
+        error_bounds: ErrorBounds | dict[str, float] | None = None,
     ) -> None:
         super().__init__(env)
         if not hasattr(env.unwrapped, "task"):
-            raise TypeError(f"DLCCMonitor judges this package's environments; {env.unwrapped} tells no task")
+            raise TypeError(
+                f"DLCCMonitor needs an environment of cablebot_gym; {env.unwrapped} has no attribute 'task'"
+            )
         self._criterion = find_criterion(criterion)
-        self._limits = None if limits is None else find_limits(limits)
+        self._error_bounds = None if error_bounds is None else find_error_bounds(error_bounds)
         self._judge: Judge | None = None
-        self._steps = self._needed = 0
+        self._steps = self._motion_steps = 0
 
     @property
     def verdict(self) -> Verdict:
-        """How the present episode has gone so far.
+        """Outcome of the current episode up to the current step.
 
         Raises:
             ResetNeeded: before the first reset.
         """
         if self._judge is None:
-            raise gym.error.ResetNeeded("call reset() first: there is no episode to judge yet")
-        return self._judge.verdict(0, complete=self._steps >= self._needed)
+            raise gym.error.ResetNeeded("call reset() before verdict: no episode has started")
+        return self._judge.verdict(0, complete=self._steps >= self._motion_steps)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts an episode and judges its start."""
+        """Starts an episode and checks its initial state."""
         observation, info = self.env.reset(seed=seed, options=options)
         task = self.env.get_wrapper_attr("task")
-        limits = task.limits if self._limits is None else self._limits
-        self._judge = Judge(self._criterion, limits, task.robot.cables, 1)
-        self._steps, self._needed = 0, task.steps
-        self._judge.begin(_batched(info))
+        error_bounds = task.error_bounds if self._error_bounds is None else self._error_bounds
+        self._judge = Judge(self._criterion, error_bounds, task.robot.cables, 1)
+        self._steps, self._motion_steps = 0, task.steps
+        self._judge.reset(_batched(info))
         return observation, info | {"dlcc_carried": False}
 
     def step(self, action: ArrayLike) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
-        """One control period, judged while the motion lasts."""
+        """Steps the environment and checks the limits until the end of the motion."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if self._judge is not None and self._steps < self._needed:
+        if self._judge is not None and self._steps < self._motion_steps:
             self._judge.observe(_batched(info), np.array([terminated]))
             self._steps += 1
         return observation, reward, terminated, truncated, info | {"dlcc_carried": self.verdict.carried}
 
 
-def _lanes(mask: NDArray[np.bool_]) -> list[int]:
-    """Where a mask holds."""
-    lanes: list[int] = np.flatnonzero(mask).tolist()
-    return lanes
+def _env_indices(mask: NDArray[np.bool_]) -> list[int]:
+    """Indices of the True entries of a mask."""
+    env_indices: list[int] = np.flatnonzero(mask).tolist()
+    return env_indices
 
 
 def _batched(info: dict[str, Any]) -> dict[str, Any]:

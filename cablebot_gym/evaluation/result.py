@@ -1,4 +1,4 @@
-"""What an evaluation found: prints itself, saves itself, draws itself."""
+"""Result of a DLCC evaluation, as text and as JSON. :mod:`cablebot_gym.plotting` draws it."""
 
 from __future__ import annotations
 
@@ -9,29 +9,40 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.constraints import Criterion, Limit
+from cablebot_gym.evaluation.constraints import Criterion, Violation
 from cablebot_gym.kinematics import Array
-from cablebot_gym.task import Task
+from cablebot_gym.task import Task, payload_model_text
 
 
 class History:
-    """One episode, step by step; arrays after :meth:`closed`, with the control steps as first axis."""
+    """Recorder of one episode. :meth:`closed` returns arrays with the control steps as first axis."""
 
-    NAMES = ("command_time", "drive_demand", "torques", "tensions", "motor_speeds", "tracking_error", "rotation_error")
+    NAMES = (
+        "action_time",
+        "commanded_action",
+        "torques",
+        "tensions",
+        "motor_speeds",
+        "tracking_error",
+        "rotation_error",
+    )
+    """Recorded entries of ``info``."""
 
     def __init__(self) -> None:
         self._rows: list[dict[str, Any]] = []
         self.stall_torque: Array | None = None
-        """True τ_s of the episode (m,) [N·m]; to be set before :meth:`closed`."""
+        """True stall torque τ_s in the episode (m,) [N·m]; has to be set before :meth:`closed`."""
 
-    def append(self, info: dict[str, Any], pose: Array, lane: int) -> None:
-        """Adds one step of one lane of a batch: its info, and its row of poses (N, n)."""
-        self._rows.append({name: np.array(info[name][lane]) for name in self.NAMES} | {"pose": np.array(pose[lane])})
+    def append(self, info: dict[str, Any], pose: Array, env_index: int) -> None:
+        """Adds one step of one environment of a batch: its entries of ``info`` and its row of the poses (N, n)."""
+        self._rows.append(
+            {name: np.array(info[name][env_index]) for name in self.NAMES} | {"pose": np.array(pose[env_index])}
+        )
 
     def closed(self) -> dict[str, Array]:
-        """Everything as arrays by name; ``pose`` and the errors are those at the end of each step.
+        """All arrays by name. ``pose`` and the errors are those at the end of each step.
 
-        ``stall_torque`` (m,) has no axis of time.
+        ``stall_torque`` (m,) has no time axis.
         """
         arrays = {name: np.array([row[name] for row in self._rows]) for name in (*self.NAMES, "pose")}
         return arrays | {"stall_torque": np.array(self.stall_torque)}
@@ -39,79 +50,91 @@ class History:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DLCCResult:
-    """The dynamic load carrying capacity of a policy in an environment. ``print(result)`` gives the essentials."""
+    """Dynamic load-carrying capacity (DLCC) of a policy in an environment. ``print(result)`` shows a summary."""
 
     env_id: str
-    """Environment."""
+    """Id of the environment."""
     policy: str
-    """Policy."""
+    """Name of the policy."""
     criterion: Criterion
-    """``task`` or ``paper``."""
+    """Criterion, ``task`` or ``paper``."""
     payload: float | None
-    """Largest payload in the feasible interval that contains zero [kg]; None if not even zero is carried. Over draws,
-    a payload is carried if at least the share ``probability`` of them is."""
+    """DLCC: largest payload in the feasible interval that contains zero [kg]; None if the policy fails unloaded. With
+    several draws, a payload is carried if at least the fraction ``probability`` of the draws carries it."""
     total_mass: float | None
-    """Platform and payload [kg]."""
+    """Mass of platform and payload [kg]; None if the policy fails unloaded."""
     resolution: float
-    """Gap to the least payload above that failed [kg]; 0 if none was searched."""
-    limit: Limit
-    """What gives way first beyond the payload, or at zero if that is not carried; over draws, the earliest failure of
-    the commonest kind."""
+    """Gap between ``payload`` and the least failed payload above it [kg]; 0 if there is no such gap."""
+    violation: Violation | None
+    """Limiting violation: the first violation beyond the payload, or at zero payload if the policy fails unloaded. With
+    several draws, the earliest violation of the most frequent kind. None if the scan ended while feasible."""
+    scan_ended: bool
+    """Whether the scan ended while feasible: every payload up to ``payload_max`` is carried, and ``payload`` is a lower
+    bound of the DLCC."""
     margins: dict[str, float]
-    """What is left at the payload: shares of torque, position and rotation bounds, least tension [N]; over draws, in
-    the tightest one that carries it."""
+    """Margins at the payload: fractions of the torque, position and rotation limits, and the least tension [N]. With
+    several draws, the least margins over the draws that carry it."""
     feasible: tuple[tuple[float, float], ...]
-    """Every interval of payloads carried on the scan's points; the first one's end is refined [kg]."""
+    """Intervals of carried payloads on the grid of the scan [kg]. Only the end of the first interval is refined."""
     payload_max: float
     """End of the scan [kg]."""
-    limits: dict[str, float | None]
-    """Bounds of position [m] and rotation [rad]; None where the criterion or the robot has none."""
+    error_bounds: dict[str, float | None]
+    """Bounds of the position error [m] and the rotation error [rad]; None where the criterion or the robot has none."""
     payload_known: bool
-    """Whether the policy was told the payload."""
+    """Whether the payload is known to the policy."""
+    model_payload_factor: float
+    """Ratio of the payload in the policy's model to the nominal payload."""
     uncertainty: str | None
-    """Name of what the policy did not know, ``custom`` for data; None for nothing."""
+    """Name of the uncertainty, ``custom`` for data; None without uncertainty."""
     draws: int
-    """Episodes at each payload."""
+    """Number of episodes at each payload."""
     probability: float | None
-    """Share of the draws that has to carry a payload; None for one draw."""
+    """Required fraction of the draws that carry a payload; None for one draw."""
     confidence: float | None
-    """Of ``assured_payload``; None for one draw."""
+    """Confidence of ``assured_payload``; None for one draw."""
     assured_payload: float | None
-    """Lower bound: at every payload tried up to here the success probability is at least ``probability`` with this
-    confidence, one-sided, by Clopper and Pearson [kg]; exact for the whole interval where no draw carries more than
-    one that it does not. None if there is none, or too few draws for one."""
+    """Assured payload: 95/95 lower tolerance bound for the default ``probability`` and ``confidence`` [kg]. At every
+    payload tried up to this one, the success probability is at least ``probability`` with this one-sided confidence
+    (Clopper and Pearson). The bound is exact for the whole interval if each draw carries every payload below its own
+    largest one. None if no payload qualifies or if there are too few draws."""
     failures: dict[str, int]
-    """Draws that fail beyond the payload (at zero if that is not carried), by kind; empty for one draw."""
+    """Number of draws that fail beyond the payload, or at zero payload if the policy fails unloaded, by kind of
+    violation; empty for one draw."""
     draw_seeds: tuple[int, ...]
-    """Seed of each draw: ``env.reset(seed=…)``, or ``cablebot rollout --seed``, repeats it."""
-    limit_seed: int | None
-    """Seed of the draw to which ``limit`` happened, at ``payload + resolution``; None for ``scan_end``."""
+    """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
+    violation_seed: int | None
+    """Seed of the draw with ``violation``, at ``payload + resolution``; None without a violation."""
     success: tuple[tuple[float, float], ...]
-    """(payload [kg], share of draws that carry it) for every payload tried; empty for one draw."""
+    """Pairs of payload [kg] and fraction of the draws that carry it, for every payload tried; empty for one draw."""
     seed: int
-    """Of the environments; the draws follow from it."""
+    """Seed of the environments, which determines the draws."""
     environment: dict[str, Any]
-    """Robot, trajectory, control frequency and cable mode, as plain data."""
+    """Robot, trajectory, control frequency, cable mode and further settings, as JSON-able data."""
     versions: dict[str, str]
-    """Of Python and of the packages that make the number."""
+    """Versions of Python and of the packages that determine the result."""
     task: Task = field(repr=False)
-    """The public task, for drawing."""
+    """Public task of the episodes."""
     history: dict[str, Array] = field(repr=False)
-    """The episode at the payload (at zero if none is carried), see :class:`History`; over draws, the first one that
-    carries it, or the one of ``limit`` if none is carried."""
+    """Episode at the payload, or at zero payload if the policy fails unloaded, see :class:`History`. With several
+    draws, the first draw that carries the payload, or the draw of ``violation`` if the policy fails unloaded."""
 
     @property
     def score(self) -> float:
-        """The payload, or 0 if not even zero is carried [kg]."""
+        """Score [kg]: the payload, or 0 if the policy fails unloaded."""
         return self.payload or 0.0
 
+    @property
+    def violation_text(self) -> str:
+        """Text of the limiting violation, or ``none up to … kg`` if the scan ended while feasible."""
+        return f"none up to {self.payload_max:g} kg" if self.violation is None else str(self.violation)
+
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able data; without the history."""
+        """JSON-able data without task and history."""
         skipped = {"task", "history"}
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in skipped}
         pairs = {name: [list(pair) for pair in getattr(self, name)] for name in ("feasible", "success")}
         seeds = {"draw_seeds": list(self.draw_seeds)}
-        return data | {"limit": asdict(self.limit)} | pairs | seeds
+        return data | {"violation": None if self.violation is None else asdict(self.violation)} | pairs | seeds
 
     def to_json(self) -> str:
         """The result as JSON, indented."""
@@ -119,20 +142,21 @@ class DLCCResult:
 
     def __str__(self) -> str:
         head = f"{described(self.env_id, self.task.robot.name)}, {self.policy}, {self.criterion} criterion"
-        told = "payload told" if self.payload_known else "payload not told"
         if self.payload is None:
-            others = "; it does carry " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)
-            text = f"not even zero payload is carried: {self.limit}{others if self.feasible else ''}"
+            others = "; it carries " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)
+            text = f"fails unloaded: {self.violation_text}{others if self.feasible else ''}"
         else:
-            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg){self._share()}, then {self.limit}"
-        unknown = "" if self.uncertainty is None else f", {self.uncertainty}"
-        return f"{head}, {told}{unknown}: {text}"
+            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg){self._draws_text()}"
+            text += f"; limiting violation: {self.violation_text}"
+        model = payload_model_text(self.payload_known, self.model_payload_factor)
+        uncertainty = "" if self.uncertainty is None else f", {self.uncertainty}"
+        return f"{head}, {model}{uncertainty}: {text}"
 
-    def _share(self) -> str:
+    def _draws_text(self) -> str:
         if self.probability is None or self.confidence is None:
             return ""
-        assured = "no payload" if self.assured_payload is None else f"{self.assured_payload:.3f} kg"
+        assured = "none" if self.assured_payload is None else f"{self.assured_payload:.3f} kg"
         return (
-            f" in at least {self.probability:.0%} of {self.draws} draws, {assured} assured with "
-            f"{self.confidence:.0%} confidence"
+            f" in at least {self.probability:.0%} of {self.draws} draws, assured payload {assured} "
+            f"({100 * self.probability:g}/{100 * self.confidence:g} lower tolerance bound)"
         )

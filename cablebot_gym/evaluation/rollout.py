@@ -1,4 +1,4 @@
-"""One episode of a policy, recorded."""
+"""Recording of one episode of a policy."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cablebot_gym.envs import check_robot
 from cablebot_gym.evaluation.constraints import DLCCMonitor, Verdict
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import as_policy, load_policy, name_of
-from cablebot_gym.policies.protocol import begin, commands
+from cablebot_gym.policies.protocol import checked_actions, reset_policy
 from cablebot_gym.task import Task
-from cablebot_gym.utils.files import write_whole
+from cablebot_gym.utils.files import atomic_write
 
 SUFFIXES = (".npz", ".csv")
-"""Formats of a recording."""
+"""File name suffixes of recordings."""
 
 
 def record_rollout(
@@ -29,42 +29,43 @@ def record_rollout(
     payload: float = 0.0,
     seed: int = 0,
     name: str | None = None,
-    look: Callable[[DLCCMonitor], None] = lambda env: None,
+    on_step: Callable[[DLCCMonitor], None] = lambda env: None,
     progress: Callable[[int, int], None] = lambda done, expected: None,
     **keywords: Any,
 ) -> Rollout:
-    """Runs one whole motion, or until the environment ends it.
+    """Records one episode over the full motion, or until the environment terminates it.
 
     Args:
         policy: an object with ``predict``, a callable, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        payload: [kg].
-        seed: of the environment.
-        name: of the policy in messages; its own if not given.
-        look: gets the environment after the reset and after every step.
-        progress: gets the number of control steps done and to be done, after the reset and after every step.
-        keywords: for the environment.
+        payload: payload on the platform [kg].
+        seed: seed of the environment.
+        name: name of the policy in messages; None for its own name.
+        on_step: callback with the environment after the reset and after every step.
+        progress: callback with the number of finished and of expected control steps, after the reset and after every
+            step.
+        keywords: keywords of the environment.
 
     Raises:
-        ValueError: if an argument is not valid.
-        cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
+        ValueError: if an argument is invalid.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
     """
     check_robot(env_id, keywords.get("robot"))
     env = DLCCMonitor(gym.make(env_id, max_episode_steps=-1, payload=payload, **keywords))
     try:
         observation, info = env.reset(seed=seed)
-        look(env)
+        on_step(env)
         task: Task = env.get_wrapper_attr("task")
         loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
         task.check_motion()
         progress(0, task.steps)
         label = name or name_of(policy)
-        begin(loaded, label, (task,))
+        reset_policy(loaded, label, lambda: (task,))
         layout = env.get_wrapper_attr("layout")
         rows: list[dict[str, Any]] = []
-        state, start, ended = None, np.ones(1, np.bool_), False
-        while len(rows) < task.steps and not ended:
-            action, state = commands(
+        state, start, terminated = None, np.ones(1, np.bool_), False
+        while len(rows) < task.steps and not terminated:
+            action, state = checked_actions(
                 loaded,
                 label,
                 observation[None],
@@ -75,12 +76,12 @@ def record_rollout(
                 time=len(rows) / task.control_frequency,
             )
             start = np.zeros(1, np.bool_)
-            observation, reward, ended, _, info = env.step(action[0])
-            look(env)
-            parts = layout.split(observation)
-            state_now = {name: parts[name].copy() for name in ("pose", "velocity", "reference_pose")}
+            observation, reward, terminated, _, info = env.step(action[0])
+            on_step(env)
+            blocks = layout.split(observation)
+            motion = {name: blocks[name].copy() for name in ("pose", "velocity", "reference_pose")}
             numbers = {name: value for name, value in info.items() if not isinstance(value, str)}
-            rows.append({"time": numbers.pop("time")} | state_now | numbers | {"reward": reward})
+            rows.append({"time": numbers.pop("time")} | motion | numbers | {"reward": reward})
             progress(len(rows), task.steps)
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         return Rollout(arrays=arrays, verdict=env.verdict, reason=str(info["termination_reason"]))
@@ -91,9 +92,12 @@ def record_rollout(
 class Rollout:
     """A recorded episode.
 
-    ``arrays``: by name, control steps first, SI units and radians. Pose, velocity, reference and errors are those at
-    ``time``, the end of the step; demand, torques, tensions and motor speeds those at ``command_time``, its start.
-    ``verdict``: under the task criterion. ``reason``: why the environment ended it early, or "".
+    Args:
+        arrays: arrays by name, with the control steps as first axis, in SI units and radians. Pose, velocity, reference
+            and errors are those at ``time``, the end of the step. Commanded action, torques, tensions and motor speeds
+            are those at ``action_time``, the start of the step.
+        verdict: verdict under the task criterion.
+        reason: reason of an early termination, or "".
     """
 
     def __init__(self, *, arrays: dict[str, Array], verdict: Verdict, reason: str) -> None:
@@ -103,10 +107,10 @@ class Rollout:
         """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as name_1, name_2, …).
 
         Raises:
-            ValueError: if the suffix is neither.
+            ValueError: if the path has another suffix.
         """
         check_suffix(path)
-        write_whole(path, self._write_npz if path.suffix == ".npz" else self._write_csv)
+        atomic_write(path, self._write_npz if path.suffix == ".npz" else self._write_csv)
 
     def _write_npz(self, path: Path) -> None:
         np.savez_compressed(path, allow_pickle=False, **self.arrays)
@@ -115,7 +119,7 @@ class Rollout:
         names, columns = [], []
         for name, array in self.arrays.items():
             flat = array.reshape(len(array), -1).astype(float)
-            names += [name] if array.ndim == 1 else [f"{name}_{place + 1}" for place in range(flat.shape[1])]
+            names += [name] if array.ndim == 1 else [f"{name}_{index + 1}" for index in range(flat.shape[1])]
             columns.append(flat)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -124,10 +128,10 @@ class Rollout:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuses a path whose format is not known.
+    """Checks the suffix of a recording's path.
 
     Raises:
-        ValueError: naming the known ones.
+        ValueError: if the suffix is unknown. The message lists the valid ones.
     """
     if path.suffix not in SUFFIXES:
-        raise ValueError(f"cannot record to {str(path)!r}: the file name has to end in {' or '.join(SUFFIXES)}")
+        raise ValueError(f"cannot record to {str(path)!r}: the file name must end in {' or '.join(SUFFIXES)}")

@@ -1,4 +1,4 @@
-"""What a number of successes says of their probability."""
+"""Confidence bounds of a success probability after a number of draws."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from cablebot_gym.kinematics import Array
 
 
 def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
-    """One-sided lower bound of the probability after ``successes`` out of ``draws`` (Clopper and Pearson), (...)."""
+    """One-sided lower confidence bound of the success probability (Clopper and Pearson), shape of ``successes``."""
     successes = np.asarray(successes)
-    with np.errstate(invalid="ignore"):  # beta is not defined for no success, whose bound is 0
+    with np.errstate(invalid="ignore"):  # the beta quantile is undefined without a success, and the bound is 0
         return np.where(successes > 0, beta.ppf(1 - confidence, successes, draws - successes + 1), 0.0)
 
 
 def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
-    """Two-sided interval of the probability, from successes among draws (Clopper and Pearson)."""
+    """Two-sided confidence interval of the success probability (Clopper and Pearson)."""
     low = float(lower_bound(successes, draws, (1 + confidence) / 2))
     high = 1 - float(lower_bound(draws - successes, draws, (1 + confidence) / 2))
     return low, high
 
 
 def fewest_draws(probability: float, confidence: float) -> int:
-    """How many draws it takes, all carried, for a lower bound of at least ``probability``."""
+    """Least number of draws that, if all succeed, give a lower bound of at least ``probability``."""
     return math.ceil(math.log(1 - confidence) / math.log(probability) - 1e-9)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Needed:
-    """How many draws have to carry a payload."""
+class RequiredDraws:
+    """Required numbers of draws that carry a payload."""
 
-    share: int
-    """For the payload itself: the share of the draws."""
+    fraction: int
+    """Required number for the payload: the fraction ``probability`` of the draws, rounded up."""
     assured: int | None
-    """For its lower bound; None if there are too few draws for any."""
+    """Required number for the assured payload; None if there are too few draws."""
 
     @classmethod
-    def of(cls, draws: int, probability: float, confidence: float) -> Needed:
-        """Numbers out of ``draws`` for a probability and a confidence; of one draw, one."""
+    def of(cls, draws: int, probability: float, confidence: float) -> RequiredDraws:
+        """Required numbers out of ``draws`` for a probability and a confidence. A single draw has to carry."""
         if draws == 1:
-            return cls(share=1, assured=None)
+            return cls(fraction=1, assured=None)
         carried = np.arange(1, draws + 1)
         enough = carried[lower_bound(carried, draws, confidence) >= probability]
-        share = max(1, math.ceil(draws * probability - 1e-9))
-        return cls(share=share, assured=int(enough[0]) if enough.size else None)
+        fraction = max(1, math.ceil(draws * probability - 1e-9))
+        return cls(fraction=fraction, assured=int(enough[0]) if enough.size else None)

@@ -1,1 +1,1 @@
-"""The equations: to read (``textbook``), compiled (``kernel``, ``inverse``), and in MuJoCo. No rewards, no policies."""
+"""Dynamics: the textbook form (``textbook``), the compiled form (``kernel``, ``inverse``) and a batch (``plant``)."""

@@ -1,4 +1,4 @@
-"""Inverse dynamics by the compiled kernel, for laws that run at every control step: textbook's numbers, much sooner."""
+"""Inverse dynamics by the compiled kernel: fast enough for control laws, with the same results as the textbook."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
 
 _packed = lru_cache(maxsize=64)(pack_parameters)
-"""A law asks for the same robot at every control step. The kernel only reads these."""
+"""Cached parameters; a law uses the same robot in every control step. The kernel does not change them."""
 
 
 def inverse_dynamics(
@@ -25,31 +25,31 @@ def inverse_dynamics(
     *,
     minimum: float = 0.0,
 ) -> InverseDynamics:
-    """What :func:`cablebot_gym.physics.textbook.inverse_dynamics` gives with ``strict=False``, up to rounding.
+    """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.inverse_dynamics` with ``strict=False``.
 
-    Spatial tensions differ by 1e-15 of the condition of S, as far as that is below 1e6. In a singular pose they are
-    arbitrary or no numbers, where the textbook raises an error.
+    The results are equal up to rounding. The relative difference of spatial tensions is about 1e-15 times the condition
+    number of S, if that is below 1e6. In a singular pose the tensions are arbitrary or NaN (the textbook raises).
 
     Args:
         robot: any robot.
-        mass: platform plus payload [kg], shape (...).
+        mass: mass of platform and payload [kg], shape (...).
         pose: X, shape (..., n).
         velocity: Ẋ, shape (..., n).
         acceleration: Ẍ, shape (..., n).
-        minimum: least tension of a planar robot [N]; has no effect on a spatial one.
+        minimum: minimum tension of a planar robot [N]; has no effect on a spatial one.
 
     Raises:
-        ValueError: if the shapes do not fit the robot or each other.
+        ValueError: if the shapes do not match the robot or each other.
     """
     shape = np.broadcast_shapes(np.shape(pose), np.shape(velocity), np.shape(acceleration))
     if shape[-1:] != (robot.coordinates,):
-        raise ValueError(f"poses of {robot.name} have {robot.coordinates} coordinates, not the last axis of {shape}")
+        raise ValueError(f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}")
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
     results = np.empty((4, *shape[:-1], robot.cables))
     compute = kernel.required_planar if robot.planar else kernel.required_spatial
     compute(
-        (0,) * robot.cables,  # as the plant tells the kernel the number of cables
+        (0,) * robot.cables,  # the kernel reads the number of cables from the tuple length
         _packed(robot),
         float(minimum),
         np.empty(kernel.parameter_rows(robot.cables) * kernel.LANES),
@@ -58,5 +58,5 @@ def inverse_dynamics(
         motion.reshape(3, -1, robot.coordinates),
         results.reshape(4, -1, robot.cables),
     )
-    tensions, torques, speeds, windings = results
-    return InverseDynamics(tensions=tensions, torques=torques, speeds=speeds, windings=windings)
+    tensions, torques, speeds, pulley_accelerations = results
+    return InverseDynamics(tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=pulley_accelerations)

@@ -1,19 +1,19 @@
-"""The compiled plant: fixed-step RK4 of many robots at once. Same equations as :mod:`textbook`, in the platform frame.
+"""The compiled plant: fixed-step RK4 of many robots at once, with the equations of :mod:`textbook`.
 
-Newton and Euler in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns:
+The Newton-Euler equations are written in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns:
 
     q_i  = ‖s_i‖,  s_i = Rᵀ(p − A_i) + b_i,  u_i = s_i/q_i,  n_i = b_i × u_i,  row_i = (u_i, n_i)
     q̇_i = u_i·w_i,  w_i = Rᵀṗ + ω × b_i,  q̈_i = row_i·y + bias_i,  bias_i = u_i·(ω×(ω×b_i)) + (w_i·w_i − q̇_i²)/q_i
     t_i  = κ_i/r_i + (J_i/r_i²) q̈_i + (c_i/r_i²) q̇_i,   T_i = max(0, t_i)  (unilateral)   or   T_i = t_i  (bilateral)
     (m I₃, I) y = (Rᵀ(m g e_z + F), RᵀM − ω × Iω) − Σ row_i T_i
 
-F and M are force and moment from outside, at the centre of mass and in the base frame; mostly zero. The Euler
-accelerations are recovered last. A cable is slack when t_i ≤ 0; the set of taut cables is unique (the problem is
-strictly convex), so the result does not depend on where the search for it starts.
+F and M are the external force and moment at the centre of mass in the base frame; usually they are zero. The Euler
+accelerations are computed last. A cable is slack when t_i ≤ 0. The set of taut cables is unique because the problem is
+strictly convex, so the result does not depend on the start of the search.
 
-Memory: robots stand in tiles of ``lanes`` lanes; each tile is a flat array of rows, ``array[row * lanes + lane]``, so
-that the innermost loops run over lanes and vectorise. All helpers stay in this file: numba's cache does not see a
-change in another one. ``forceinline`` and ``error_model="numpy"`` are what lets the lane loops vectorise.
+Memory: robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row * lanes + lane]``,
+so the innermost loops run over lanes and vectorise. All helpers are in this file because numba's cache does not detect
+changes in other files. The lane loops vectorise only with ``forceinline`` and ``error_model="numpy"``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from cablebot_gym.physics.compiling import announce_compilation
 announce_compilation()
 
 LANES = 32
-"""Robots per tile in a batch: a tile's rows then stay in a core's first-level cache."""
+"""Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""
 
 _inline = njit(forceinline=True, error_model="numpy")
 _compile = njit(cache=True, nogil=True, error_model="numpy")
@@ -41,7 +41,7 @@ BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLO
 STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH = 11, 12, 13, 14
 CABLE_PARAMETERS = 15
 
-# Rows of the record, which lasts from call to call: state, command, and what the period just passed looked like.
+# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
 DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED = 0, 1, 2, 3, 4, 5, 6
 CABLE_RECORDS = 7
@@ -51,34 +51,34 @@ RECORD_ROWS = np.array(
         *(DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED),
     ]
 )
-"""The numbers above, for compiled readers of the record in other files."""
+"""The row numbers above, for compiled code in other files."""
 
-# Rows of the scratch, which nobody reads between calls.
+# Rows of the scratch memory, which is not used between calls.
 _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
 _ROTATION, _BODY_VELOCITY, _OMEGA, _SPIN, _LOAD, _TRIG = 42, 51, 54, 57, 60, 66
 _Y, _WRONG, _LEAST_SUM, _PAIR, _FIRST_CABLE = 70, 76, 77, 78, 82
 _ROW, _LENGTH_RATE, _BIAS, _REQUEST, _DRIVE, _TAUT, _FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
-# The motor behind its spring: angle β′ and speed β̇′ stand next to each other in each of the first three.
+# Flexible robots: _MOTOR_START, _MOTOR_SUM and _MOTOR_STAGE have two rows each, angle β′ and speed β̇′.
 _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 15, 17, 19, 20
 _RESULTS = 21
 _CABLE_ROWS = 25
 
 TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
-"""Inverse dynamics' results, in the order in which they are written."""
+"""Order of the results of the inverse dynamics."""
 
 
 def parameter_rows(cables: int) -> int:
-    """Rows of one tile of parameters."""
+    """Number of parameter rows of a tile."""
     return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables
 
 
 def record_rows(cables: int) -> int:
-    """Rows of one tile of the record."""
+    """Number of record rows of a tile."""
     return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
 
 
 def scratch_rows(cables: int) -> int:
-    """Rows of the scratch."""
+    """Number of rows of the scratch memory."""
     return _FIRST_CABLE + _CABLE_ROWS * cables
 
 
@@ -86,7 +86,7 @@ def scratch_rows(cables: int) -> int:
 
 
 def _fused(context, a, b, c):
-    """a b + c in one rounding, said explicitly: left to the compiler, one lane and a tile would round differently."""
+    """Explicit fused a b + c. Otherwise the compiler rounds differently for one lane and for a tile."""
 
     def generate(context, builder, signature, arguments):
         return builder.fma(*arguments)
@@ -113,7 +113,7 @@ def _cross(a, b):
 
 @_inline
 def _load(array, row, at, lanes):
-    """Three rows from ``row`` on, of the lane at ``at``."""
+    """Three rows from ``row`` on for lane ``at``."""
     return array[row * lanes + at], array[(row + 1) * lanes + at], array[(row + 2) * lanes + at]
 
 
@@ -126,7 +126,7 @@ def _store(array, row, at, lanes, value):
 
 @_inline
 def _sincos(angle):
-    """Sine and cosine that vectorise: Cody–Waite reduction to ±π/4, then the minimax polynomials of fdlibm."""
+    """Vectorisable sine and cosine: Cody–Waite reduction to ±π/4, then the minimax polynomials of fdlibm."""
     turns = np.floor(angle * 0.6366197723675814 + 0.5)
     x = angle - turns * 1.5707963267341256
     x = x - turns * 6.077100506506192e-11
@@ -153,7 +153,7 @@ def _sincos(angle):
 
 @_inline
 def _spatial_platform(p, w, at, lanes):
-    """Rotation, platform-frame velocity and the terms that belong to no cable, from the stage's state."""
+    """Rotation, velocity in the platform frame and the terms without cables, from the state of the stage."""
     sx, cx = _sincos(w[(_STAGE + 3) * lanes + at])
     sy, cy = _sincos(w[(_STAGE + 4) * lanes + at])
     sz, cz = _sincos(w[(_STAGE + 5) * lanes + at])
@@ -163,7 +163,7 @@ def _spatial_platform(p, w, at, lanes):
     second = (cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx)
     third = (cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx)
     omega = (roll - sy * yaw, cx * pitch + sx * cy * yaw, cx * cy * yaw - sx * pitch)
-    # Ṗ Θ̇, what ω̇ has beyond P Θ̈.
+    # Ṗ Θ̇, the difference of ω̇ and P Θ̈
     spin = (
         -cy * pitch * yaw,
         -sx * roll * pitch + (cx * cy * roll - sx * sy * pitch) * yaw,
@@ -222,7 +222,7 @@ def _spatial_cable(p, w, at, lanes, i):
 
 @_inline
 def _weights(p, w, at, lanes, i):
-    """(J/r²) and the tension without q̈'s unknown part, both zero for a slack cable."""
+    """(J/r²) and the tension without the unknown part of q̈; both are zero for a slack cable."""
     taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
     return taut * mu, taut * _known_tension(p, w, at, lanes, i)
@@ -241,7 +241,7 @@ def _known_tension(p, w, at, lanes, i):
 
 @_inline
 def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
-    """Adds cable i to the left side ((a, b), (bᵀ, c)) and takes its known tension from the right side (f, g)."""
+    """Adds cable i to the left side ((a, b), (bᵀ, c)) and subtracts its known tension from the right side (f, g)."""
     mu, known = _weights(p, w, at, lanes, i)
     a, b, c = _add_row(a, b, c, mu, w, at, lanes, i)
     f, g = _add_pull(f, g, known, w, at, lanes, i)
@@ -261,7 +261,7 @@ def _add_row(a, b, c, weight, w, at, lanes, i):
 
 @_inline
 def _add_pull(f, g, tension, w, at, lanes, i):
-    """Takes row_i · tension, cable i's pull, from (f, g)."""
+    """Subtracts the pull of cable i, row_i · tension, from (f, g)."""
     row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
     return _ahead(-tension, _load(w, row, at, lanes), f), _ahead(-tension, _load(w, row + 3, at, lanes), g)
 
@@ -274,7 +274,7 @@ def _ahead(factor, x, base):
 
 @_inline
 def _add_outer(a, x, y):
-    """a + x yᵀ for parallel x, y; a symmetric, held as (xx, xy, xz, yy, yz, zz)."""
+    """a + x yᵀ for parallel x and y. The symmetric a is stored as (xx, xy, xz, yy, yz, zz)."""
     return (
         _fma(x[0], y[0], a[0]),
         _fma(x[0], y[1], a[1]),
@@ -287,7 +287,7 @@ def _add_outer(a, x, y):
 
 @_inline
 def _inverse(a):
-    """Inverse of a symmetric 3 × 3, by cofactors: one division."""
+    """Inverse of a symmetric 3 × 3 matrix by cofactors, with one division."""
     xx, xy, xz = _cross((a[1], a[3], a[4]), (a[2], a[4], a[5]))
     per = 1.0 / _dot((a[0], a[1], a[2]), (xx, xy, xz))
     yy = _fma(a[0], a[5], -(a[2] * a[2]))
@@ -298,7 +298,7 @@ def _inverse(a):
 
 @_inline
 def _times(a, x):
-    """Symmetric 3 × 3 times a vector."""
+    """Symmetric 3 × 3 matrix times a vector."""
     return (
         _dot((a[0], a[1], a[2]), x),
         _dot((a[1], a[3], a[4]), x),
@@ -308,7 +308,7 @@ def _times(a, x):
 
 @_inline
 def _factored(a, b, c):
-    """What :func:`_solved` needs of the symmetric 6 × 6 ((a, b), (bᵀ, c)): its Schur complement in 3 × 3 blocks."""
+    """Factors of the symmetric 6 × 6 matrix ((a, b), (bᵀ, c)) for :func:`_solved`: its Schur complement."""
     inverse = _inverse(a)
     column0, column1, column2 = (b[0][0], b[1][0], b[2][0]), (b[0][1], b[1][1], b[2][1]), (b[0][2], b[1][2], b[2][2])
     e0, e1, e2 = _times(inverse, column0), _times(inverse, column1), _times(inverse, column2)
@@ -333,7 +333,7 @@ def _solved(factors, f, g):
 
 @_inline
 def _spatial_solve(p, w, at, lanes):
-    """y of the taut set."""
+    """y for the current set of taut cables."""
     mass, inertia = p[MASS * lanes + at], _load(p, INERTIA, at, lanes)
     zero = (0.0, 0.0, 0.0)
     a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), (inertia[0], 0.0, 0.0, inertia[1], 0.0, inertia[2])
@@ -377,7 +377,7 @@ def _spatial_acceleration(w, at, lanes):
 
 @_inline
 def _planar_cable(p, w, at, lanes, i):
-    """Direction, length rate and bias of cable i: u and 0 stand where the spatial robot has u and n."""
+    """Direction, length rate and bias of cable i. The row is (u, 0) instead of (u, n)."""
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE
     dx = w[_STAGE * lanes + at] - p[par * lanes + at]
     dy = w[(_STAGE + 1) * lanes + at] - p[(par + 1) * lanes + at]
@@ -396,7 +396,7 @@ def _planar_cable(p, w, at, lanes, i):
 
 @_inline
 def _planar_solve(cables, p, w, at, lanes):
-    """y = Ẍ of the taut set: two equations."""
+    """y = Ẍ for the current set of taut cables, from two equations."""
     mass = p[MASS * lanes + at]
     xx, xy, yy, fx, fy = mass, 0.0, mass, p[FORCE * lanes + at], p[(FORCE + 1) * lanes + at]
     for i in range(cables):
@@ -427,7 +427,7 @@ def _along(spatial, w, at, lanes, i):
 
 @_inline
 def _free_tension(spatial, p, w, at, lanes, i):
-    """t_i: the tension if taut; where it is not positive, the cable is slack and −r t_i is the take-up torque u."""
+    """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque u."""
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
     tension = _known_tension(p, w, at, lanes, i) + mu * _along(spatial, w, at, lanes, i)
     w[(_FIRST_CABLE + _CABLE_ROWS * i + _FREE_TENSION) * lanes + at] = tension
@@ -444,9 +444,9 @@ def _solve_lane(spatial, cables, p, w, at, lanes):
 
 @njit(error_model="numpy")
 def _settle_lane(spatial, cables, p, w, at, lanes):
-    """Finds the taut set of one lane: all wrong cables change side at once; if that cycles, the last wrong one does.
+    """Finds the taut set of one lane. All wrong cables change sides; after too many trials, only the last one does.
 
-    The second rule is Murty's least-index rule, which ends for every P-matrix; M of physics is one.
+    The second rule is Murty's least-index rule, which terminates for every P-matrix, such as that of this problem.
     """
     for trial in range(10 + 2 ** min(cables, 20)):
         wrong = 0
@@ -483,7 +483,7 @@ def _kinematics(spatial, cables, p, w, lanes):
 
 @_inline
 def _dynamics(spatial, cables, unilateral, p, w, lanes):
-    """Accelerations of the stage, taut sets settled."""
+    """Accelerations of the stage, with the taut sets of all lanes."""
     for at in range(lanes):
         _solve_lane(spatial, cables, p, w, at, lanes)
     for at in range(lanes):
@@ -513,7 +513,7 @@ def _dynamics(spatial, cables, unilateral, p, w, lanes):
 def _springs(cables, unilateral, p, w, lanes):
     """Torque of the joint springs on the pulleys, κ = K (β′ − β), and the motors' accelerations (Eq. 4).
 
-    With unilateral cables the spring only winds: what would unwind is stored slack, κ = K max(β′ − β, 0).
+    With unilateral cables κ = K max(β′ − β, 0): a negative twist is slack cable on the pulley.
     """
     for i in range(cables):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
@@ -531,7 +531,7 @@ def _springs(cables, unilateral, p, w, lanes):
 
 @_inline
 def _drive(flexible, cables, period_starts, p, w, record, lanes):
-    """Torques of a physics step: the request of the drive command, clipped to U± at the motors' present speed."""
+    """Torques of a physics step: the requested torque, clipped to U± at the current motor speed."""
     for i in range(cables):
         par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
         row = _FIRST_CABLE + _CABLE_ROWS * i
@@ -554,7 +554,7 @@ def _drive(flexible, cables, period_starts, p, w, record, lanes):
 
 @_inline
 def _note_tensions(cables, period_starts, unilateral, w, record, lanes):
-    """Counts slack cables at the start of a physics step; tensions as the command takes effect."""
+    """Counts slack cables at the start of a physics step; stores the tensions at the start of the control period."""
     for i in range(cables):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
@@ -570,7 +570,7 @@ def _note_tensions(cables, period_starts, unilateral, w, record, lanes):
 
 @_inline
 def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
-    """RK4's bookkeeping of one row: the next stage's value or, after the last stage, the new state."""
+    """RK4 update of one row: the value of the next stage or, after the last stage, the new state."""
     ahead = h if stage == 2 else 0.5 * h
     weight = 2.0 if stage in (1, 2) else 1.0
     rate, begin = w[rate_row * lanes + at], w[start * lanes + at]
@@ -597,7 +597,7 @@ def _rk4(spatial, flexible, cables, period_starts, unilateral, h, p, w, record, 
         _dynamics(spatial, cables, unilateral, p, w, lanes)
         if stage == 0:
             _note_tensions(cables, period_starts, unilateral, w, record, lanes)
-        # Positions first: their rate is the stage's velocity, which changes next.
+        # Positions first: their rate is the velocity of the stage, which changes next.
         for half in range(2):
             rate_row = _STAGE + 6 if half == 0 else _RATE
             for j in range(n):
@@ -616,7 +616,7 @@ def _rk4(spatial, flexible, cables, period_starts, unilateral, h, p, w, record, 
 
 @_inline
 def _note_errors(spatial, period_starts, w, record, at, lanes, reference):
-    """Largest position and rotation error at the ends of the period's physics steps; ``reference``: pose then."""
+    """Updates the largest position and rotation error after a physics step; ``reference`` is the pose at that time."""
     dx, dy = w[_START * lanes + at] - reference[0], w[(_START + 1) * lanes + at] - reference[1]
     square, rotation = dx * dx + dy * dy, 0.0
     if spatial:
@@ -634,7 +634,7 @@ def _note_errors(spatial, period_starts, w, record, at, lanes, reference):
 
 @_inline
 def _load_tile(spatial, flexible, cables, record, w, lanes):
-    """State into the scratch. Cables that were slack a moment ago are tried as slack first."""
+    """Copies the state to the scratch memory. The search starts with the last known slack cables."""
     for j in range(6 if spatial else 2):
         for at in range(lanes):
             w[(_START + j) * lanes + at] = record[(POSE + j) * lanes + at]
@@ -734,7 +734,7 @@ def _spatial_y(w, at, lanes):
 
 @_inline
 def _spatial_tensions(p, w, at, lanes):
-    """The T of Σ row_i T_i = (f, g), what the cables have to give: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
+    """Solves Σ row_i T_i = (f, g) for the tensions: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
 
     The matrix is the square of one that may be badly conditioned, hence a second pass with what the first one left.
     """
@@ -763,7 +763,7 @@ def _spatial_tensions(p, w, at, lanes):
 
 @_inline
 def _add_tensions(factors, f, g, w, at, lanes):
-    """Adds the tensions that give (f, g) to those in the results; returns what they fail to give."""
+    """Adds the tensions for (f, g) to the results; returns the residual."""
     push, turn = _solved(factors, f, g)
     for i in range(6):
         row = _FIRST_CABLE + _CABLE_ROWS * i
@@ -775,7 +775,7 @@ def _add_tensions(factors, f, g, w, at, lanes):
 
 @_inline
 def _planar_tensions(cables, minimum, p, w, lanes):
-    """The least T of Σ u_i T_i = f with T_i ≥ ``minimum``, as :func:`textbook.least_tensions`: pair by pair."""
+    """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as :func:`textbook.tension_distribution`."""
     for at in range(lanes):
         mass = p[MASS * lanes + at]
         fx, fy = -mass * w[_Y * lanes + at], -mass * w[(_Y + 1) * lanes + at]
@@ -800,14 +800,14 @@ def _planar_tensions(cables, minimum, p, w, lanes):
 
 @_inline
 def _try_pair(w, at, lanes, i, j):
-    """Keeps cables i and j and their pulls in _PAIR if they give the force and no pair before did with less."""
+    """Stores cables i and j and their tensions in _PAIR if they give the force with the smallest sum so far."""
     first_row, second_row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW, _FIRST_CABLE + _CABLE_ROWS * j + _ROW
     ax, ay = w[first_row * lanes + at], w[(first_row + 1) * lanes + at]
     bx, by = w[second_row * lanes + at], w[(second_row + 1) * lanes + at]
     fx, fy = w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at]
     determinant = ax * by - ay * bx
     first, second = (fx * by - fy * bx) / determinant, (ax * fy - ay * fx) / determinant
-    # The slightest negative value is rounding, of a force along one of the two cables.
+    # A force along one of the two cables gives a tiny negative value by rounding.
     slack = 1e-12 * (1.0 + abs(first) + abs(second))
     pulls = (first >= -slack) & (second >= -slack) & (abs(determinant) > 1e-12)
     better = pulls & (first + second < w[_LEAST_SUM * lanes + at])
@@ -835,7 +835,7 @@ def _required_motor(spatial, p, w, at, lanes, i):
 
 @_inline
 def _required(spatial, cables, parameters, minimum, p, w, mass, motion, results):
-    """Inverse dynamics of all lanes in tiles; lanes that fill up the last tile repeat the last robot."""
+    """Inverse dynamics of all lanes in tiles. The unused lanes of the last tile repeat the last robot."""
     lanes, count, n = LANES, mass.shape[0], 6 if spatial else 2
     for row in range(parameters.shape[0]):
         for at in range(lanes):
@@ -873,9 +873,9 @@ def _required(spatial, cables, parameters, minimum, p, w, mass, motion, results)
 # One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six, rigid and
 # flexible.
 # Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,),
-# references (trajectories, lines, n) at physics steps, ends (trajectories,): last line of each, which and step
-# (tiles·lanes,): each lane's trajectory and control step. ``cables`` is a tuple with one item per cable: its length is
-# part of its type, so numba compiles for that number of cables and unrolls the loops over them.
+# references (trajectories, lines, n) at physics steps, ends (trajectories,): last line of each trajectory, which and
+# step (tiles·lanes,): trajectory index and control step of each lane. ``cables`` is a tuple with one item per cable.
+# Its length is part of its type, so numba compiles for that number of cables and unrolls the loops over them.
 
 
 @_compile
@@ -896,7 +896,7 @@ def advance_one_planar(cables, unilateral, parameters, record, w, references, en
 
 @_compile
 def evaluate_planar(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
     _evaluate(False, False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
 
 
@@ -916,7 +916,7 @@ def advance_one_spatial(cables, unilateral, parameters, record, w, references, e
 
 @_compile
 def evaluate_spatial(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
     _evaluate(True, False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
 
 
@@ -936,7 +936,7 @@ def advance_one_flexible_planar(cables, unilateral, parameters, record, w, refer
 
 @_compile
 def evaluate_flexible_planar(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
     _evaluate(False, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
 
 
@@ -956,7 +956,7 @@ def advance_one_flexible_spatial(cables, unilateral, parameters, record, w, refe
 
 @_compile
 def evaluate_flexible_spatial(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions under the torques that stand in ``record``."""
+    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
     _evaluate(True, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
 
 
@@ -966,11 +966,11 @@ def evaluate_flexible_spatial(cables, unilateral, parameters, record, w, acceler
 
 @_compile
 def required_planar(cables, parameters, minimum, p, w, mass, motion, results):
-    """Least tensions of at least ``minimum``, torques, speeds and winding accelerations of planar robots."""
+    """Smallest tensions of at least ``minimum``, torques, pulley speeds and pulley accelerations of planar robots."""
     _required(False, len(cables), parameters, minimum, p, w, mass, motion, results)
 
 
 @_compile
 def required_spatial(cables, parameters, minimum, p, w, mass, motion, results):
-    """Tensions, torques, speeds and winding accelerations of spatial robots; ``minimum`` has no effect."""
+    """Tensions, torques, pulley speeds and pulley accelerations of spatial robots; ``minimum`` has no effect."""
     _required(True, len(cables), parameters, minimum, p, w, mass, motion, results)

@@ -1,4 +1,4 @@
-"""A batch of robots in the compiled kernel's memory, as ordinary arrays with the batch axis first."""
+"""A batch of robots in the memory of the compiled kernel. Its interface uses ordinary arrays, batch axis first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cablebot_gym.robots import Cable, Robot, RobotArrays
 
 
 def pack_parameters(robot: RobotArrays) -> Array:
-    """The kernel's parameters of one robot, shape (parameter rows,), or of N, (N, parameter rows), without payload."""
+    """Kernel parameters without payload: shape (parameter rows,) for one robot, (N, parameter rows) for N robots."""
     batch = robot.base.shape[:-2]
     rows = np.zeros((*batch, kernel.parameter_rows(robot.cables)))
     rows[..., kernel.MASS] = robot.mass
@@ -38,12 +38,12 @@ def pack_parameters(robot: RobotArrays) -> Array:
 
 
 def _kind(robot: Robot) -> str:
-    """Ending of the kernel's entry points for a robot."""
+    """Suffix of the kernel's entry points for a robot."""
     return ("flexible_" if robot.flexible else "") + ("planar" if robot.planar else "spatial")
 
 
 def kernel_memory(*shape: int) -> Array:
-    """Zeros of a shape, from the start of a cache line on: loads that straddle two lines cost the kernel a fifth."""
+    """Array of zeros that starts at a cache line; loads across two lines make the kernel 20 % slower."""
     count, line = math.prod(shape), 64
     memory = np.zeros(count + line // 8)
     first = -memory.ctypes.data % line // 8
@@ -51,9 +51,10 @@ def kernel_memory(*shape: int) -> Array:
 
 
 class Plant:
-    """N robots of one kind, each with its own parameters, advanced together by the compiled kernel.
+    """N robots of one kind, each with its own parameters, which the compiled kernel advances together.
 
-    A batch of one runs the same source compiled for one lane. Lanes that fill up the last tile repeat robot N − 1.
+    A batch of one robot runs the same source code, compiled for one lane. The unused lanes of the last tile repeat
+    robot N − 1.
     """
 
     def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral") -> None:
@@ -62,31 +63,31 @@ class Plant:
         self.lanes = 1 if count == 1 else kernel.LANES
         tiles = -(-count // self.lanes)
         self.width = tiles * self.lanes
-        """Lanes in memory, N and the fill."""
+        """Number of lanes in memory: N plus the padding of the last tile."""
         self._parameters = kernel_memory(tiles, kernel.parameter_rows(robot.cables) * self.lanes)
         self.record = kernel_memory(tiles, kernel.record_rows(robot.cables) * self.lanes)
-        """The kernel's record, see :mod:`kernel` for its rows."""
-        self._demand = self._demand_view()
+        """The kernel's record; ``kernel`` defines its rows."""
+        self._action = self._action_view()
         self._scratch = kernel_memory(kernel.scratch_rows(robot.cables) * self.lanes)
-        self.which = np.zeros(self.width, np.int64)
-        """The reference that each lane follows, shape (width,)."""
+        self.trajectory_index = np.zeros(self.width, np.int64)
+        """Index of the reference trajectory of each lane, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
-        """Control steps since each lane's reset, shape (width,)."""
+        """Control steps since the reset of each lane, shape (width,)."""
         self._cables = (0,) * robot.cables
         single, kind = self.lanes == 1, _kind(robot)
         self._advance = getattr(kernel, f"advance_{'one_' if single else ''}{kind}")
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """For copies and pickles: their memory begins at cache lines too, and their demand is a view of theirs."""
+        """Restores a copy or pickle with aligned memory and with ``_action`` as a view of its own record."""
         self.__dict__.update(state)
         for name in ("_parameters", "record", "_scratch"):
             memory = kernel_memory(*state[name].shape)
             memory[...] = state[name]
             setattr(self, name, memory)
-        self._demand = self._demand_view()
+        self._action = self._action_view()
 
-    def _demand_view(self) -> Array:
+    def _action_view(self) -> Array:
         first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
         return self._view(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
 
@@ -95,7 +96,7 @@ class Plant:
         return kernel.parameter_rows(self.robot.cables)
 
     def _view(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
-        """Rows of a tiled memory as (tiles, rows, lanes), a view."""
+        """View of rows of a tiled memory, shape (tiles, rows, lanes)."""
         tiled = memory.reshape(memory.shape[0], -1, self.lanes)
         return tiled[:, row : row + rows * stride : stride]
 
@@ -107,24 +108,26 @@ class Plant:
         view = self._view(memory, row, values.shape[-1], stride)
         view[index // self.lanes, :, index % self.lanes] = values
         if self.count - 1 in index:
-            fill = np.arange(self.count, self.width)
+            padding = np.arange(self.count, self.width)
             last = view[(self.count - 1) // self.lanes, :, (self.count - 1) % self.lanes]
-            view[fill // self.lanes, :, fill % self.lanes] = last
+            view[padding // self.lanes, :, padding % self.lanes] = last
 
     def set_parameters(self, index: Array, rows: Array) -> None:
-        """Parameters of the robots at ``index``; ``rows`` from :func:`pack_parameters`, shape (len(index), rows).
+        """Sets the parameters of the robots at ``index`` and resets their external wrench to zero.
 
-        These are whole rows, so an external wrench is gone afterwards.
+        Args:
+            index: robots, shape (k,).
+            rows: parameters from :func:`pack_parameters`, shape (k, parameter rows).
         """
         self._write(self._parameters, 0, np.asarray(index), np.asarray(rows, float))
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
-        """External wrench on the platforms of the robots at ``index``, from now on until changed.
+        """Sets the external wrench on the platforms of the robots at ``index``. It stays until it is changed.
 
         Args:
             index: robots, shape (k,).
-            force: at the centre of mass, in the base frame [N], shape (k, 3), or (k, 2) of planar robots.
-            moment: in the base frame [N·m], shape (k, 3); None for none. Has no effect on a planar robot.
+            force: force at the centre of mass in the base frame [N], shape (k, 3), or (k, 2) if planar.
+            moment: moment in the base frame [N·m], shape (k, 3); None for zero. Has no effect on a planar robot.
         """
         index, force = np.asarray(index), np.asarray(force, float)
         wrench = np.zeros((len(index), 6))
@@ -133,7 +136,7 @@ class Plant:
         self._write(self._parameters, kernel.FORCE, index, wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
-        """Starts the robots at ``index`` at poses X and velocities Ẋ, each (len(index), n), at control step 0."""
+        """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to control step 0."""
         index = np.asarray(index)
         self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self.robot.cables))))
         self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
@@ -143,27 +146,28 @@ class Plant:
             self.step_index[self.count :] = 0
 
     def set_motors(self, index: Array, angle: Array, speed: Array) -> None:
-        """Motor angles β′ and speeds β̇′ (len(index), m) of flexible robots, after :meth:`set_state`."""
+        """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after :meth:`set_state`."""
         first = kernel.FIRST_CABLE_RECORD
         for row, values in ((kernel.MOTOR_ANGLE, angle), (kernel.MOTOR_SPEED, speed)):
             self._write(self.record, first + row, np.asarray(index), np.asarray(values, float), kernel.CABLE_RECORDS)
 
-    def set_demand(self, demand: Array) -> None:
-        """Sets ``demand``, the drive commands of all robots, shape (N, m); (m,) will do for one."""
+    def set_action(self, action: Array) -> None:
+        """Sets the actions of all robots, shape (N, m), or (m,) for one robot."""
         if self.lanes == 1:
-            self._demand[0, :, 0] = demand
+            self._action[0, :, 0] = action
         elif self.width == self.count:
-            self._demand[...] = demand.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
+            self._action[...] = action.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
         else:
             first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
-            self._write(self.record, first, np.arange(self.count), demand, kernel.CABLE_RECORDS)
+            self._write(self.record, first, np.arange(self.count), action, kernel.CABLE_RECORDS)
 
     def advance(self, references: Array, ends: Array, *, substeps: int, step: float) -> None:
-        """One control period of ``substeps`` RK4 steps of ``step`` seconds against reference poses.
+        """Advances all robots by one control period of ``substeps`` RK4 steps.
 
         Args:
-            references: poses at every physics step from 0 on, shape (trajectories, lines, n); the last one stays.
-            ends: the last line of each trajectory, shape (trajectories,).
+            references: reference poses at every physics step from 0 on, shape (trajectories, lines, n). After the last
+                line the reference stays constant.
+            ends: index of the last line of each trajectory, shape (trajectories,).
             substeps: physics steps per control period.
             step: length of a physics step [s].
         """
@@ -175,7 +179,7 @@ class Plant:
             self._scratch,
             references,
             ends,
-            self.which,
+            self.trajectory_index,
             self.step_index,
             substeps,
             step,
@@ -183,39 +187,39 @@ class Plant:
 
     @property
     def pose(self) -> Array:
-        """X, shape (N, n)."""
+        """Poses X, shape (N, n)."""
         return self._read(self.record, kernel.POSE, self.robot.coordinates)
 
     @property
     def velocity(self) -> Array:
-        """Ẋ, shape (N, n)."""
+        """Velocities Ẋ, shape (N, n)."""
         return self._read(self.record, kernel.VELOCITY, self.robot.coordinates)
 
     @property
     def motor_angle(self) -> Array:
-        """β′ of robots with joint springs, shape (N, m) [rad]."""
+        """Motor angles β′ of flexible robots, shape (N, m) [rad]."""
         return self.per_cable(kernel.MOTOR_ANGLE)
 
     @property
     def motor_speed(self) -> Array:
-        """β̇′ of robots with joint springs, shape (N, m) [rad/s]."""
+        """Motor speeds β̇′ of flexible robots, shape (N, m) [rad/s]."""
         return self.per_cable(kernel.MOTOR_SPEED)
 
     def per_cable(self, row: int) -> Array:
-        """A cable row of the record, such as ``kernel.TENSION``, shape (N, m)."""
+        """A row of the record per cable, such as ``kernel.TENSION``, shape (N, m)."""
         first = kernel.FIRST_CABLE_RECORD + row
         return self._read(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
 
     def evaluate(self, torques: Array) -> tuple[Array, Array]:
-        """Accelerations Ẍ (N, n) and tensions T (N, m) at the present state under motor torques (N, m).
+        """Accelerations Ẍ (N, n) and tensions T (N, m) at the current state for motor torques (N, m).
 
-        The state stays as it is.
+        The state does not change.
 
         Raises:
-            ValueError: for a batch of one, whose memory the compiled form does not fit.
+            ValueError: for a batch of one robot, which the compiled function does not support.
         """
         if self.lanes == 1:
-            raise ValueError("evaluate() needs a batch of two or more")
+            raise ValueError("evaluate() needs a batch of at least two robots")
         first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
         self._write(self.record, first, np.arange(self.count), np.asarray(torques, float), kernel.CABLE_RECORDS)
         acceleration = np.zeros((self.record.shape[0], self.robot.coordinates * self.lanes))

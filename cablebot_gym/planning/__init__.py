@@ -1,12 +1,16 @@
-"""Motions inside the tube around a reference, planned for a heavy payload (extra ``optimal``).
+"""Trajectory optimisation: motions within the error bounds for the heaviest payload (extra ``optimal``).
 
-``instants`` holds what has to be true at one instant, ``program`` the nonlinear program, ``motion`` its result,
-``following`` the torques that follow it, and ``library`` keeps plans on disk.
+* ``stage_functions``: the constraints at one instant.
+* ``program``: the nonlinear program.
+* ``motion``: the planned motion, which is the result of the program.
+* ``following``: the torques that follow a planned motion.
+* ``library``: a cache of plans on disk.
+* ``signals``: Ctrl-C while the solver runs.
 """
 
 from cablebot_gym.planning.following import Follower, State
-from cablebot_gym.planning.library import planned
+from cablebot_gym.planning.library import plan_motion
 from cablebot_gym.planning.motion import Margins, PlannedMotion
 from cablebot_gym.planning.program import Infeasible, MotionProgram
 
-__all__ = ["Follower", "Infeasible", "Margins", "MotionProgram", "PlannedMotion", "State", "planned"]
+__all__ = ["Follower", "Infeasible", "Margins", "MotionProgram", "PlannedMotion", "State", "plan_motion"]

@@ -1,4 +1,4 @@
-"""Plans that have been made once are kept: in memory, and on disk by a hash of all that they depend on."""
+"""Cache of plans on disk. The file name contains a hash of everything that a plan depends on."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from cablebot_gym.planning.motion import Margins, PlannedMotion
 from cablebot_gym.planning.program import MotionProgram
 from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits, as_plain
+from cablebot_gym.task import ErrorBounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.files import write_whole
+from cablebot_gym.utils.files import atomic_write
 
 CACHE_VARIABLE = "CABLEBOT_CACHE"
-"""Environment variable that names another folder for the cache."""
+"""Environment variable for another cache folder."""
 
 _SAMPLES = 1000.0
-"""Instants per second at which a reference is told apart from others [Hz]."""
+"""Rate at which the fingerprint samples a reference [Hz]."""
 
 
 def cache_folder() -> Path:
-    """Where plans and best payloads are kept: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
+    """Cache folder: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
     if named := os.environ.get(CACHE_VARIABLE):
         return Path(named)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "cablebot_gym"
 
 
 def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) -> str:
-    """Of a robot, of what a reference does, of further data, and of the code and solver that plan from them.
+    """Hash of a robot, a reference, further data, the code and the versions of Python and of the solver.
 
     Args:
-        module: that plans; what it imports counts too.
-        robot: nominal.
-        trajectory: the reference, told apart by what it does.
-        more: JSON-able data, or dataclasses of them.
+        module: module that uses the data; the hash includes its code and its imports.
+        robot: nominal robot.
+        trajectory: reference motion; the hash includes its sampled poses and velocities.
+        more: JSON-able data or dataclasses.
     """
     times = np.arange(round(trajectory.duration * _SAMPLES) + 1) / _SAMPLES
     reference = trajectory(times)
-    plain = {name: as_plain(value) for name, value in more.items()}
+    plain = {name: to_jsonable(value) for name, value in more.items()}
     data = [robot.to_dict(), trajectory.name, trajectory.duration, plain, source_hash(module), _versions()]
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     for values in (reference.position, reference.velocity):
@@ -61,25 +61,30 @@ def _versions() -> list[str]:
     return [platform.python_version(), *(version(name) for name in ("casadi", "numpy", "scipy", "numba"))]
 
 
-def kept(name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write: Callable[[Any], bytes]) -> Any:
-    """What a file of the cache holds, or what ``make`` returns, which is then kept as ``write`` has it.
+def load_or_compute(
+    name: str, read: Callable[[bytes], Any], make: Callable[[], Any], write: Callable[[Any], bytes]
+) -> Any:
+    """The cached value of a file, or the value of ``make``, which is then written to the cache.
 
-    A file that cannot be read is made anew; a folder that cannot be written to keeps nothing.
+    A file that cannot be read is replaced. If the folder is not writable, nothing is cached.
+
+    Args:
+        name: file name in the cache folder.
+        read: decodes the bytes of the file.
+        make: computes the value.
+        write: encodes the value as bytes.
     """
-    if (there := known(name, read)) is not None:
-        return there
-    made = make()
-    data = write(made)
+    if (stored := read_cached(name, read)) is not None:
+        return stored
+    value = make()
+    data = write(value)
     with suppress(OSError):
-        write_whole(cache_folder() / name, lambda temporary: _write(temporary, data))
-    return made
+        atomic_write(cache_folder() / name, lambda temporary: _write(temporary, data))
+    return value
 
 
-def known(name: str, read: Callable[[bytes], Any]) -> Any:
-    """What a file of the cache holds, which ``read`` makes of its bytes.
-
-    None if it is not there, half a file, or something else by that name.
-    """
+def read_cached(name: str, read: Callable[[bytes], Any]) -> Any:
+    """The cached value of a file, decoded by ``read``; None if the file is missing or invalid."""
     with suppress(Exception):
         return read((cache_folder() / name).read_bytes())
     return None
@@ -89,34 +94,40 @@ def _write(path: Path, data: bytes) -> None:
     path.write_bytes(data)
 
 
-def planned(
+def plan_motion(
     robot: Robot,
     trajectory: Trajectory,
-    limits: Limits,
+    error_bounds: ErrorBounds,
     *,
     intervals: int,
     margins: Margins | None = None,
     lightest: float | None = None,
     period: float = 0.0,
 ) -> PlannedMotion:
-    """The motion of a :class:`~cablebot_gym.planning.program.MotionProgram`, made once and kept; arguments as there.
+    """The cached solution of a :class:`~cablebot_gym.planning.program.MotionProgram`, which has the same arguments.
 
     Raises:
-        Infeasible: if there is no motion inside the limits.
+        Infeasible: if the solver finds no motion within the constraints.
         ImportError: if CasADi is missing.
     """
     import_casadi()
     margins = margins or Margins()
-    settings = {"limits": limits, "margins": margins, "intervals": intervals, "lightest": lightest, "period": period}
+    settings = {
+        "error_bounds": error_bounds,
+        "margins": margins,
+        "intervals": intervals,
+        "lightest": lightest,
+        "period": period,
+    }
     key = fingerprint("cablebot_gym.planning.program", robot, trajectory, **settings)
 
     def make() -> PlannedMotion:
         program = MotionProgram(
-            robot, trajectory, limits, intervals=intervals, margins=margins, lightest=lightest, period=period
+            robot, trajectory, error_bounds, intervals=intervals, margins=margins, lightest=lightest, period=period
         )
         return program.solve()
 
-    plan: PlannedMotion = kept(f"plan-{key}.npz", _read_plan, make, _plan_bytes)
+    plan: PlannedMotion = load_or_compute(f"plan-{key}.npz", _read_plan, make, _plan_bytes)
     return plan
 
 

@@ -1,4 +1,4 @@
-"""A planned motion, and what a plan leaves unused of the limits."""
+"""A planned motion and its margins to the constraints."""
 
 from __future__ import annotations
 
@@ -16,78 +16,78 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Reference
 
 MOTOR_DEGREE = 3
-"""Of the splines of β′: β̈′, which asks most of the torque, is linear between knots and does not swing."""
+"""Degree of the splines of β′. β̈′ dominates the torque; it is linear between knots and does not oscillate."""
 
 RIGID_DEGREE, FLEXIBLE_DEGREE = 3, MOTOR_DEGREE + 2
-"""Of the spline of X: Ẍ as smooth as the torques of a rigid robot, or as the motor angles of a flexible one."""
+"""Degree of the spline of X. Ẍ is as smooth as the torques of a rigid robot or the motor angles of a flexible one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """What a planned motion leaves unused of each limit, for feedback to correct errors with.
+    """Margins of a planned motion to the constraints, which leave room for feedback.
 
     Raises:
         ValueError: if a margin is negative or not finite.
     """
 
     position: float = 0.0
-    """Of the bound of the position error [m]."""
+    """Margin to the position error bound [m]; ≥ 0."""
     rotation: float = 0.0
-    """Of the bound of the rotation error [rad]."""
-    demand: float = 0.0
-    """Of the drive commands' ±1; below 1."""
+    """Margin to the rotation error bound [rad]; ≥ 0."""
+    action: float = 0.0
+    """Margin of the actions to ± 1; ≥ 0 and < 1."""
     tension: float = 0.0
-    """Least tension [N]."""
+    """Minimum tension of all cables [N]; ≥ 0."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            most = 1.0 if item.name == "demand" else math.inf
+            most = 1.0 if item.name == "action" else math.inf
             if not 0 <= value < most:
                 raise ValueError(f"margins: {item.name} must be at least 0 and below {most:g}, not {value!r}")
 
     def scaled(self, factor: float) -> Margins:
-        """Every margin times a factor."""
+        """A copy with every margin multiplied by a factor."""
         return Margins(**{item.name: factor * getattr(self, item.name) for item in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
-    """A motion as a spline, which is a :class:`~cablebot_gym.trajectories.Trajectory` and may be followed like one."""
+    """A planned motion as a spline. It implements :class:`~cablebot_gym.trajectories.Trajectory`."""
 
     name: str
-    """Of the motion whose tube it keeps."""
+    """Name of the reference motion."""
     knots: Array
-    """Of the spline, clamped at both ends [s]."""
+    """Knots of the spline, clamped at both ends [s]."""
     poses: Array
-    """Control points, (count, n)."""
+    """Control points of the pose, shape (count, n) [m, rad]."""
     motors: tuple[Array, ...]
-    """Control points of the motor angles β′ of a flexible robot with the heaviest and the lightest payload, each
-    (count, m) [rad]; empty: rigid."""
+    """Control points of the motor angles β′ of a flexible robot, each (count, m) [rad]: with the heaviest payload and,
+    if planned, with the lightest payload. Empty if rigid."""
     payload: float
-    """Heaviest payload that the motion is for [kg]; every lighter one down to ``lightest`` is possible as well."""
+    """Heaviest payload of the motion [kg]. All payloads from ``lightest`` to this one are feasible."""
     lightest: float
-    """Lightest payload that the motion is for [kg]."""
+    """Lightest payload of the motion [kg]."""
     minimum_tension: float
-    """What every cable keeps [N]."""
+    """Minimum tension of all cables [N]."""
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration of the motion [s]."""
         return float(self.knots[-1])
 
     @property
     def coordinates(self) -> int:
-        """n."""
+        """Number of coordinates n."""
         return int(self.poses.shape[1])
 
     @property
     def degree(self) -> int:
-        """Of the spline of X."""
+        """Degree of the spline of X."""
         return len(self.knots) - len(self.poses) - 1
 
     def __call__(self, times: ArrayLike) -> Reference:
-        """The motion at ``times``; after its end it rests at its last pose."""
+        """The motion at ``times`` [s]. After its end the robot rests at the last pose."""
         times = np.asarray(times, float)
         values = [spline(np.clip(times, 0.0, self.duration)) for spline in self._derivatives]
         for value in values[1:]:
@@ -97,22 +97,26 @@ class PlannedMotion:
 
     @cached_property
     def _derivatives(self) -> list[Any]:
-        """Orders 0 to 4; beyond the degree they are zero wherever they exist."""
-        spline, nothing = (BSpline(self.knots, values, self.degree) for values in (self.poses, 0 * self.poses))
-        return [spline, *(spline.derivative(d) if d <= self.degree else nothing for d in (1, 2, 3, 4))]
+        """Splines of the derivatives 0 to 4; those above the degree are zero."""
+        spline, zero = (BSpline(self.knots, values, self.degree) for values in (self.poses, 0 * self.poses))
+        return [spline, *(spline.derivative(d) if d <= self.degree else zero for d in (1, 2, 3, 4))]
 
     def motor_motion(self, times: ArrayLike, payload: ArrayLike) -> tuple[Array, Array, Array]:
-        """β′ [rad], β̇′ and β̈′ of a flexible robot with a payload [kg] at times [s], each (..., m).
+        """Motor angles β′ [rad], speeds β̇′ and accelerations β̈′ of a flexible robot, each (..., m).
 
-        Between two payloads they are affine in the payload, as the balance of forces is.
+        With two planned payloads they are affine in the payload, like the balance of forces.
+
+        Args:
+            times: times since the start of the motion [s].
+            payload: payload [kg].
         """
         values = [spline(np.clip(times, 0.0, self.duration)) for spline in self._motor_derivatives]
         if len(self.motors) == 1:
             angle, speed, acceleration = (value[..., 0, :] for value in values)
         else:
-            share = (np.asarray(payload, float) - self.lightest) / (self.payload - self.lightest)
+            fraction = (np.asarray(payload, float) - self.lightest) / (self.payload - self.lightest)
             angle, speed, acceleration = (
-                value[..., 1, :] + share[..., None] * (value[..., 0, :] - value[..., 1, :]) for value in values
+                value[..., 1, :] + fraction[..., None] * (value[..., 0, :] - value[..., 1, :]) for value in values
             )
         return angle, speed, acceleration
 
@@ -123,17 +127,17 @@ class PlannedMotion:
         return [spline, spline.derivative(1), spline.derivative(2)]
 
     def to_arrays(self) -> dict[str, Array]:
-        """Everything as arrays by name; :meth:`from_arrays` reads them."""
+        """The motion as arrays by name, which :meth:`from_arrays` reads."""
         numbers = np.array([self.payload, self.lightest, self.minimum_tension])
-        motors = {f"motors{place}": values for place, values in enumerate(self.motors)}
+        motors = {f"motors{index}": values for index, values in enumerate(self.motors)}
         return {"name": np.array(self.name), "knots": self.knots, "poses": self.poses, "numbers": numbers, **motors}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array]) -> PlannedMotion:
-        """A motion from :meth:`to_arrays`, or from a file of them.
+        """A motion from the arrays of :meth:`to_arrays` or from an ``.npz`` file of them.
 
         Raises:
-            KeyError: if one is missing.
+            KeyError: if an array is missing.
         """
         payload, lightest, tension = arrays["numbers"].tolist()
         return cls(

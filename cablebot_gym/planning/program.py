@@ -1,10 +1,12 @@
-"""The heaviest payload of a motion inside the limits, as a nonlinear program: splines, collocation, CasADi and IPOPT.
+"""Nonlinear program for the motion with the heaviest payload, with splines, collocation, CasADi and IPOPT.
 
-The motion X(t) is a spline. On a rigid robot tensions and torques follow from X, Ẋ and Ẍ at every instant by
-themselves. On a flexible one the motor angles β′(t) are a second spline, bound to the first by the platform's balance
-of forces at the collocation points; torques follow from β′ and its derivatives. So every limit is a function of a few
-numbers at one instant, and these are affine in the program's variables: Jacobian and Hessian are put together from
-small dense ones, which is ten times sooner than to have the whole program differentiated.
+The motion X(t) is a spline. On a rigid robot, tensions and torques at each instant follow from X, Ẋ and Ẍ. On a
+flexible robot the motor angles β′(t) are a second spline. The balance of forces of the platform at the collocation
+points couples the two splines, and the torques follow from β′ and its derivatives.
+
+Each constraint is a function of a few numbers at one instant, which are affine in the variables of the program. The
+Jacobian and the Hessian are assembled from small dense ones. This is ten times faster than to differentiate the whole
+program.
 """
 
 from __future__ import annotations
@@ -21,43 +23,42 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
-from cablebot_gym.planning.signals import Interrupts
-from cablebot_gym.planning.stage_functions import TENSION, derivatives, flexible_instant, import_casadi, rigid_instant
+from cablebot_gym.planning.signals import SolverInterrupt
+from cablebot_gym.planning.stage_functions import TENSION, derivatives, flexible_stage, import_casadi, rigid_stage
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 
-INSTANTS = {"rigid": 2, "flexible": 4}
-"""Instants per interval of the splines at which motors and cables are held to their limits. Springs swing in between:
-with two, demands came out 10 % beyond their limits, with four 0.6 %."""
+STAGES_PER_INTERVAL = {"rigid": 2, "flexible": 4}
+"""Instants per spline interval at which actions and tensions are constrained. Springs oscillate in between: with two
+instants the actions exceeded their limits by 10 %, with four by 0.6 %."""
 
-TUBE_INSTANTS = 4
-"""Instants per interval at which the tube is kept."""
+ERROR_STAGES_PER_INTERVAL = 4
+"""Instants per spline interval at which the error bounds are enforced."""
 
 _TOLERANCE = 1e-5
-"""Of IPOPT, on a program whose numbers are near 1; payloads then agree to 0.1 g."""
+"""Tolerance of IPOPT on the scaled program. Payloads are then accurate to 0.1 g."""
 
 _LIGHTEST = -0.95
-"""Least payload that the program considers, in platform masses: how much too heavy a platform is, is an answer too."""
-
+"""Smallest payload of the program in platform masses. A negative payload tells how much too heavy the platform is."""
 
 HEAVIEST = 1000.0
-"""Largest payload that the program considers [kg]: where even that is carried, nothing limits it."""
+"""Largest payload of the program [kg]. If this payload is feasible, the payload is unlimited."""
 
 
 class Infeasible(RuntimeError):
-    """The solver found no motion inside the limits."""
+    """The solver found no motion within the constraints."""
 
 
 class _Spline:
-    """One spline of the program: where its control points stand among the variables, and what they are made of."""
+    """One spline of the program. Its control points are ``base + scale * z[at]`` of the variables z."""
 
     def __init__(self, knots: Array, degree: int, at: Array, base: Array, scale: Array) -> None:
         self.knots, self.degree = knots, degree
         self.at, self.base, self.scale = at, base, scale
 
     def rows(self, times: Array, orders: Sequence[int]) -> list[_Row]:
-        """The spline's values and derivatives at each time, coordinate by coordinate."""
+        """Values or derivatives of the spline at the times, one row per order and coordinate."""
         rows = []
         for order in orders:
             basis = _basis(self.knots, self.degree, times, order)
@@ -66,14 +67,14 @@ class _Spline:
         return rows
 
     def control_points(self, z: Array) -> Array:
-        """From the variables, (count, channels)."""
+        """Control points for the variables, shape (count, channels)."""
         points: Array = self.base + self.scale * z[self.at]
         return points
 
 
 @dataclass(frozen=True)
 class _Row:
-    """A number at each of several instants: ``matrix @ z[at] + constant``."""
+    """One number at each of several instants: ``matrix @ z[at] + constant``."""
 
     matrix: Array
     at: Array
@@ -82,44 +83,46 @@ class _Row:
 
 @dataclass(frozen=True, kw_only=True)
 class _Block:
-    """A function of a few numbers, bounded at each of several instants."""
+    """Constraints on a function of a few numbers at each of several instants."""
 
     function: Any
-    """SX function from the numbers to what is bounded."""
+    """SX function from the numbers to the constrained values."""
     matrix: csr_matrix
-    """From the variables to all numbers, one instant after the other."""
+    """Matrix from the variables to all numbers, one instant after the other."""
     offset: Array
+    """Constant part of the numbers."""
     low: Array
     """Lower bounds at one instant."""
     high: Array
     """Upper bounds at one instant."""
     instants: int
+    """Number of instants."""
 
 
 class MotionProgram:
-    """The program for one robot, reference and mesh.
+    """The nonlinear program for one robot, reference and mesh.
 
     Args:
-        robot: any.
-        trajectory: whose tube the motion keeps, from whose start it starts.
-        limits: bounds of the errors.
-        intervals: of the splines.
-        margins: what is left unused of the limits.
-        lightest: payload with which the same motion has to be possible too [kg]; None: with the heaviest alone.
-            Demands and tensions are affine in the payload on a given motion, so that all in between are possible.
-        period: for which torques are held [s]; 0: not at all.
+        robot: any robot.
+        trajectory: reference motion, which also gives the start.
+        error_bounds: bounds of the tracking error.
+        intervals: number of intervals of the splines.
+        margins: margins to the constraints; None for no margins.
+        lightest: a second payload for which the same motion must be feasible [kg]; None for the heaviest one only. On a
+            given motion, actions and tensions are affine in the payload, so all payloads in between are feasible.
+        period: control period over which the torques are constant [s]; 0 for continuous torques.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if the margins leave nothing of the limits, or ask for more tension than a planar robot with joint
-            springs starts with.
+        ValueError: if a margin is not below its bound, or the minimum tension exceeds the initial tension of a flexible
+            planar robot.
     """
 
     def __init__(
         self,
         robot: Robot,
         trajectory: Trajectory,
-        limits: Limits,
+        error_bounds: ErrorBounds,
         *,
         intervals: int,
         margins: Margins | None = None,
@@ -128,45 +131,45 @@ class MotionProgram:
     ) -> None:
         self._ca = import_casadi()
         self._period = period
-        self._robot, self._trajectory, self._limits = robot, trajectory, limits
+        self._robot, self._trajectory, self._error_bounds = robot, trajectory, error_bounds
         self._margins, self._lightest = margins or Margins(), lightest
         for name in ("position", "rotation"):
-            if not getattr(self._margins, name) < getattr(limits, name):
-                raise ValueError(f"margins: {name} has to be below its limit {getattr(limits, name):g}")
+            if not getattr(self._margins, name) < getattr(error_bounds, name):
+                raise ValueError(f"margins: {name} must be below the error bound {getattr(error_bounds, name):g}")
         if robot.flexible and robot.planar and self._margins.tension > MINIMUM_TENSION:
             raise ValueError(
-                f"margins: tension must be at most the {MINIMUM_TENSION:g} N with which {robot.name!r} starts, "
+                f"margins: tension must be at most {MINIMUM_TENSION:g} N, the initial tension of {robot.name!r}, "
                 f"not {self._margins.tension:g} N"
             )
-        count = INSTANTS[robot.joints] * intervals
+        count = STAGES_PER_INTERVAL[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
-        self._tube_instants = np.linspace(0.0, trajectory.duration, TUBE_INSTANTS * intervals + 1)[1:]
+        self._error_instants = np.linspace(0.0, trajectory.duration, ERROR_STAGES_PER_INTERVAL * intervals + 1)[1:]
         self._variables = 0
         self._payload_at = self._take(1)
         self._poses = self._pose_spline(intervals)
         loads = 1 if lightest is None else 2
         self._motors = [self._motor_spline(intervals) for _ in range(loads if robot.flexible else 0)]
         self._tensions = [self._take(len(self._instants), robot.cables) for _ in range(0 if robot.flexible else loads)]
-        self._interrupts = Interrupts()
+        self._interrupt = SolverInterrupt()
         self._solver: tuple[Any, Array, Array] | None = None
 
     def solve(self, start: PlannedMotion | None = None, *, shift: Array | None = None) -> PlannedMotion:
-        """The motion for the heaviest payload.
+        """Solves the program for the motion with the heaviest payload.
 
         Args:
-            start: a motion to start from, as of a coarser mesh; None for the reference.
-            shift: added to the pose's control points that the solver starts with, in units of the limits, (n,) or
+            start: initial guess, such as the motion on a coarser mesh; None for the reference.
+            shift: offset of the initial control points of the pose in units of the error bounds, shape (n,) or
                 (control points, n).
 
         Raises:
-            Infeasible: if the solver ends without a motion inside the limits; the message is its status.
+            Infeasible: if the solver finds no motion within the constraints; the message is its status.
         """
         if self._solver is None:
-            self._solver = self._assembled()
+            self._solver = self._assemble()
         solver, lowest, highest = self._solver
         low, high = self._bounds()
-        first = np.clip(self._first(start, 0.0 if shift is None else shift), low, high)
-        with self._interrupts.heard():
+        first = np.clip(self._initial_guess(start, 0.0 if shift is None else shift), low, high)
+        with self._interrupt.watch():
             solution = solver(x0=first, lbx=low, ubx=high, lbg=lowest, ubg=highest)
         status = solver.stats()["return_status"]
         if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
@@ -175,13 +178,13 @@ class MotionProgram:
 
     @property
     def control_points(self) -> int:
-        """Of the pose's spline."""
+        """Number of control points of the pose spline."""
         return len(self._poses.base)
 
     # Variables
 
     def _take(self, *shape: int) -> Array:
-        """Places of new variables."""
+        """Indices of new variables."""
         first, self._variables = self._variables, self._variables + int(np.prod(shape))
         return np.arange(first, self._variables).reshape(shape)
 
@@ -189,8 +192,8 @@ class MotionProgram:
         degree = FLEXIBLE_DEGREE if self._robot.flexible else RIGID_DEGREE
         knots = _knots(self._trajectory.duration, intervals, degree)
         n, count = self._robot.coordinates, intervals + degree
-        base = _fitted(knots, degree, self._trajectory(greville(knots, degree)).position)
-        bounds = np.array([self._limits.position] * 3 + [self._limits.rotation] * 3)[:n]
+        base = _interpolate(knots, degree, self._trajectory(greville(knots, degree)).position)
+        bounds = np.array([self._error_bounds.position] * 3 + [self._error_bounds.rotation] * 3)[:n]
         return _Spline(knots, degree, self._take(count, n), base, bounds)
 
     def _motor_spline(self, intervals: int) -> _Spline:
@@ -198,20 +201,20 @@ class MotionProgram:
         knots = _knots(self._trajectory.duration, intervals, degree)
         poses = self._trajectory(greville(knots, degree)).position
         angles = textbook.static_motor_angle(robot, robot.mass, poses, minimum=MINIMUM_TENSION)
-        base = _fitted(knots, degree, angles)
+        base = _interpolate(knots, degree, angles)
         return _Spline(knots, degree, self._take(len(base), robot.cables), base, np.ones(robot.cables))
 
     def _masses(self) -> list[float | None]:
-        """Of the loads, None for the one that is looked for."""
+        """Masses of platform and payload [kg]; None for the mass that is maximised."""
         return [None] if self._lightest is None else [None, self._robot.mass + self._lightest]
 
     def _bounds(self) -> tuple[Array, Array]:
-        """Of the variables: the start is the reference's, with motors at rest on it."""
+        """Bounds of the variables. They fix the start to that of the reference, with the springs at rest."""
         low, high = np.full(self._variables, -np.inf), np.full(self._variables, np.inf)
         robot, reference = self._robot, self._trajectory(np.zeros(1))
         pose, velocity = reference.position[0], reference.velocity[0]
         ends = [(self._poses, pose, velocity)]
-        if robot.planar:  # in space the angles depend on the payload: a constraint
+        if robot.planar:  # spatial: the angles depend on the payload, so the start is a constraint
             angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=MINIMUM_TENSION) if self._motors else 0
             ends += [(spline, angle, textbook.pulley_speed(robot, pose, velocity)) for spline in self._motors]
         for spline, value, rate in ends:
@@ -223,26 +226,26 @@ class MotionProgram:
         low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, HEAVIEST
         return low, high
 
-    def _first(self, start: PlannedMotion | None, shift: Any) -> Array:
-        """Where the solver starts."""
+    def _initial_guess(self, start: PlannedMotion | None, shift: Any) -> Array:
+        """Initial values of the variables."""
         z, robot, poses = np.zeros(self._variables), self._robot, self._poses
         for at in self._tensions:
             z[at] = 1.0
         if start is not None:
-            points = _fitted(poses.knots, poses.degree, start(greville(poses.knots, poses.degree)).position)
+            points = _interpolate(poses.knots, poses.degree, start(greville(poses.knots, poses.degree)).position)
             z[poses.at] = (points - poses.base) / poses.scale
             z[self._payload_at] = start.payload
             motion = start(self._instants)
             masses = [robot.mass + start.payload if mass is None else mass for mass in self._masses()]
             for at, mass in zip(self._tensions, masses, strict=False):
-                needed = textbook.required_tensions(
+                tensions = textbook.required_tensions(
                     robot, mass, motion.position, motion.velocity, motion.acceleration, strict=False
                 )
-                z[at] = needed / TENSION
+                z[at] = tensions / TENSION
             for spline, mass in zip(self._motors, masses, strict=False):
                 times = greville(spline.knots, spline.degree)
                 angles = start.motor_motion(times, np.full(len(times), mass - robot.mass))[0]
-                z[spline.at] = _fitted(spline.knots, spline.degree, angles) - spline.base
+                z[spline.at] = _interpolate(spline.knots, spline.degree, angles) - spline.base
         z[poses.at] += shift
         return z
 
@@ -261,18 +264,18 @@ class MotionProgram:
     # Constraints
 
     def _blocks(self) -> list[_Block]:
-        blocks = self._tube()
-        for place, mass in enumerate(self._masses()):
-            blocks += self._flexible(place, mass) if self._robot.flexible else self._rigid(place, mass)
+        blocks = self._error_blocks()
+        for index, mass in enumerate(self._masses()):
+            blocks += self._flexible(index, mass) if self._robot.flexible else self._rigid(index, mass)
         return blocks
 
     def _block(self, function: Any, rows: list[_Row], low: Array, high: Array) -> _Block:
-        """The numbers of one instant after the other: row k·d + i is number i at instant k."""
+        """A block with the numbers of one instant after the other: row k·d + i is number i at instant k."""
         d, instants = len(rows), len(rows[0].constant)
         indices, columns, values = [], [], []
-        for place, row in enumerate(rows):
+        for number, row in enumerate(rows):
             k, j = np.nonzero(row.matrix)
-            indices.append(k * d + place)
+            indices.append(k * d + number)
             columns.append(row.at[j])
             values.append(row.matrix[k, j])
         entries = np.concatenate(values), (np.concatenate(indices), np.concatenate(columns))
@@ -280,57 +283,60 @@ class MotionProgram:
         offset = np.stack([row.constant for row in rows], axis=1).ravel()
         return _Block(function=function, matrix=matrix, offset=offset, low=low, high=high, instants=instants)
 
-    def _tube(self) -> list[_Block]:
-        """Position and rotation errors, in units of their bounds."""
+    def _error_blocks(self) -> list[_Block]:
+        """Constraints on the position and rotation errors, in units of their bounds."""
         ca, n = self._ca, self._robot.coordinates
-        times = self._tube_instants
+        times = self._error_instants
         reference = self._trajectory(times).position
         rows = [
-            _Row(row.matrix / bound, row.at, (row.constant - wanted) / bound)
-            for row, wanted, bound in zip(self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True)
+            _Row(row.matrix / bound, row.at, (row.constant - target) / bound)
+            for row, target, bound in zip(self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True)
         ]
-        along, turn = ca.SX.sym("e", min(n, 3)), ca.SX.sym("e", max(n - 3, 0))
-        radius = 1 - self._margins.position / self._limits.position
-        distance = ca.Function("distance", [along], [ca.sumsqr(along)])
+        translation, rotation = ca.SX.sym("e", min(n, 3)), ca.SX.sym("e", max(n - 3, 0))
+        radius = 1 - self._margins.position / self._error_bounds.position
+        distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
         blocks = [self._block(distance, rows[:3], np.array([-np.inf]), np.array([radius**2]))]
         if n > 3:
-            most = np.full(n - 3, 1 - self._margins.rotation / self._limits.rotation)
-            blocks.append(self._block(ca.Function("rotation", [turn], [turn]), rows[3:], -most, most))
+            most = np.full(n - 3, 1 - self._margins.rotation / self._error_bounds.rotation)
+            blocks.append(self._block(ca.Function("rotation", [rotation], [rotation]), rows[3:], -most, most))
         return blocks
 
     def _mass_row(self, mass: float | None, times: int) -> _Row:
-        known, unknown = mass is not None, np.ones((times, 1))
+        column = np.ones((times, 1)) if mass is None else np.zeros((times, 1))
         constant = np.full(times, self._robot.mass if mass is None else mass)
-        return _Row(0 * unknown if known else unknown, self._payload_at, constant)
+        return _Row(column, self._payload_at, constant)
 
-    def _demand(self) -> Array:
-        return np.full((2 if self._period > 0 else 1) * self._robot.cables, 1 - self._margins.demand)
+    def _action_bounds(self) -> Array:
+        return np.full((2 if self._period > 0 else 1) * self._robot.cables, 1 - self._margins.action)
 
-    def _rigid(self, place: int, mass: float | None) -> list[_Block]:
-        times, balanced, most = self._instants, np.zeros(self._robot.coordinates), self._demand()
-        at = self._tensions[place]
+    def _rigid(self, index: int, mass: float | None) -> list[_Block]:
+        times, balanced, most = self._instants, np.zeros(self._robot.coordinates), self._action_bounds()
+        at = self._tensions[index]
         tensions = [_Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
         rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
         return [
-            self._block(rigid_instant(self._robot, self._period), rows, np.r_[balanced, -most], np.r_[balanced, most])
+            self._block(rigid_stage(self._robot, self._period), rows, np.r_[balanced, -most], np.r_[balanced, most])
         ]
 
-    def _flexible(self, place: int, mass: float | None) -> list[_Block]:
-        robot, poses, motors = self._robot, self._poses, self._motors[place]
-        balance, limits, start = flexible_instant(robot, self._period)
-        balanced, most = np.zeros(robot.coordinates), self._demand()
+    def _flexible(self, index: int, mass: float | None) -> list[_Block]:
+        robot, poses, motors = self._robot, self._poses, self._motors[index]
+        balance, limits, start = flexible_stage(robot, self._period)
+        balanced, most = np.zeros(robot.coordinates), self._action_bounds()
         least = np.full(2 * robot.cables, self._margins.tension / TENSION)
 
         def rows(times: Array, orders: Sequence[int]) -> list[_Row]:
             return [*poses.rows(times, orders), *motors.rows(times, orders), self._mass_row(mass, len(times))]
 
         collocation = greville(motors.knots, motors.degree)
-        if place > 0:  # all loads start with the same Ẍ, which the first one has settled
-            collocation = collocation[1:]  # from rest; a moving start would be each load's own
+        if index > 0:  # all payloads start with the same Ẍ, which the first block determines
+            collocation = collocation[1:]  # valid for a start from rest only
         blocks = [
             self._block(balance, rows(collocation, [0, 1, 2]), balanced, balanced),
             self._block(
-                limits, rows(self._instants, [0, 1, 2]), np.r_[-most, least], np.r_[most, np.full(len(least), np.inf)]
+                limits,
+                rows(self._instants, [0, 1, 2]),
+                np.r_[-most, least],
+                np.r_[most, np.full(len(least), np.inf)],
             ),
         ]
         if not robot.planar:
@@ -340,11 +346,11 @@ class MotionProgram:
 
     # The program
 
-    def _assembled(self) -> tuple[Any, Array, Array]:
-        """IPOPT on the program, and the bounds of its constraints."""
+    def _assemble(self) -> tuple[Any, Array, Array]:
+        """The IPOPT solver of the program, and the bounds of its constraints."""
         ca = self._ca
-        z, sigma, nothing = ca.MX.sym("z", self._variables), ca.MX.sym("sigma"), ca.MX.sym("p", 0)
-        values, slopes, multipliers, lows, highs = [], [], [], [], []
+        z, sigma, parameters = ca.MX.sym("z", self._variables), ca.MX.sym("sigma"), ca.MX.sym("p", 0)
+        values, jacobians, multipliers, lows, highs = [], [], [], [], []
         hessian = ca.MX(self._variables, self._variables)
         for block in self._blocks():
             matrix = ca.DM(block.matrix.tocsc())
@@ -352,7 +358,7 @@ class MotionProgram:
             numbers = ca.reshape(matrix @ z + ca.DM(block.offset), size, count)
             first, second = derivatives(block.function)
             values.append(ca.vec(block.function.map(count)(numbers)))
-            slopes.append(ca.diagcat(*ca.horzsplit(first.map(count)(numbers), size)) @ matrix)
+            jacobians.append(ca.diagcat(*ca.horzsplit(first.map(count)(numbers), size)) @ matrix)
             multipliers.append(ca.MX.sym("lam", rows * count))
             curvature = second.map(count)(numbers, ca.reshape(multipliers[-1], rows, count))
             hessian += matrix.T @ ca.diagcat(*ca.horzsplit(curvature, size)) @ matrix
@@ -362,14 +368,18 @@ class MotionProgram:
         lam = ca.MX.sym("lam_g", constraints.shape[0])
         ends = np.cumsum([0, *(item.shape[0] for item in multipliers)]).tolist()
         (hessian,) = ca.graph_substitute([ca.triu(hessian)], multipliers, ca.vertsplit(lam, ends))
-        self._watch = self._interrupts.callback(ca, self._variables, constraints.shape[0])
+        self._callback = self._interrupt.callback(ca, self._variables, constraints.shape[0])
         options = {
-            "iteration_callback": self._watch,
+            "iteration_callback": self._callback,
             "jac_g": ca.Function(
-                "slopes", [z, nothing], [constraints, ca.vertcat(*slopes)], ["x", "p"], ["g", "jac_g_x"]
+                "slopes", [z, parameters], [constraints, ca.vertcat(*jacobians)], ["x", "p"], ["g", "jac_g_x"]
             ),
             "hess_lag": ca.Function(
-                "curvature", [z, nothing, sigma, lam], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+                "curvature",
+                [z, parameters, sigma, lam],
+                [hessian],
+                ["x", "p", "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
             ),
             "print_time": False,
             "ipopt": {
@@ -379,7 +389,7 @@ class MotionProgram:
                 "tol": _TOLERANCE,
                 "acceptable_tol": 10 * _TOLERANCE,
                 "linear_solver": "mumps",
-                "mumps_pivot_order": 0,  # minimum degree: on these bands an iteration takes a third of the automatic
+                "mumps_pivot_order": 0,  # minimum degree: on these band matrices three times faster than automatic
                 "mu_strategy": "adaptive",
             },
         }
@@ -388,24 +398,24 @@ class MotionProgram:
 
 
 def greville(knots: Array, degree: int) -> Array:
-    """Greville points of a spline with these knots and this degree, one a control point: where values determine it."""
+    """Greville points of a spline, one per control point. The values at these points determine the spline."""
     count = len(knots) - degree - 1
-    return np.array([knots[place + 1 : place + degree + 1].mean() for place in range(count)])
+    return np.array([knots[index + 1 : index + degree + 1].mean() for index in range(count)])
 
 
 def _knots(duration: float, intervals: int, degree: int) -> Array:
-    """Clamped at both ends, equally spaced."""
+    """Equally spaced knots, clamped at both ends."""
     return np.r_[np.zeros(degree), np.linspace(0.0, duration, intervals + 1), np.full(degree, duration)]
 
 
 def _basis(knots: Array, degree: int, times: Array, order: int) -> Array:
-    """From control points to a derivative at each time, (times, control points)."""
+    """Matrix from the control points to a derivative at each time, shape (times, control points)."""
     spline = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
     values = (spline.derivative(order) if order else spline)(times)
     return np.where(np.abs(values) > 1e-12 * np.abs(values).max(), values, 0.0)
 
 
-def _fitted(knots: Array, degree: int, values: Array) -> Array:
-    """Control points of the spline through values at its Greville points."""
+def _interpolate(knots: Array, degree: int, values: Array) -> Array:
+    """Control points of the spline with given values at its Greville points."""
     points: Array = np.linalg.solve(_basis(knots, degree, greville(knots, degree), 0), values)
     return points

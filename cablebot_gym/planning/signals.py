@@ -1,4 +1,4 @@
-"""Ctrl-C while IPOPT works: CasADi alone takes the interrupt for a failed evaluation, and goes on."""
+"""Ctrl-C while IPOPT runs. CasADi alone treats the interrupt as a failed evaluation and continues."""
 
 from __future__ import annotations
 
@@ -9,38 +9,44 @@ from contextlib import contextmanager
 from typing import Any
 
 
-class Interrupts:
-    """Hears Ctrl-C for a solver, and stops it at its next iteration."""
+class SolverInterrupt:
+    """Stops a solver at its next iteration after Ctrl-C."""
 
     def __init__(self) -> None:
-        self._heard = False
+        self._requested = False
 
     @contextmanager
-    def heard(self) -> Iterator[None]:
-        """Ctrl-C within stops the solver, and is then what it is elsewhere; signals belong to the main thread alone."""
+    def watch(self) -> Iterator[None]:
+        """Catches Ctrl-C within the block, stops the solver and raises the signal again at the end of the block.
+
+        Outside the main thread it does nothing, because only the main thread receives signals.
+        """
         before = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is not threading.main_thread() or not callable(before):
             yield
             return
-        self._heard = False
-        signal.signal(signal.SIGINT, self._hear)
+        self._requested = False
+        signal.signal(signal.SIGINT, self._request)
         try:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
-        if self._heard:
+        if self._requested:
             signal.raise_signal(signal.SIGINT)
 
-    def _hear(self, *_: Any) -> None:
-        self._heard = True
+    def _request(self, *_: Any) -> None:
+        self._requested = True
 
     def callback(self, ca: Any, variables: int, constraints: int) -> Any:
-        """For ``iteration_callback`` of ``nlpsol``; whoever builds the solver has to keep it.
+        """The ``iteration_callback`` for ``nlpsol``. The caller must keep a reference to it.
 
-        ``ca`` is CasADi as imported; the solver's variables and constraints are counted.
+        Args:
+            ca: the imported CasADi module.
+            variables: number of variables of the solver.
+            constraints: number of constraints of the solver.
         """
         sizes = {"x": variables, "lam_x": variables, "f": 1, "g": constraints, "lam_g": constraints}
-        stop = self
+        interrupt = self
 
         class Callback(ca.Callback):  # type: ignore[misc]
             def __init__(self) -> None:
@@ -53,11 +59,11 @@ class Interrupts:
             def get_n_out(self) -> int:
                 return 1
 
-            def get_sparsity_in(self, place: int) -> Any:
-                size = sizes.get(ca.nlpsol_out(place), 0)
+            def get_sparsity_in(self, index: int) -> Any:
+                size = sizes.get(ca.nlpsol_out(index), 0)
                 return ca.Sparsity.dense(size, 1) if size else ca.Sparsity(0, 0)
 
             def eval(self, _: Any) -> list[int]:
-                return [int(stop._heard)]
+                return [int(interrupt._requested)]
 
         return Callback()

@@ -1,4 +1,4 @@
-"""What has to be true at one instant of a motion, as CasADi functions: the textbook's equations on symbols."""
+"""Constraints at one instant of a motion as CasADi functions, from the textbook equations on symbols."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 
 TENSION = 50.0
-"""Tensions are in units of so many newtons, which makes the program's numbers alike."""
+"""Unit of the tensions in the program [N]. It scales the variables to a similar size."""
 
 _WRENCH = np.array([50.0, 50.0, 50.0, 5.0, 5.0, 5.0])
-"""The same for balances of forces [N] and moments [N·m]."""
+"""Units of the balances of forces [N] and moments [N·m]."""
 
 _THREADS = "OPENBLAS_NUM_THREADS"
-"""Read by the solver's linear algebra when it is loaded."""
+"""Environment variable that the linear algebra of the solver reads on loading."""
 
 
 def import_casadi() -> Any:
-    """CasADi.
+    """Imports CasADi and loads IPOPT.
 
     Raises:
         ImportError: if it is missing; the message names the command that installs it.
@@ -38,9 +38,9 @@ def import_casadi() -> Any:
 
 @cache
 def _load_solver(casadi: Any) -> None:
-    """Loads IPOPT with one thread for its linear algebra, whose matrices are too small for more.
+    """Loads IPOPT with one thread for its linear algebra, because the matrices are small.
 
-    Two threads make a program a fifth slower, and several times where each core already has a process.
+    Two threads make a program 20 % slower, and several times slower if each core already runs a process.
     """
     before = os.environ.get(_THREADS)
     os.environ[_THREADS] = before or "1"
@@ -52,8 +52,11 @@ def _load_solver(casadi: Any) -> None:
 
 
 @lru_cache(maxsize=16)
-def rigid_instant(robot: Robot, period: float = 0.0) -> Any:
-    """Of (X, Ẋ, Ẍ, T/50 N, mass): balance of forces (n), then :func:`_commands`, of a rigid robot."""
+def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
+    """Stage function of a rigid robot.
+
+    The inputs are (X, Ẋ, Ẍ, T/50 N, mass). The outputs are the balance of forces (n) and :func:`_actions`.
+    """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
     (xs, x), (vs, v), (as_, a), (ts, t), (ms, mass) = (
@@ -61,17 +64,19 @@ def rigid_instant(robot: Robot, period: float = 0.0) -> Any:
     )
     tensions, speed = TENSION * t, textbook.pulley_speed(robot, x, v)
     torque = textbook.required_torques(robot, tensions, x, v, a)
-    commands = _commands(robot, torque, speed, textbook.pulley_acceleration(robot, x, v, a), period)
+    actions = _actions(robot, torque, speed, textbook.pulley_acceleration(robot, x, v, a), period)
     balance = _balance(robot, mass[0], x, v, a, tensions)
-    return _function(ca, "rigid", ca.vertcat(xs, vs, as_, ts, ms), balance, *commands)
+    return _function(ca, "rigid", ca.vertcat(xs, vs, as_, ts, ms), balance, *actions)
 
 
 @lru_cache(maxsize=16)
-def flexible_instant(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
-    """Balance, limits and start of a flexible robot.
+def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
+    """Stage functions of a flexible robot: balance, limits and start.
 
-    Of (X, Ẋ, Ẍ, β′, β̇′, β̈′, mass): balance of forces (n); :func:`_commands`, T/50 N (m) and κ/r/50 N (m), for
-    springs do not push. Of (X, Ẋ, β′, β̇′, mass): balance at rest (n), then β̇′ − β̇ (m), which an episode starts with.
+    * Balance: from (X, Ẋ, Ẍ, β′, β̇′, β̈′, mass) to the balance of forces (n).
+    * Limits: from the same inputs to :func:`_actions`, T/50 N (m) and κ/r/50 N (m); the springs must not push.
+    * Start: from (X, Ẋ, β′, β̇′, mass) to the balance at rest (n) and to β̇′ − β̇ (m). Both are zero at the start of an
+      episode.
     """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
@@ -80,34 +85,38 @@ def flexible_instant(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
         for name, size in (("X", n), ("V", n), ("A", n), ("B", m), ("U", m), ("W", m), ("m", 1))
     )
     spring = robot.stiffness * (b - textbook.pulley_angle(robot, x))
-    speed, winding = textbook.pulley_speed(robot, x, v), textbook.pulley_acceleration(robot, x, v, a)
-    tensions = (spring - robot.pulley_inertia * winding - robot.damping * speed) / robot.pulley_radius
-    wound = spring / robot.pulley_radius
+    speed, second = textbook.pulley_speed(robot, x, v), textbook.pulley_acceleration(robot, x, v, a)
+    tensions = (spring - robot.pulley_inertia * second - robot.damping * speed) / robot.pulley_radius
+    spring_force = spring / robot.pulley_radius
     torque = spring + robot.motor_inertia * w + robot.motor_damping * u
-    still = np.zeros((1, n))
-    at_rest = _balance(robot, mass[0], x, still, still, wound)
+    zero = np.zeros((1, n))
+    at_rest = _balance(robot, mass[0], x, zero, zero, spring_force)
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
     return (
         _function(ca, "balance", numbers, _balance(robot, mass[0], x, v, a, tensions)),
-        _function(ca, "limits", numbers, *_commands(robot, torque, u, w, period), tensions / TENSION, wound / TENSION),
-        # A difference of speeds, in units of what the motors give up to it.
-        _function(ca, "start", ca.vertcat(xs, vs, bs, us, ms), at_rest, textbook.drive_command(robot, 0.0, u - speed)),
+        _function(
+            ca, "limits", numbers, *_actions(robot, torque, u, w, period), tensions / TENSION, spring_force / TENSION
+        ),
+        # The difference of speeds as an action, which scales it.
+        _function(
+            ca, "start", ca.vertcat(xs, vs, bs, us, ms), at_rest, textbook.normalised_action(robot, 0.0, u - speed)
+        ),
     )
 
 
-def _commands(robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float) -> tuple[Array, ...]:
-    """Drive commands for a torque that is held for a period, at the motors' speeds when it begins and when it ends.
+def _actions(robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float) -> tuple[Array, ...]:
+    """Actions for a torque that is constant over a control period, at the motor speeds at its start and at its end.
 
-    A command asks for a torque by the speed at the period's beginning; at its end it must not be clipped. Each is
-    (1, m); without a period both are one.
+    An action refers to the motor speed at the start of the period. The torque must still be within its limits at the
+    end of the period. Each result has shape (1, m). For a period of 0 there is only one result.
     """
     half = period / 2 * acceleration
     speeds = (speed - half, speed + half) if period > 0 else (speed,)
-    return tuple(textbook.drive_command(robot, torque, one) for one in speeds)
+    return tuple(textbook.normalised_action(robot, torque, one) for one in speeds)
 
 
 def derivatives(function: Any) -> tuple[Any, Any]:
-    """The Jacobian of a function of one vector, and the Hessian of its values' sum with multipliers."""
+    """Jacobian of a function of one vector, and Hessian of the sum of its values weighted by multipliers."""
     ca = import_casadi()
     numbers = ca.SX.sym("w", function.size1_in(0))
     values = function(numbers)
@@ -118,7 +127,7 @@ def derivatives(function: Any) -> tuple[Any, Any]:
 
 
 def _symbols(ca: Any, name: str, count: int) -> tuple[Any, Array]:
-    """A CasADi vector, and the same as a batch of one for the textbook."""
+    """A CasADi vector, and the same vector as a batch of one for the textbook."""
     symbol = ca.SX.sym(name, count)
     return symbol, np.array([ca.vertsplit(symbol)], dtype=object)
 
@@ -128,6 +137,6 @@ def _function(ca: Any, name: str, numbers: Any, *values: Array) -> Any:
 
 
 def _balance(robot: Robot, mass: Array, x: Array, v: Array, a: Array, tensions: Array) -> Array:
-    """D Ẍ + h + Sᵀ T, scaled, (1, n)."""
+    """Scaled balance of forces D Ẍ + h + Sᵀ T, shape (1, n)."""
     pull = (np.swapaxes(textbook.jacobian(robot, x), -1, -2) @ tensions[..., None])[..., 0]
     return (textbook.load(robot, mass, x, v, a) + pull) / _WRENCH[: robot.coordinates]

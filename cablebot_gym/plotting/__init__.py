@@ -1,4 +1,4 @@
-"""Figures of results, as functions of them. Needs the extra ``plot``."""
+"""Figures of evaluation results and comparisons. Needs the extra ``plot``."""
 
 from cablebot_gym.plotting.comparison import draw_comparison, save_comparison
 from cablebot_gym.plotting.figures import draw_path, draw_result, draw_success, draw_torques, save_figures

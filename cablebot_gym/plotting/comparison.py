@@ -1,4 +1,4 @@
-"""A comparison, drawn: errors over time and their largest values over draws, as the paper's Fig. 9. Extra ``plot``."""
+"""Figure of a comparison: errors over time and distribution of the largest errors, as in Fig. 9. Extra ``plot``."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.comparison import Comparison
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import DPI, add_legend, entitle, new_figure
-from cablebot_gym.utils.files import write_whole
+from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
+from cablebot_gym.task import payload_model_text
+from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import BLACK, BLUE, DEEP_SKY, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 
 if TYPE_CHECKING:
@@ -20,20 +21,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, DEEP_SKY, BLACK)
-"""Of policies in order."""
+"""Colours of the policies, in order."""
 
 STYLES = ("-", "--", "-.", ":")
-"""Lines differ by more than their colour."""
+"""Line styles of the policies, in order."""
 
 BAND = (0.05, 0.95)
-"""Quantiles over draws between which the band lies."""
+"""Quantiles over the draws at the lower and upper edge of the band."""
 
-FAR = 5.0
-"""How many times the largest error a bound may be and still be drawn."""
+BOUND_IN_VIEW = 5.0
+"""Largest ratio of bound to largest error for which the bound is drawn."""
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Position error, and rotation error of a spatial robot, over time and as distribution of the largest one.
+    """Draws the position error over time and the distribution of the largest errors over the draws.
+
+    A spatial robot gets the same panels for the rotation error.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -46,58 +49,58 @@ def draw_comparison(comparison: Comparison) -> Figure:
         len(kinds), 2, squeeze=False, width_ratios=[1.6, 1], sharex="col" if len(kinds) < 2 else False
     )
     for (over_time, largest), (name, unit, series, peak) in zip(grid, kinds, strict=True):
-        bound = getattr(comparison.limits, name)
-        seen = max(float(np.max(getattr(one, peak))) for one in comparison.measured)
+        bound = getattr(comparison.error_bounds, name)
+        largest_error = max(float(np.max(getattr(metrics, peak))) for metrics in comparison.metrics)
         _over_time(over_time, comparison, series)
         over_time.set(ylabel=f"{name} error [{unit}]")
         _distribution(largest, comparison, peak)
-        if bound <= FAR * seen:
+        if bound <= BOUND_IN_VIEW * largest_error:
             over_time.axhline(1e3 * bound, color="black", linewidth=1.0)
             largest.axvline(1e3 * bound, color="black", linewidth=1.0)
-            where, top = "black line", max(1.05 * seen, 1.1 * bound)
-        else:  # nothing would be seen of the errors beside it
-            where, top = "far above", 1.05 * seen
-        # Above the panel, where no curve can cross it.
-        over_time.set_title(f"bound {1e3 * bound:g} {unit}: {where}", fontsize=10, loc="right", color=GREY)
+            note, top = "black line", max(1.05 * largest_error, 1.1 * bound)
+        else:  # with the bound in view, the curves would be flat
+            note, top = "above the plotted range", 1.05 * largest_error
+        over_time.set_title(f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY)
         over_time.set(ylim=(0, 1e3 * top or 1.0))
-        largest.set(xlabel=f"largest {name} error [{unit}]", ylabel="share of draws", ylim=(0, 1.02))
+        largest.set(xlabel=f"largest {name} error [{unit}]", ylabel="fraction of draws", ylim=(0, 1.02))
     grid[-1, 0].set_xlabel("time [s]")
     add_legend(figure, grid[0, 0])
     draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
-    told = "told" if comparison.payload_known else "not told"
-    where = described(comparison.env_id, comparison.task.robot.name)
-    head = f"{where}, payload {comparison.payload:g} kg, {told}; {draws}"
+    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
+    environment = described(comparison.env_id, comparison.task.robot.name)
+    head = f"{environment}, payload {comparison.payload:g} kg, {model}; {draws}"
     band = ["mean over draws, band from the 5th to the 95th percentile"] if comparison.draws > 1 else []
-    if band and any(one.ended.any() for one in comparison.measured):
-        band[0] += "; draws that ended early are left out from then on"
-    entitle(figure, head, *band)
+    if band and any(metrics.ended.any() for metrics in comparison.metrics):
+        band[0] += "; draws that ended early are excluded after their end"
+    set_title(figure, head, *band)
     return figure
 
 
 def save_comparison(comparison: Comparison, folder: Path) -> Path:
-    """Writes ``comparison.png``; an interrupt leaves no half-written file.
+    """Writes ``comparison.png``. An interrupted call leaves no partial file.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figure, path = draw_comparison(comparison), folder / "comparison.png"
-    write_whole(path, partial(figure.savefig, dpi=DPI, format="png"))
+    atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
     return path
 
 
 def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:
-    for place, one in enumerate(comparison.measured):  # labels begin with a space: matplotlib hides those with "_"
-        error: Array = 1e3 * getattr(one, series)
+    for index, metrics in enumerate(comparison.metrics):
+        error: Array = 1e3 * getattr(metrics, series)
         time = np.arange(1, len(error) + 1) / comparison.task.control_frequency
-        colour, style = COLOURS[place % len(COLOURS)], STYLES[place % len(STYLES)]
+        colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
         if comparison.draws > 1:
             low, high = np.nanquantile(error, BAND, axis=1)
             axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(time, np.nanmean(error, axis=1), style, color=colour, linewidth=1.8, label=f" {one.policy}")
+        label = f" {metrics.policy}"  # the space keeps names with a leading "_" in the legend
+        axes.plot(time, np.nanmean(error, axis=1), style, color=colour, linewidth=1.8, label=label)
     axes.set_xlim(0, comparison.task.trajectory.duration)
 
 
 def _distribution(axes: Axes, comparison: Comparison, peak: str) -> None:
-    for place, one in enumerate(comparison.measured):
-        colour, style = COLOURS[place % len(COLOURS)], STYLES[place % len(STYLES)]
-        axes.ecdf(1e3 * getattr(one, peak), color=colour, linestyle=style, linewidth=1.8)
+    for index, metrics in enumerate(comparison.metrics):
+        colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
+        axes.ecdf(1e3 * getattr(metrics, peak), color=colour, linestyle=style, linewidth=1.8)

@@ -1,6 +1,7 @@
-"""What an evaluation found, drawn: torques against U± as in the paper's Figs. 10 and 12, paths as in Figs. 11 and 13.
+"""Figures of a DLCC result: torques and U± as in the paper's Figs. 10 and 12, paths as in Figs. 11 and 13.
 
-Needs the extra ``plot``. Figures belong to no window and no global state; show them in a notebook, or save them.
+Needs the extra ``plot``. The figures need no window and no global state of matplotlib. Show them in a notebook or save
+them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.statistics import lower_bound
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Trajectory
-from cablebot_gym.utils.files import write_whole
+from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, SKY, VERMILLION
 
 if TYPE_CHECKING:
@@ -29,23 +30,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 DPI = 150
-"""Of saved figures, dots per inch."""
+"""Resolution of saved figures [dots per inch]."""
 
 _WIDTH = 9.6
-"""Of every figure [inch]."""
+"""Width of every figure [inch]."""
 
-LETTERS = 112
-"""Of a title's line: what fits that width."""
+LINE_LENGTH = 112
+"""Number of characters that fit into a line of a title or legend."""
 
 _HANDLE = 6
-"""What a line in a legend takes [letters]."""
+"""Width of the line sample in a legend [characters]."""
 
 _FEW = 20
-"""Steps of an episode up to which each one gets a dot: a line would not be seen."""
+"""Largest number of steps for which every step is drawn as a dot, because a line would be too short."""
 
 
 def import_matplotlib() -> ModuleType:
-    """``matplotlib.figure``; a command calls this before its work, not to fail after it.
+    """Imports ``matplotlib.figure``. A command calls this first, so that it fails before a long computation.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -53,95 +54,95 @@ def import_matplotlib() -> ModuleType:
     try:
         from matplotlib import figure
     except ImportError as error:
-        raise ImportError("drawing needs matplotlib: pip install 'cablebot-gym[plot]'") from error
+        raise ImportError("figures need matplotlib: pip install 'cablebot-gym[plot]'") from error
     return figure
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueProfile:
-    """Torques over time and their limits: what :func:`torque_panels` shows."""
+    """Torques and their limits over time, for :func:`torque_panels`."""
 
     times: Array
-    """(K,) [s]."""
+    """Times, (K,) [s]."""
     torques: Array
-    """(K, m) [N·m]."""
+    """Applied torques, (K, m) [N·m]."""
     lower: Array
-    """U⁻, (K, m) [N·m]."""
+    """Lower limits U⁻, (K, m) [N·m]."""
     upper: Array
-    """U⁺, (K, m) [N·m]."""
-    demanded: Array | None = None
-    """What was asked for before it was clipped, (K, m) [N·m]; None where nothing clips."""
+    """Upper limits U⁺, (K, m) [N·m]."""
+    requested: Array | None = None
+    """Requested torques before saturation, (K, m) [N·m]; None without saturation."""
     end: float
-    """Of the time axis [s]."""
+    """End of the time axis [s]."""
     name: str = "applied torque"
-    """In the legend."""
+    """Label of the torque in the legend."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """An instant to mark in a :class:`TorqueProfile`."""
+    """An instant to highlight in a :class:`TorqueProfile`."""
 
     step: int
-    """Its place in ``times``."""
+    """Index of the instant in ``times``."""
     motor: int
-    """Counted from 0."""
+    """Index of the motor, from 0."""
     name: str
-    """In the legend."""
+    """Label of the mark in the legend."""
     note: str
-    """Behind the time."""
+    """Text after the time in the annotation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Travelled:
-    """A motion and its errors: what :func:`path_panels` shows."""
+class TravelledPath:
+    """A path and its tracking errors, for :func:`path_panels`."""
 
     times: Array
-    """(K,) [s]."""
+    """Times, (K,) [s]."""
     pose: Array
-    """(K, n)."""
+    """Poses, (K, n) [m, rad]."""
     position_error: Array
-    """(K,) [m]."""
+    """Position error, (K,) [m]."""
     rotation_error: Array | None
-    """(K,) [rad]; None in the plane."""
-    name: str = "travelled"
-    """In the legend."""
+    """Rotation error, (K,) [rad]; None for a planar robot."""
+    name: str = "path"
+    """Label of the path in the legend."""
     color: str = BLUE
-    """Of its curves."""
+    """Colour of the curves."""
     style: str = "-"
-    """Of its curves."""
+    """Line style of the curves."""
 
     @property
     def line(self) -> dict[str, Any]:
-        """How matplotlib draws its curves."""
+        """Keywords of matplotlib for the curves."""
         return {"color": self.color, "linestyle": self.style, "linewidth": 1.8, "marker": _marker(self.times)}
 
 
 def draw_torques(result: DLCCResult) -> Figure:
-    """Each motor's torque against its limits U±, and the tightest instant of the episode.
+    """Draws the torque of each motor with its limits U± and the tightest instant of the episode.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figure = new_figure(torques_height(result.task.robot.cables))
-    _torques(figure, result)
-    _entitle(figure, result)
+    _draw_torques(figure, result)
+    _set_result_title(figure, result)
     return figure
 
 
 def draw_path(result: DLCCResult) -> Figure:
-    """The path against the tube around its reference, and the tracking errors against their bounds.
+    """Draws the path with the tube around its reference, and the tracking errors with their bounds.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figure = new_figure(_PATH_HEIGHT)
-    _path(figure, result)
-    _entitle(figure, result)
+    _draw_path(figure, result)
+    _set_result_title(figure, result)
     return figure
 
 
 def draw_result(result: DLCCResult) -> Figure:
-    """Torques and path in one figure.
+    """Draws torques and path in one figure.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -149,51 +150,57 @@ def draw_result(result: DLCCResult) -> Figure:
     heights = [torques_height(result.task.robot.cables), _PATH_HEIGHT]
     figure = new_figure(sum(heights))
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
-    _torques(above, result)
-    _path(below, result)
-    _entitle(figure, result)
+    _draw_torques(above, result)
+    _draw_path(below, result)
+    _set_result_title(figure, result)
     return figure
 
 
 def draw_success(result: DLCCResult) -> Figure:
-    """Share of the draws that carry each payload tried, with its lower bound, the payload found and the assured one.
+    """Draws the fraction of the draws that carry each payload, its lower bound, the payload and the assured payload.
+
+    The assured payload is the 95/95 lower tolerance bound: with 95 % confidence, at least the required fraction of
+    draws carries it.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
-        ValueError: if the result is of one draw.
+        ValueError: if the result has only one draw.
     """
     if result.probability is None or result.confidence is None:
-        raise ValueError("one draw is carried or not: evaluate with an uncertainty and several draws")
+        raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
     figure = new_figure(_SUCCESS_HEIGHT)
     axes = figure.subplots()
-    payload, share = np.array(result.success).T
-    bound = lower_bound(np.round(share * result.draws).astype(int), result.draws, result.confidence)
-    axes.plot(payload, share, color=BLUE, linewidth=1.8, marker="o", markersize=3, label="share of draws that carry it")
+    payload, fraction = np.array(result.success).T
+    bound = lower_bound(np.round(fraction * result.draws).astype(int), result.draws, result.confidence)
+    axes.plot(
+        payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label="fraction of draws that carry it"
+    )
     axes.plot(payload, bound, "--", color=BLUE, linewidth=1.2, label=f"lower bound, {result.confidence:.0%} confidence")
-    axes.axhline(result.probability, color="black", linewidth=1.0, label=f"asked for: {result.probability:.0%}")
-    marks = ((result.payload, "payload", "-"), (result.assured_payload, "assured", "--"))
-    for found, name, style in marks:
-        if found is not None:
-            axes.axvline(found, color=VERMILLION, linestyle=style, linewidth=1.2, label=f"{name}: {found:.2f} kg")
-    most = payload[np.flatnonzero(share > 0)[-1]] if share.any() else 0.0
-    axes.set(xlim=(0, min(result.payload_max, 1.25 * most + 0.02 * result.payload_max)), ylim=(0, 1.02))
-    axes.set(xlabel="payload [kg]", ylabel="share of draws")
+    axes.axhline(result.probability, color="black", linewidth=1.0, label=f"required: {result.probability:.0%}")
+    bound_name = f"{100 * result.probability:g}/{100 * result.confidence:g} lower tolerance bound"
+    marks = ((result.payload, "payload", "-"), (result.assured_payload, f"assured payload ({bound_name})", "--"))
+    for mass, name, style in marks:
+        if mass is not None:
+            axes.axvline(mass, color=VERMILLION, linestyle=style, linewidth=1.2, label=f"{name}: {mass:.2f} kg")
+    largest = payload[np.flatnonzero(fraction > 0)[-1]] if fraction.any() else 0.0
+    axes.set(xlim=(0, min(result.payload_max, 1.25 * largest + 0.02 * result.payload_max)), ylim=(0, 1.02))
+    axes.set(xlabel="payload [kg]", ylabel="fraction of draws")
     add_legend(figure, axes)
-    _entitle(figure, result, one=False)
+    _set_result_title(figure, result, one_draw=False)
     return figure
 
 
 def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
-    """Writes ``torques-<criterion>.png``, ``path-<criterion>.png`` and, over draws, ``success-<criterion>.png``.
+    """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``; several draws add ``success-<criterion>.png``.
 
-    An interrupt leaves no half-written file.
+    An interrupted call leaves no partial file.
 
     Args:
-        result: what to draw.
-        folder: where to; made if it does not exist.
+        result: the result to draw.
+        folder: folder of the files; created if it does not exist.
 
     Returns:
-        The files.
+        Paths of the written files.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -205,14 +212,14 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         paths.append(folder / f"{name}-{result.criterion}.png")
-        write_whole(paths[-1], partial(figure.savefig, dpi=DPI, format="png"))
+        atomic_write(paths[-1], partial(figure.savefig, dpi=DPI, format="png"))
     return paths
 
 
 def tightest(result: DLCCResult) -> tuple[int, int]:
-    """Step and motor, both from 0, where least of the torque was left: the first largest |a| of the episode."""
-    demand = np.abs(result.history["drive_demand"])
-    step, motor = np.unravel_index(np.argmax(demand), demand.shape)
+    """Step and motor with the least torque margin, both from 0: the first occurrence of the largest |a|."""
+    action = np.abs(result.history["commanded_action"])
+    step, motor = np.unravel_index(np.argmax(action), action.shape)
     return int(step), int(motor)
 
 
@@ -222,14 +229,14 @@ def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
     return -stall - drop, stall - drop
 
 
-def demanded_torque(result: DLCCResult) -> Array:
-    """``τ_s a − (τ_s/ω_n) β̇``, what the policy asked for, (steps, m) [N·m]; beyond U± where |a| > 1."""
+def requested_torque(result: DLCCResult) -> Array:
+    """Requested torque ``τ_s a − (τ_s/ω_n) β̇``, (steps, m) [N·m]; beyond U± where |a| > 1."""
     history = result.history
-    return np.asarray(history["stall_torque"] * history["drive_demand"] - _slope(result) * history["motor_speeds"])
+    return np.asarray(history["stall_torque"] * history["commanded_action"] - _slope(result) * history["motor_speeds"])
 
 
 def _slope(result: DLCCResult) -> Array:
-    """True τ_s/ω_n: a motor's strength leaves its free speed as it is."""
+    """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free speed."""
     robot = result.task.robot
     slope: Array = robot.speed_slope * (result.history["stall_torque"] / robot.stall_torque)
     return slope
@@ -239,12 +246,12 @@ _PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
 
 
 def torques_height(cables: int) -> float:
-    """What :func:`torque_panels` needs with a title and a legend [inch]."""
+    """Figure height for :func:`torque_panels` with a title and a legend [inch]."""
     return 1.4 + 2.0 * math.ceil(cables / 3)
 
 
 def new_figure(height: float) -> Figure:
-    """An empty figure of a height [inch] and the width of all.
+    """An empty figure with a height [inch] and the common width.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -252,51 +259,51 @@ def new_figure(height: float) -> Figure:
     return import_matplotlib().Figure(figsize=(_WIDTH, height), layout="constrained")
 
 
-def entitle(figure: FigureBase, *lines: str) -> None:
-    """Gives a figure a title of some lines, each broken where it is too long."""
-    # Not matplotlib's wrap, which takes dollar signs for mathematics.
-    title = "\n".join(textwrap.fill(line, LETTERS) for line in lines)
+def set_title(figure: FigureBase, *lines: str) -> None:
+    """Sets the title of a figure. Long lines are wrapped."""
+    # The wrap option of matplotlib would interpret dollar signs as mathematics.
+    title = "\n".join(textwrap.fill(line, LINE_LENGTH) for line in lines)
     figure.suptitle(title, fontsize=11, parse_math=False)
 
 
-def _entitle(figure: FigureBase, result: DLCCResult, *, one: bool = True) -> None:
-    """The result in words; ``one``: the figure shows one of the draws."""
+def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool = True) -> None:
+    """Sets a title that states the result. ``one_draw``: whether the figure shows a single draw."""
     if result.payload is None:
-        found = f"not even zero payload is carried (drawn: zero payload): {result.limit}"
+        summary = f"fails unloaded (shown: zero payload): {result.violation_text}"
     else:
-        found = (
+        summary = (
             f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg; "
-            f"first limit above it: {result.limit}"
+            f"limiting violation: {result.violation_text}"
         )
     head = f"{described(result.env_id, result.task.robot.name)}, policy {result.policy}, {result.criterion} criterion"
-    drawn = []
+    draws_line = []
     if result.probability is not None:
-        draws = f"{result.draws} draws of {result.uncertainty or 'the start'}"
+        draws = f"{result.draws} draws of {result.uncertainty or 'the initial state'}"
         if result.payload is not None:
-            shown = ", the first that carries it is shown" if one else ""
-            drawn = [f"carried in at least {result.probability:.0%} of {draws}{shown}"]
+            shown = "; shown: the first draw that carries it" if one_draw else ""
+            draws_line = [f"carried in at least {result.probability:.0%} of {draws}{shown}"]
         else:
-            drawn = [f"{draws}, the one of this limit is shown" if one else draws]
-    entitle(figure, head, *drawn, found)
+            draws_line = [f"{draws}; shown: the draw with this violation" if one_draw else draws]
+    set_title(figure, head, *draws_line, summary)
 
 
-def _torques(figure: FigureBase, result: DLCCResult) -> None:
+def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
     history, (lower, upper), (step, motor) = result.history, torque_limits(result), tightest(result)
-    demand = abs(history["drive_demand"][step, motor])
+    action = abs(history["commanded_action"][step, motor])
     profile = TorqueProfile(
-        times=history["command_time"],
+        times=history["action_time"],
         torques=history["torques"],
         lower=lower,
         upper=upper,
-        demanded=demanded_torque(result),
+        requested=requested_torque(result),
         end=_end(result),
     )
-    left = f"{demand - 1:.1%} beyond" if demand > 1 else f"{1 - demand:.1%} left"
-    torque_panels(figure, profile, Mark(step=step, motor=motor, name="tightest instant", note=left))
+    margin = f"{action - 1:.1%} beyond the limit" if action > 1 else f"{1 - action:.1%} margin"
+    torque_panels(figure, profile, Mark(step=step, motor=motor, name="tightest instant", note=margin))
 
 
 def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None = None) -> None:
-    """A panel of the figure for each motor, its torque against its limits, and a legend; in one, an instant marked."""
+    """Draws a panel for each motor with its torque and limits, and a legend. A mark highlights one instant."""
     time, cables = profile.times, profile.torques.shape[1]
     columns = min(3, cables)
     grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)
@@ -311,31 +318,35 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
         axes.fill(ends, np.concatenate([[low], lower, [low]]), **shade)
         axes.plot(time, upper, color="black", linewidth=1.0, marker=marker, label="limits U±")
         axes.plot(time, lower, color="black", linewidth=1.0, marker=marker)
-        if profile.demanded is not None:
-            # The same as the applied torque, and hidden behind it, wherever |a| ≤ 1.
-            demanded = profile.demanded[:, motor]
-            axes.plot(time, demanded, "--", color=VERMILLION, linewidth=1.4, label="demanded, where beyond")
+        if profile.requested is not None:
+            # Where |a| ≤ 1 it equals the applied torque, which hides it.
+            requested = profile.requested[:, motor]
+            axes.plot(
+                time, requested, "--", color=VERMILLION, linewidth=1.4, label="requested torque beyond the limits"
+            )
         axes.plot(time, profile.torques[:, motor], color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
         axes.set(xlim=_span(time, profile.end), ylim=(low, high))
         below = motor + columns >= cables
         axes.tick_params(labelbottom=below)
-        axes.locator_params(axis="x", nbins=5, prune="upper")  # the last label would touch the next panel's first
+        axes.locator_params(
+            axis="x", nbins=5, prune="upper"
+        )  # the last label would touch the first label of the next panel
         if below:
             axes.set_xlabel("time [s]")
         if motor % columns == 0:
             axes.set_ylabel("torque [N·m]")
     if mark is not None:
-        _mark(grid.flat[mark.motor], profile, mark)
+        _draw_mark(grid.flat[mark.motor], profile, mark)
     add_legend(figure, grid.flat[0 if mark is None else mark.motor])
 
 
 def _end(result: DLCCResult) -> float:
-    """When the last step of the episode ends [s]."""
-    return float(result.history["command_time"][-1] + 1 / result.task.control_frequency)
+    """End of the last step of the episode [s]."""
+    return float(result.history["action_time"][-1] + 1 / result.task.control_frequency)
 
 
 def _span(times: Array, end: float) -> tuple[float, float]:
-    """What to show of the time [s]: the episode, which a failure at zero payload cuts short."""
+    """Range of the time axis [s]: the recorded episode, with a border if it is very short."""
     return (-0.1 * end, 1.1 * end) if _is_short(times) else (0.0, end)
 
 
@@ -348,27 +359,27 @@ def _is_short(times: Array) -> bool:
 
 
 def _torque_range(profile: TorqueProfile) -> tuple[float, float]:
-    """What to show of the torques: the limits, and demands beyond them up to half as far again."""
+    """Range of the torque axis [N·m]: the limits, and requested torques up to half a stall torque beyond them."""
     lower, upper = profile.lower, profile.upper
-    demand = profile.torques if profile.demanded is None else profile.demanded
+    requested = profile.torques if profile.requested is None else profile.requested
     stall = float((upper - lower).max()) / 2
-    low = max(min(lower.min(), demand.min()), lower.min() - stall / 2)
-    high = min(max(upper.max(), demand.max()), upper.max() + stall / 2)
+    low = max(min(lower.min(), requested.min()), lower.min() - stall / 2)
+    high = min(max(upper.max(), requested.max()), upper.max() + stall / 2)
     return float(low - 0.15 * stall), float(high + 0.15 * stall)
 
 
-def _mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
+def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
     time, torques = profile.times[mark.step], profile.torques[:, mark.motor]
     lower, upper = profile.lower[:, mark.motor], profile.upper[:, mark.motor]
     torque, early = torques[mark.step], time < sum(_span(profile.times, profile.end)) / 2
-    # Between the motor's torque and the limit on the other side.
+    # The annotation is placed between the torque and the opposite limit.
     positive = 2 * torque > lower[mark.step] + upper[mark.step]
-    free = (lower.max(), torques.min()) if positive else (torques.max(), upper.min())
+    gap = (lower.max(), torques.min()) if positive else (torques.max(), upper.min())
     axes.plot(time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label=mark.name)
     axes.annotate(
-        f"t = {round(float(time), 7):.3f} s: {mark.note}",  # a half is rounded as in a result's own words
+        f"t = {round(float(time), 7):.3f} s: {mark.note}",  # rounded as in the text of a result
         (time, torque),
-        xytext=(0.96 if early else 0.04, sum(free) / 2),
+        xytext=(0.96 if early else 0.04, sum(gap) / 2),
         textcoords=axes.get_yaxis_transform(),
         horizontalalignment="right" if early else "left",
         verticalalignment="center",
@@ -378,93 +389,93 @@ def _mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
 
 
 def add_legend(figure: FigureBase, axes: Axes) -> None:
-    """A legend of what ``axes`` shows below the figure."""
+    """Adds a legend of the curves in ``axes`` below the figure."""
     handles, labels = axes.get_legend_handles_labels()
-    labels = [textwrap.fill(label.strip(), LETTERS - _HANDLE) for label in labels]
-    room = sum(len(label) + _HANDLE for label in labels)
-    columns = len(labels) if room <= LETTERS else max(1, LETTERS // (max(map(len, labels)) + _HANDLE))
+    labels = [textwrap.fill(label.strip(), LINE_LENGTH - _HANDLE) for label in labels]
+    width = sum(len(label) + _HANDLE for label in labels)
+    columns = len(labels) if width <= LINE_LENGTH else max(1, LINE_LENGTH // (max(map(len, labels)) + _HANDLE))
     legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     for text in legend.get_texts():
         text.set_parse_math(False)
 
 
-def _path(figure: FigureBase, result: DLCCResult) -> None:
+def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
     history = result.history
-    travelled = Travelled(
-        times=history["command_time"] + 1 / result.task.control_frequency,
+    path = TravelledPath(
+        times=history["action_time"] + 1 / result.task.control_frequency,
         pose=history["pose"],
         position_error=history["tracking_error"],
         rotation_error=None if result.task.robot.planar else history["rotation_error"],
     )
-    path_panels(figure, result.task.trajectory, [travelled], **result.limits)
+    path_panels(figure, result.task.trajectory, [path], **result.error_bounds)
 
 
 def path_panels(
     figure: FigureBase,
     trajectory: Trajectory,
-    travelled: Sequence[Travelled],
+    paths: Sequence[TravelledPath],
     *,
     position: float | None,
     rotation: float | None,
 ) -> None:
-    """Paths against the tube around their reference, errors against their bounds, and a legend.
+    """Draws paths with the tube around their reference, errors with their bounds, and a legend.
 
     Args:
-        figure: empty.
+        figure: an empty figure.
         trajectory: the reference.
-        travelled: at least one motion.
-        position: bound [m], the tube's radius; None for none.
-        rotation: bound [rad]; None for none.
+        paths: at least one path.
+        position: bound of the position error [m], the radius of the tube; None without bound.
+        rotation: bound of the rotation error [rad]; None without bound.
     """
-    rotates = any(one.rotation_error is not None for one in travelled)
+    rotates = any(path.rotation_error is not None for path in paths)
     grid = figure.add_gridspec(2 if rotates else 1, 2, width_ratios=[1, 1.25])
     plane, last = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    draw_plane(plane, trajectory, travelled, position or 0.0)
-    _error(last, travelled, [one.position_error for one in travelled], position, "position", "mm")
+    draw_plane(plane, trajectory, paths, position or 0.0)
+    _draw_error(last, paths, [path.position_error for path in paths], position, "position", "mm")
     if rotates:
         last.tick_params(labelbottom=False)
         last = figure.add_subplot(grid[1, 1], sharex=last)
-        _error(last, travelled, [one.rotation_error for one in travelled], rotation, "rotation", "mrad")
+        _draw_error(last, paths, [path.rotation_error for path in paths], rotation, "rotation", "mrad")
     last.set_xlabel("time [s]")
     add_legend(figure, plane)
 
 
-def draw_plane(axes: Axes, trajectory: Trajectory, travelled: Sequence[Travelled], radius: float) -> None:
-    """Paths in the x–y plane, and the tube of that radius [m] around their reference."""
+def draw_plane(axes: Axes, trajectory: Trajectory, paths: Sequence[TravelledPath], radius: float) -> None:
+    """Draws paths in the x–y plane and the tube with a radius [m] around their reference."""
     from matplotlib.collections import EllipseCollection
 
     reference = trajectory(np.linspace(0.0, trajectory.duration, 1001)).position[:, :2]
-    # Discs rather than offset curves: right for a reference that stays, stops or turns on the spot as well.
+    # Discs instead of offset curves, which fail for a reference that stops or turns on the spot.
     discs: dict[str, Any] = {"units": "xy", "offsets": reference, "offset_transform": axes.transData}
     tube = EllipseCollection(2 * radius, 2 * radius, 0, color=SKY, linewidth=0, zorder=0, **discs)
     axes.add_collection(tube, autolim=False)
-    axes.fill([], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm")  # legends do not know such collections
-    seen = [reference - radius, reference + radius]
-    for one in travelled:
-        seen.append(one.pose[:, :2])
-        axes.plot(*seen[-1].T, label=one.name, **one.line)
+    axes.fill([], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm")  # a legend ignores the collection
+    points = [reference - radius, reference + radius]
+    for path in paths:
+        points.append(path.pose[:, :2])
+        axes.plot(*points[-1].T, label=path.name, **path.line)
     axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
-    low, high = np.concatenate(seen).min(axis=0), np.concatenate(seen).max(axis=0)
+    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
     pad = 0.06 * (high - low).max()
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _error(
+def _draw_error(
     axes: Axes,
-    travelled: Sequence[Travelled],
+    paths: Sequence[TravelledPath],
     errors: Sequence[Array | None],
     bound: float | None,
     name: str,
     unit: str,
 ) -> None:
-    """Errors against their bound; ``unit`` is a thousandth of the SI unit."""
+    """Draws errors with their bound. ``unit`` is a thousandth of the SI unit."""
     axes.locator_params(axis="x", nbins=6)
-    longest = max((one.times for one in travelled), key=len)
+    longest = max((path.times for path in paths), key=len)
     top = 0.0
-    for one, error in zip(travelled, errors, strict=True):
+    for path, error in zip(paths, errors, strict=True):
         if error is not None:
-            axes.plot(one.times, 1e3 * error, **one.line)
+            axes.plot(path.times, 1e3 * error, **path.line)
             top = max(top, 1e3 * float(error.max()))
     if bound is not None:
         mark_bound(axes, bound, unit)
@@ -476,7 +487,7 @@ def _error(
 
 
 def mark_bound(axes: Axes, bound: float, unit: str, *, side: Literal["left", "right"] = "right") -> None:
-    """A line at an error's bound, labelled on one side; ``unit`` is a thousandth of the SI unit."""
+    """Draws a labelled line at the bound of an error. ``unit`` is a thousandth of the SI unit."""
     axes.axhline(1e3 * bound, color="black", linewidth=1.0)
     axes.annotate(
         f"bound {1e3 * bound:g} {unit}",

@@ -1,4 +1,4 @@
-"""Policies: what they promise, and how names and files become policies."""
+"""The policy protocol, and how names and files are loaded as policies."""
 
 from cablebot_gym.policies.loading import (
     ENTRY_POINT_GROUP,

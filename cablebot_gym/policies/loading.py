@@ -1,4 +1,4 @@
-"""How a name, a file or ``package.module:factory`` becomes a policy."""
+"""Loads policies from installed names, files and ``package.module:factory``."""
 
 from __future__ import annotations
 
@@ -13,43 +13,44 @@ from typing import Any
 from cablebot_gym.policies.protocol import Policy, PolicyEntry, as_policy, code_line
 from cablebot_gym.policies.sb3 import load_sb3
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
 ENTRY_POINT_GROUP = "cablebot_gym.policies"
-"""A package adds policies by entry points in this group, each of which names a :class:`PolicyEntry`."""
+"""Entry point group of policies. A package adds a policy by an entry point that names a :class:`PolicyEntry`."""
 
 FILE_ENTRY_POINT_GROUP = "cablebot_gym.policy_files"
-"""A package adds kinds of policy files by entry points in this group, each of which names a :data:`FileLoader`."""
+"""Entry point group of file loaders. A package adds a kind of policy file by an entry point that names a
+:data:`FileLoader`."""
 
 
 FileLoader = Callable[[Path, Robot], Policy | None]
-"""Makes a policy from a ``.zip`` and a nominal robot, or None if the file is not of its kind. It raises a ValueError in
-words if the file is of its kind, but damaged or made for another robot."""
+"""Makes a policy from a ``.zip`` file and a nominal robot. It returns None if the file is of another kind. It raises a
+ValueError with an explanation if the file is of its kind, but is damaged or made for another robot."""
 
 
 def policy_entries() -> dict[str, PolicyEntry]:
-    """Every installed policy by name, sorted; one whose package cannot be imported is left out, with a warning."""
+    """All installed policies by name, sorted. A policy whose package cannot be imported is skipped with a warning."""
     entries = []
     for point in entry_points(group=ENTRY_POINT_GROUP):
         try:
             entries.append(point.load())
         except Exception as error:
-            _LOGGER.warning("policy %r is left out: %s raised %s", point.name, point.value, error)
+            _LOGGER.warning("policy %r is skipped: %s raised %s", point.name, point.value, error)
     return {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
 
 
 def load_policy(name: str, robot: Robot) -> Policy:
     """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
 
-    A factory is called with the nominal robot. A file is offered to the loaders of :data:`FILE_ENTRY_POINT_GROUP`; one
-    that none of them takes is a Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG, or with sb3-contrib installed
-    of TQC, CrossQ, RecurrentPPO, TRPO or ARS.
+    A factory is called with the nominal robot. A file is passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in
+    turn. If all of them return None, the file is loaded as a Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG. If
+    sb3-contrib is installed, models of TQC, CrossQ, RecurrentPPO, TRPO and ARS are loaded as well.
 
     Raises:
-        ValueError: if the name is unknown, or what it names cannot be loaded or does not fit the robot; the message
-            says what is valid.
+        ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the robot. The message
+            lists the valid names.
     """
     entries = policy_entries()
     if name in entries:
@@ -59,16 +60,16 @@ def load_policy(name: str, robot: Robot) -> Policy:
     if ":" in name:
         factory = _load_factory(name)
         try:
-            made = factory(robot)
+            created = factory(robot)
         except Exception as error:
-            what = f"{type(error).__name__}: {error}{code_line(error)}"
-            raise ValueError(f"policy {name!r}: the factory raised {what}") from error
+            cause = f"{type(error).__name__}: {error}{code_line(error)}"
+            raise ValueError(f"policy {name!r}: the factory raised {cause}") from error
         try:
-            return as_policy(made)
+            return as_policy(created)
         except TypeError as error:
-            raise ValueError(f"policy {name!r} must be a function robot -> policy, but: {error}") from None
-    otherwise = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
-    raise ValueError(no_such("policy", name, entries, otherwise))
+            raise ValueError(f"policy {name!r}: the factory must return a policy; {error}") from None
+    alternatives = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
+    raise unknown_name_error("policy", name, entries, alternatives)
 
 
 def _load_factory(name: str) -> Callable[[Robot], Any]:
@@ -76,18 +77,18 @@ def _load_factory(name: str) -> Callable[[Robot], Any]:
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
-        meant = f"; a module is named without .py: {module_name.removesuffix('.py')}:{attribute}"
-        hint = meant if module_name.endswith(".py") else ""
+        corrected = f"{module_name.removesuffix('.py')}:{attribute}"
+        hint = f"; write the module name without .py: {corrected}" if module_name.endswith(".py") else ""
         raise ValueError(f"policy {name!r}: cannot import {module_name!r} ({error}){hint}") from error
     if not hasattr(module, attribute):
-        raise ValueError(f"policy {name!r}: {module_name!r} has no {attribute!r}")
+        raise ValueError(f"policy {name!r}: {module_name!r} has no attribute {attribute!r}")
     factory = getattr(module, attribute)
     if isinstance(factory, PolicyEntry):
         return factory.factory
     if not callable(factory):
-        raise ValueError(f"policy {name!r}: {attribute!r} must be a function robot -> policy")
-    made: Callable[[Robot], Any] = factory
-    return made
+        raise ValueError(f"policy {name!r}: {attribute!r} must be a function that takes a robot and returns a policy")
+    checked: Callable[[Robot], Any] = factory
+    return checked
 
 
 def _load_file(path: Path, robot: Robot) -> Policy:
@@ -98,7 +99,7 @@ def _load_file(path: Path, robot: Robot) -> Policy:
         try:
             loader: FileLoader = point.load()
         except Exception as error:
-            _LOGGER.warning("policy files of kind %r are left out: %s raised %s", point.name, point.value, error)
+            _LOGGER.warning("policy files of kind %r are skipped: %s raised %s", point.name, point.value, error)
             continue
         try:
             policy = loader(path, robot)
@@ -113,14 +114,14 @@ def _load_file(path: Path, robot: Robot) -> Policy:
 
 
 def _check_zip(path: Path) -> None:
-    """Refuses what is no zip file, and one whose checksums do not hold."""
+    """Raises a ValueError if a file is not a zip file or if a checksum is wrong."""
     try:
         with zipfile.ZipFile(path) as file:
             broken = file.testzip()
-    except Exception as error:  # besides zipfile's own those of the decompressors
+    except Exception as error:  # zipfile's own errors and those of the decompressors
         reason = str(error) or type(error).__name__
         raise ValueError(
-            f"policy file {str(path)!r} is no zip file, or damaged or cut short ({reason}): save or copy it again"
+            f"policy file {str(path)!r} is not a zip file, or it is damaged ({reason}): save or copy it again"
         ) from error
     if broken is not None:
-        raise ValueError(f"policy file {str(path)!r} is damaged (its part {broken!r}): save or copy it again")
+        raise ValueError(f"policy file {str(path)!r} is damaged (member {broken!r}): save or copy it again")

@@ -1,7 +1,8 @@
-"""What a policy is: its protocol, its entry among the installed ones, and checks of what it returns."""
+"""The policy protocol, the entry of an installed policy, and checks of the actions that a policy returns."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +20,14 @@ Array = NDArray[Any]
 
 @runtime_checkable
 class Policy(Protocol):
-    """Stable-Baselines3's ``predict``, on one observation (size,) or on a batch (N, size).
+    """An object with the method ``predict`` of Stable-Baselines3, for one observation (size,) or a batch (N, size).
 
-    Optional: ``begin(tasks)``, called with one :class:`~cablebot_gym.task.Task` for each observation of a batch before
-    its first step; ``unclipped = True``, which declares that commands beyond ±1 are what the law asks for, so that the
-    paper's criterion means something.
+    Optional members:
+
+    * ``reset(tasks)`` is called before the first step of a batch with one :class:`~cablebot_gym.task.Task` for each
+      observation. A ``reset`` that takes no tasks is called without arguments.
+    * ``unsaturated_actions = True`` declares that the policy returns actions beyond ±1 where it requests more torque
+      than the motors have. The paper criterion applies to such policies only.
     """
 
     def predict(
@@ -33,52 +37,53 @@ class Policy(Protocol):
         episode_start: Array | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """Drive commands (m,) or (N, m), and the state to pass next time."""
+        """Actions (m,) or (N, m), and the state to pass to the next call."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyEntry:
-    """A policy by name, as ``cablebot list`` shows it."""
+    """An installed policy, as ``cablebot list`` shows it."""
 
     name: str
-    """What to type."""
+    """Name on the command line."""
     kind: Literal["classical", "optimal", "learned"]
-    """How it came about."""
+    """Kind of design method."""
     env_ids: tuple[str, ...]
-    """Environments that it is made for."""
+    """Ids of the environments that the policy supports."""
     factory: Callable[[Robot], Policy]
-    """Makes the policy from a nominal robot."""
+    """Function that makes the policy from a nominal robot."""
     summary: str
-    """One line."""
+    """Description in one line."""
     slow: bool = False
-    """Whether an evaluation takes minutes: then most parts of a benchmark do without."""
+    """Whether an evaluation takes minutes. Most benchmark suites skip slow policies."""
     files: tuple[Path, ...] | None = None
-    """The data that it reads, such as weights: a benchmark's result is of these. None for all beside its module."""
+    """Data files that the policy reads, such as weights. Benchmark results depend on their content. None stands for all
+    files in the folder of the policy's module."""
 
 
 class PolicyError(RuntimeError):
-    """A policy raised, or returned what is no drive command; the message names the payload and the time."""
+    """A policy raised an exception or returned an invalid action. The message names the payload and the time."""
 
 
-class LaneError(RuntimeError):
-    """A function failed for one observation of a batch, that of a lane; the message says how."""
+class BatchItemError(RuntimeError):
+    """A function failed for one observation of a batch. The message gives the reason."""
 
-    def __init__(self, lane: int, message: str) -> None:
+    def __init__(self, index: int, message: str) -> None:
         super().__init__(message)
-        self.lane = lane
-        """Which one, from 0."""
+        self.index = index
+        """Index of the observation in the batch, from 0."""
 
 
 class CallablePolicy:
-    """A plain function ``observation -> action``, called for one observation at a time."""
+    """A policy made from a function ``observation -> action``, which is called for one observation at a time."""
 
-    unclipped = False
+    unsaturated_actions = False
 
     def __init__(self, function: Callable[[Array], Any]) -> None:
         self._function = function
-        self.unclipped = bool(getattr(function, "unclipped", False))
-        if hasattr(function, "begin"):
-            self.begin = function.begin
+        self.unsaturated_actions = bool(getattr(function, "unsaturated_actions", False))
+        if hasattr(function, "reset"):
+            self.reset = function.reset
 
     def predict(
         self,
@@ -87,46 +92,46 @@ class CallablePolicy:
         episode_start: Array | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """The function's action for each observation.
+        """Action of the function for each observation.
 
         Raises:
-            LaneError: if the function raises, or returns anything but numbers of one shape.
+            BatchItemError: if the function raises, or if its results are not numbers of one shape.
         """
         if observation.ndim == 1:
             return np.asarray(self._function(observation), float), state
         actions: list[Array] = []
-        for lane, item in enumerate(observation):
+        for index, item in enumerate(observation):
             try:
                 returned = self._function(item)
             except Exception as error:
-                raise LaneError(lane, f"it raised {type(error).__name__}: {error}{code_line(error)}") from error
+                raise BatchItemError(index, f"it raised {type(error).__name__}: {error}{code_line(error)}") from error
             try:
-                actions.append(_numbers(returned))
+                actions.append(_to_floats(returned))
             except ValueError as error:
-                raise LaneError(lane, f"it returned {error}") from error
-            if actions[lane].shape != actions[0].shape:
-                raise LaneError(lane, f"it returned shape {actions[lane].shape} after {actions[0].shape}")
+                raise BatchItemError(index, f"it returned {error}") from error
+            if actions[index].shape != actions[0].shape:
+                raise BatchItemError(index, f"it returned shape {actions[index].shape} after {actions[0].shape}")
         return np.stack(actions), state
 
 
 def as_policy(policy: Any) -> Policy:
-    """The policy itself, or a callable as one.
+    """Returns a policy unchanged, and wraps a callable as a policy.
 
     Raises:
-        TypeError: if it is neither.
+        TypeError: if the object is neither a policy nor a callable.
     """
     if isinstance(policy, type):
-        raise TypeError(f"a policy is an object, not the class {policy.__name__}: make one, {policy.__name__}(…)")
+        raise TypeError(f"a policy must be an object, not the class {policy.__name__}: pass {policy.__name__}(…)")
     if isinstance(policy, Policy):
         return policy
     if callable(policy):
         return CallablePolicy(policy)
     raise TypeError(
-        f"a policy has predict() or is a callable observation -> action; {type(policy).__name__} is neither"
+        f"a policy must have predict() or be a callable observation -> action; {type(policy).__name__} is neither"
     )
 
 
-def commands(
+def checked_actions(
     policy: Policy,
     name: str,
     observation: Array,
@@ -138,72 +143,97 @@ def commands(
     time: float,
     ignored: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Any]:
-    """The policy's drive commands (N, m) for a batch of observations, checked, and its next state.
+    """Calls a policy for a batch of observations and checks its actions.
 
     Args:
-        policy: asked with ``deterministic=True``.
-        name: of the policy, for messages.
-        observation: (N, size).
-        state: what the policy returned last time, None at first.
-        start: (N,) True at an episode's first step.
-        cables: m.
+        policy: the policy, called with ``deterministic=True``.
+        name: name of the policy, for messages.
+        observation: observations, (N, size).
+        state: state that the previous call returned; None at the first call.
+        start: True at the first step of an episode, (N,).
+        cables: number of cables m.
         payloads: true payload of each episode, (N,) [kg], for messages.
-        time: [s], for messages.
-        ignored: (N,) episodes whose commands no longer matter; they become 0.
+        time: time of the control instant [s], for messages.
+        ignored: True for episodes whose actions no longer matter, (N,). Their actions are set to 0.
+
+    Returns:
+        Actions (N, m) and the next state of the policy.
 
     Raises:
-        PolicyError: if the policy raises, or returns anything but finite numbers of that shape.
+        PolicyError: if the policy raises, or if its actions are not finite numbers of shape (N, m).
     """
-    at, everyone = f"at t = {time:.3f} s", f"with payloads of {payloads.min():g} to {payloads.max():g} kg"
+    at, batch = f"at t = {time:.3f} s", f"with payloads of {payloads.min():g} to {payloads.max():g} kg"
     if len(payloads) == 1:
-        everyone = f"with a payload of {payloads[0]:g} kg"
+        batch = f"with a payload of {payloads[0]:g} kg"
     try:
         returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
-    except LaneError as error:
-        lane = f"with a payload of {payloads[error.lane]:g} kg"
-        raise PolicyError(f"policy {name!r} failed {at} {lane}: {error}") from error.__cause__
+    except BatchItemError as error:
+        episode = f"with a payload of {payloads[error.index]:g} kg"
+        raise PolicyError(f"policy {name!r} failed {at} {episode}: {error}") from error.__cause__
     except Exception as error:
-        what = f"raised {type(error).__name__} {at} {everyone}: {error}{code_line(error)}"
-        raise PolicyError(f"policy {name!r} {what}") from error
+        cause = f"raised {type(error).__name__} {at} {batch}: {error}{code_line(error)}"
+        raise PolicyError(f"policy {name!r} {cause}") from error
     if not isinstance(returned, tuple) or len(returned) != 2:
-        what = f"{len(returned)} things" if isinstance(returned, tuple) else f"one {type(returned).__name__}"
-        raise PolicyError(f"policy {name!r} returned {what} {at}: predict() has to return (commands, state)")
+        kind = f"a tuple of length {len(returned)}" if isinstance(returned, tuple) else type(returned).__name__
+        raise PolicyError(f"policy {name!r} returned {kind} {at}: predict() must return (actions, state)")
     raw, state = returned
     try:
-        action = _numbers(raw)
+        action = _to_floats(raw)
     except ValueError as error:
-        raise PolicyError(f"policy {name!r} returned {error} {at} {everyone}") from error
+        raise PolicyError(f"policy {name!r} returned {error} {at} {batch}") from error
     if action.shape != (len(payloads), cables):
         expected = (len(payloads), cables)
-        raise PolicyError(f"policy {name!r} returned shape {action.shape} {at} {everyone}; needed: {expected}")
+        raise PolicyError(f"policy {name!r} returned shape {action.shape} {at} {batch}; expected {expected}")
     if ignored is not None:
         action[ignored] = 0.0
     if not np.all(np.isfinite(action)):
-        lane = f"with a payload of {payloads[np.argmin(np.isfinite(action).all(axis=1))]:g} kg"
-        raise PolicyError(f"policy {name!r} returned NaN or infinity {at} {lane}")
+        episode = f"with a payload of {payloads[np.argmin(np.isfinite(action).all(axis=1))]:g} kg"
+        raise PolicyError(f"policy {name!r} returned NaN or infinity {at} {episode}")
     return action, state
 
 
-def begin(policy: Policy, name: str, tasks: tuple[Task, ...]) -> None:
-    """Tells a policy that plans what is coming, see :class:`Policy`.
+def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]]) -> None:
+    """Calls the optional ``reset`` of a policy. Passes the tasks if it takes any, see :class:`Policy`.
+
+    Args:
+        policy: the policy.
+        name: name of the policy, for messages.
+        tasks: function that makes one task for each observation of the batch.
 
     Raises:
-        PolicyError: if it raises.
+        PolicyError: if ``reset`` raises.
     """
-    if not hasattr(policy, "begin"):
+    method = getattr(policy, "reset", None)
+    if method is None:
         return
     try:
-        policy.begin(tasks)
+        if _takes_tasks(method):
+            method(tasks())
+        else:
+            method()
     except Exception as error:
-        what = f"raised {type(error).__name__} in begin(): {error}{code_line(error)}"
-        raise PolicyError(f"policy {name!r} {what}") from error
+        cause = f"raised {type(error).__name__} in reset(): {error}{code_line(error)}"
+        raise PolicyError(f"policy {name!r} {cause}") from error
 
 
-def _numbers(returned: Any) -> Array:
-    """Drive commands as floats of their own.
+def _takes_tasks(method: Callable[..., Any]) -> bool:
+    """Whether a method has a parameter ``tasks`` or a required positional parameter."""
+    return any(
+        parameter.name == "tasks"
+        or parameter.kind is parameter.VAR_POSITIONAL
+        or (
+            parameter.default is parameter.empty
+            and parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
+        )
+        for parameter in inspect.signature(method).parameters.values()
+    )
+
+
+def _to_floats(returned: Any) -> Array:
+    """Copies actions to an array of floats.
 
     Raises:
-        ValueError: if they are not real numbers; the message says what they are.
+        ValueError: if the actions are not real numbers. The message names their type.
     """
     kind = type(returned).__name__
     try:
@@ -216,7 +246,7 @@ def _numbers(returned: Any) -> Array:
 
 
 def code_line(error: BaseException) -> str:
-    """Where somebody's own code raised, for those who see no traceback."""
+    """File and line in the user's code that raised an error, for messages without a traceback."""
     frames = [
         frame
         for frame in extract_tb(error.__traceback__)
@@ -226,7 +256,7 @@ def code_line(error: BaseException) -> str:
 
 
 def name_of(policy: Any) -> str:
-    """What to call a policy in results and messages: a name itself, its ``name``, its function's or its class's."""
+    """Name of a policy in results and messages: a string itself, its ``name``, or the name of its function or class."""
     if isinstance(policy, str):
         return policy
     return str(getattr(policy, "name", None) or getattr(policy, "__name__", None) or type(policy).__name__)

@@ -1,4 +1,4 @@
-"""Policies saved by Stable-Baselines3 and sb3-contrib (extra ``sb3``)."""
+"""Loads policies that Stable-Baselines3 and sb3-contrib saved (extra ``sb3``)."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from cablebot_gym.policies.protocol import Policy
 from cablebot_gym.robots import Robot, find_robot
 
 SB3_ALGORITHMS = ("PPO", "SAC", "TD3", "A2C", "DDPG")
-"""Of Stable-Baselines3, those with continuous actions."""
+"""Algorithms of Stable-Baselines3 with continuous actions."""
 
 CONTRIB_ALGORITHMS = ("TQC", "CrossQ", "RecurrentPPO", "TRPO", "ARS")
-"""Of sb3-contrib."""
+"""Algorithms of sb3-contrib with continuous actions."""
 
 
 def load_sb3(path: Path, robot: Robot) -> Policy:
-    """A model from a file, checked to fit the robot.
+    """Loads a model from a file and checks that it fits the robot.
 
     Raises:
-        ValueError: if it cannot be loaded, or reads or returns something else than the robot's environment takes.
+        ValueError: if the model cannot be loaded, or if its spaces differ from those of the robot's environment.
     """
     failures = []
     for algorithm in _algorithms(path):
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what matters of a model that does not load follows as an error
+                warnings.simplefilter("ignore")  # a model that cannot be loaded raises an error anyway
                 model = algorithm.load(path, device="cpu")
         except Exception as error:
             failures.append(f"{algorithm.__name__}: {' '.join(str(error).split())[:200]}")
@@ -42,15 +42,17 @@ def load_sb3(path: Path, robot: Robot) -> Policy:
         _check_spaces(model, path, robot)
         loaded: Policy = model
         return loaded
-    raise ValueError(f"policy file {str(path)!r} is no SB3 model ({failures[0]}), nor a bundle of an installed package")
+    raise ValueError(
+        f"policy file {str(path)!r} is neither a bundle of an installed package nor an SB3 model ({failures[0]})"
+    )
 
 
 def _algorithms(path: Path) -> list[Any]:
-    """Algorithms that a file may be of, likely ones first."""
+    """Candidate algorithms of a file, the likely ones first."""
     try:
         sb3 = importlib.import_module("stable_baselines3")
     except ImportError:
-        raise ValueError("an SB3 policy needs the extra: pip install 'cablebot-gym[sb3]'") from None
+        raise ValueError("an SB3 policy needs Stable-Baselines3: pip install 'cablebot-gym[sb3]'") from None
     own = [getattr(sb3, name) for name in SB3_ALGORITHMS]
     needed = _policy_module(path).startswith("sb3_contrib")
     try:
@@ -66,7 +68,7 @@ def _algorithms(path: Path) -> list[Any]:
 
 
 def _policy_module(path: Path) -> str:
-    """Where the class of an SB3 file's policy is defined; empty if it does not say."""
+    """Module of the policy class that an SB3 file names; empty if it names none."""
     try:
         with zipfile.ZipFile(path) as file:
             return str(json.loads(file.read("data"))["policy_class"]["__module__"])
@@ -75,26 +77,26 @@ def _policy_module(path: Path) -> str:
 
 
 def _check_spaces(model: Any, path: Path, robot: Robot) -> None:
-    """Refuses a model that reads something else than this robot's observation, or gives something else than commands.
+    """Checks that a model reads the observation of this robot and returns its actions.
 
     Raises:
-        ValueError: with both layouts.
+        ValueError: if the spaces differ. The message describes both.
     """
-    reads, gives, layout = model.observation_space, model.action_space, observation_layout(robot)
+    inputs, outputs, layout = model.observation_space, model.action_space, observation_layout(robot)
     if not _fits(model, robot):
-        other = next((f", as on {i}" for i, name in ENV_ROBOTS.items() if _fits(model, find_robot(name))), "")
-        difference = f"it reads {_described(reads)} and gives {_described(gives)}{other}"
-    elif len(set(reads.low)) == len(set(reads.high)) == 1:  # of a robot's own observation bounds differ
-        difference = f"it reads normalised components, all in [{reads.low[0]:g}, {reads.high[0]:g}]"
-    elif not (np.all(gives.low == -1) and np.all(gives.high == 1)):
-        difference = f"it gives rescaled commands in [{np.min(gives.low):g}, {np.max(gives.high):g}]"
+        other = next((f", which fits {i}" for i, name in ENV_ROBOTS.items() if _fits(model, find_robot(name))), "")
+        difference = f"the model reads {_described(inputs)} and returns {_described(outputs)}{other}"
+    elif len(set(inputs.low)) == len(set(inputs.high)) == 1:  # the bounds of a raw observation differ
+        difference = f"the model reads a normalised observation within [{inputs.low[0]:g}, {inputs.high[0]:g}]"
+    elif not (np.all(outputs.low == -1) and np.all(outputs.high == 1)):
+        difference = f"the model returns rescaled actions within [{np.min(outputs.low):g}, {np.max(outputs.high):g}]"
     else:
         return
     blocks = ", ".join(f"{block.name} {block.size}" for block in layout.blocks)
     raise ValueError(
-        f"policy file {str(path)!r} does not fit robot {robot.name!r}: {difference}; the robot gives {layout.size} "
-        f"numbers ({blocks}) and takes {robot.cables} drive commands in [-1, 1]: evaluate a model on the environment "
-        "it was trained on, and export one trained inside wrappers as a bundle by `cablebot train`"
+        f"policy file {str(path)!r} does not fit robot {robot.name!r}: {difference}. The robot has {layout.size} "
+        f"observed numbers ({blocks}) and {robot.cables} actions within [-1, 1]. Evaluate a model on the environment "
+        "it was trained on. Export a model trained inside wrappers as a bundle by `cablebot train`"
     )
 
 

@@ -1,6 +1,7 @@
-"""Pictures of a robot at work: what there is to see, from where, and how it is painted.
+"""Pictures of robots: content, camera, painter and window.
 
-Knows robots and motions, not environments: these hand over a :class:`Moment`. Painting needs the extra ``render``.
+This package does not depend on environments, which pass a :class:`Scene` and a :class:`Moment` to it. Painting requires
+the extra ``render``.
 """
 
 from cablebot_gym.rendering.moment import Moment, Scene

@@ -1,4 +1,4 @@
-"""Perspective: points of the base frame, whose z points down, on the page."""
+"""Perspective projection of points in the base frame (z down) onto the picture."""
 
 from __future__ import annotations
 
@@ -10,56 +10,60 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 
-FIELD = math.radians(32)
-"""Angle of view across the shorter side of the window it was fitted to."""
+FIELD_OF_VIEW = math.radians(32)
+"""Angle of view across the shorter side of the fitted window [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
-    """A pinhole camera that stands upright.
-
-    ``right``, ``down`` and ``forward`` (3,) are its axes in the base frame, ``eye`` (3,) where it is [m], ``centre``
-    (2,) where its axis meets the page and ``focal`` its focal length, both in pixels.
-    """
+    """A pinhole camera without roll."""
 
     eye: Array
+    """Position of the camera in the base frame [m], (3,)."""
     right: Array
+    """Axis to the right in the base frame, (3,)."""
     down: Array
+    """Axis downwards in the base frame, (3,)."""
     forward: Array
+    """Optical axis in the base frame, (3,)."""
     centre: Array
+    """Point of the picture on the optical axis [pixels], (2,)."""
     focal: float
+    """Focal length [pixels]."""
 
     def project(self, points: ArrayLike) -> Array:
-        """Points (..., 3) [m] on the page (..., 2) [pixels], x to the right and y downwards."""
-        away = np.asarray(points, float) - self.eye
-        across = np.stack([away @ self.right, away @ self.down], axis=-1)
-        return self.centre + self.focal * across / (away @ self.forward)[..., None]
+        """Projection of points (..., 3) [m] onto the picture, (..., 2) [pixels], x to the right and y downwards."""
+        relative = np.asarray(points, float) - self.eye
+        lateral = np.stack([relative @ self.right, relative @ self.down], axis=-1)
+        return self.centre + self.focal * lateral / (relative @ self.forward)[..., None]
 
     def pixels(self, length: float, at: ArrayLike) -> float:
-        """How long a length across the line of sight looks, at a point (3,) [m]."""
+        """Length in pixels of a length [m] perpendicular to the line of sight at a point ``at`` (3,) [m]."""
         return float(self.focal * length / ((np.asarray(at, float) - self.eye) @ self.forward))
 
 
-def fitted(points: ArrayLike, window: tuple[float, float, float, float], *, azimuth: float, elevation: float) -> Camera:
-    """The camera nearest to points (..., 3) [m] that has them all in a window (left, top, width, height) [pixels].
+def fit_camera(
+    points: ArrayLike, window: tuple[float, float, float, float], *, azimuth: float, elevation: float
+) -> Camera:
+    """The camera closest to some points that shows all of them in a window of the picture.
 
     Args:
-        points: what has to be seen.
-        window: of the page.
-        azimuth: turns the camera about the vertical; at 0, x points to the right [rad].
-        elevation: above the horizontal, π/2 is from straight above [rad].
+        points: points that must be visible, (..., 3) [m].
+        window: (left, top, width, height) [pixels].
+        azimuth: rotation about the vertical axis [rad]; at 0, x points to the right.
+        elevation: angle of view above the horizontal [rad]; π/2 is a view from above.
     """
     cloud = np.asarray(points, float).reshape(-1, 3)
     left, top, width, height = window
     right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    level = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
-    forward = math.cos(elevation) * level + math.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    horizontal = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+    forward = math.cos(elevation) * horizontal + math.sin(elevation) * np.array([0.0, 0.0, 1.0])
     down = np.cross(forward, right)
-    focal = 0.5 * min(width, height) / math.tan(FIELD / 2)
+    focal = 0.5 * min(width, height) / math.tan(FIELD_OF_VIEW / 2)
     target = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
     size = float(np.linalg.norm(np.ptp(cloud, axis=0)))
 
-    def at(distance: float) -> tuple[Camera, bool]:
+    def camera_at(distance: float) -> tuple[Camera, bool]:
         def camera(centre: Array) -> Camera:
             return Camera(
                 eye=target - distance * forward, right=right, down=down, forward=forward, centre=centre, focal=focal
@@ -73,8 +77,8 @@ def fitted(points: ArrayLike, window: tuple[float, float, float, float], *, azim
     near, far = 0.6 * size, 100.0 * size
     for _ in range(40):
         middle = math.sqrt(near * far)
-        if at(middle)[1]:
+        if camera_at(middle)[1]:
             far = middle
         else:
             near = middle
-    return at(far)[0]
+    return camera_at(far)[0]

@@ -1,4 +1,4 @@
-"""What there is to see of a robot: of an episode, and at one instant."""
+"""Content of a picture: constant during an episode, and at one instant."""
 
 from __future__ import annotations
 
@@ -10,64 +10,65 @@ from numpy.typing import NDArray
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 
 HANG = 0.3
-"""How far below a spatial platform the payload is drawn [m]; in the model it is at the platform's centre of mass."""
+"""Distance below a spatial platform at which the payload is drawn [m]. In the model it is at the centre of mass."""
 
 _STEEL = 7850.0
-"""The payload is drawn as a ball of this density [kg/m³]."""
+"""Density of the ball that represents the payload [kg/m³]."""
 
 
 def ball_radius(payload: float) -> float:
-    """Of the ball that stands for a payload [kg], in m."""
+    """Radius [m] of the ball that represents a payload [kg]."""
     return float((3 * payload / (4 * math.pi * _STEEL)) ** (1 / 3))
 
 
 def full_tension(robot: Robot) -> float:
-    """What the strongest motor holds at standstill [N]: the end of the scale of tensions."""
+    """Tension that the strongest motor holds at standstill [N]: the end of the tension scale."""
     return float(np.max(robot.stall_torque / robot.pulley_radius))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """What stays the same throughout an episode."""
+    """Content of the pictures that is constant during an episode."""
 
     robot: Robot
-    """The one that policies are told of: its geometry is drawn."""
+    """Nominal robot, whose geometry is drawn."""
     trajectory: Trajectory
     """Reference motion."""
-    limits: Limits
+    error_bounds: ErrorBounds
     """Bounds of the tracking error."""
     title: str = ""
-    """Words above the picture."""
+    """Text above the picture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moment:
-    """One instant of an episode, as it truly is. SI units and radians.
+    """True state of an episode at one instant.
 
-    Pose and errors are those at ``time``; torques, limits, demands and tensions those at the start of the control
-    period just passed, zeros where none has.
+    Pose and errors are those at ``time``. Torques, torque limits, actions and tensions are those at the start of the
+    last control period, and 0 before the first period.
     """
 
     time: float
+    """Time since the start of the episode [s]."""
     payload: float
-    """[kg]"""
+    """True payload [kg]."""
     pose: Array
-    """X, (n,)."""
+    """Pose X [m, rad], (n,)."""
     tensions: Array
-    """T, (m,)."""
+    """Cable tensions T [N], (m,)."""
     torques: Array
-    """τ, (m,)."""
+    """Applied torques τ [N·m], (m,)."""
     torque_limits: Array
-    """U⁻ and U⁺ at the motors' speeds, (2, m) (Eq. 37)."""
-    drive_demand: Array
-    """a, (m,): beyond ±1 a motor gives U± and no more."""
+    """Torque limits U⁻ and U⁺ at the present motor speeds [N·m], (2, m) (Eq. 37)."""
+    commanded_action: Array
+    """Actions a, (m,). If |a| > 1, the applied torque saturates at U±."""
     slack: NDArray[np.bool_]
-    """(m,)"""
+    """Whether each cable is slack, (m,)."""
     position_error: float
-    """Distance from the reference."""
+    """Distance from the reference position [m]."""
     rotation_error: float
-    """Angle from the reference; 0 if planar."""
+    """Largest difference of an angle from the reference [rad]; 0 for planar robots."""

@@ -1,4 +1,4 @@
-"""Moments painted with pygame, on a surface in memory: neither a display nor OpenGL is needed."""
+"""Painter of moments with pygame, on a surface in memory. It needs neither a display nor OpenGL."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array, rotation_matrix
-from cablebot_gym.rendering.camera import fitted
+from cablebot_gym.rendering.camera import fit_camera
 from cablebot_gym.rendering.moment import HANG, Moment, Scene, ball_radius, full_tension
 from cablebot_gym.utils import palette
 
@@ -20,58 +20,58 @@ if TYPE_CHECKING:
     import pygame
 
 SIZE = (640, 480)
-"""Of a picture, unless another is asked for [pixels]."""
+"""Default width and height of a picture [pixels]."""
 
 SMALLEST = (320, 240)
-"""Below this its words do not fit."""
+"""Smallest width and height [pixels]: text does not fit in smaller pictures."""
 
 LARGEST = (7680, 4320)
-"""No screen has more."""
+"""Largest width and height [pixels], larger than any screen."""
 
-_FINER = 2
-"""Everything is painted so many times as large, and scaled down: smooth edges."""
+_OVERSAMPLING = 2
+"""Factor by which pictures are painted larger and then scaled down, for smooth edges."""
 
 _AZIMUTH, _ELEVATION = math.radians(22), math.radians(30)
-"""Where a spatial robot is looked at from; a planar one from straight above."""
+"""Direction of view of spatial robots [rad]. Planar robots are viewed from above."""
 
-_SAG = 0.12
-"""Depth of a slack cable's arc, as a share of its length."""
+_SAG_FRACTION = 0.12
+"""Depth of a slack cable's arc, as a fraction of its length."""
 
-_BAR = 24
-"""From motor to motor in their panel."""
+_BAR_SPACING = 24
+"""Distance between the bars of two motors in the motor panel."""
 
-_GAUGE = 1.5
-"""An error gauge ends at so many times its bound."""
+_GAUGE_SCALE = 1.5
+"""Full scale of an error gauge, as a multiple of the error bound."""
 
-_TENSIONS = ("#8FBFE0", "#3F7FB5", "#8E5EA2", "#D55E00", "#8C1C13")
-"""Cables from no tension to what the motor holds at standstill, light to dark."""
+_TENSION_COLOURS = ("#8FBFE0", "#3F7FB5", "#8E5EA2", "#D55E00", "#8C1C13")
+"""Colours of cables, from zero tension to the tension that the motor holds at standstill."""
 
 _INK, _PAPER = "#202020", "#FFFFFF"
 
 
 def import_pygame() -> Any:
-    """Pygame, without its greeting.
+    """Imports pygame without its welcome message.
 
     Raises:
-        ImportError: naming the extra.
+        ImportError: if pygame is missing; the message gives the extra to install.
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     try:
         import pygame
     except ImportError as error:
-        raise ImportError("pictures need pygame: pip install 'cablebot-gym[render]'") from error
+        raise ImportError("pictures require pygame: pip install 'cablebot-gym[render]'") from error
     return pygame
 
 
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
-    """A size that a picture can have [pixels].
+    """The size of a picture [pixels], checked.
 
     Raises:
-        ValueError: if it is too small for what is written in it, or larger than any screen.
+        ValueError: if it is below :data:`SMALLEST` or above ``LARGEST``.
     """
-    for compared, limit, words in ((np.less, SMALLEST, "least"), (np.greater, LARGEST, "most")):
-        if np.any(compared(size, limit)):
-            raise ValueError(f"a picture has at {words} {limit[0]} × {limit[1]} pixels, not {size[0]} × {size[1]}")
+    for exceeds, limit, word in ((np.less, SMALLEST, "least"), (np.greater, LARGEST, "most")):
+        if np.any(exceeds(size, limit)):
+            raise ValueError(f"a picture must have at {word} {limit[0]} × {limit[1]} pixels, not {size[0]} × {size[1]}")
     return size
 
 
@@ -79,11 +79,11 @@ class Painter:
     """Paints the moments of one episode.
 
     Args:
-        scene: what stays the same.
+        scene: constant content of the pictures.
         size: width and height [pixels].
 
     Raises:
-        ImportError: without pygame.
+        ImportError: if pygame is missing.
         ValueError: if the size is too small or too large.
     """
 
@@ -92,19 +92,19 @@ class Painter:
         self._pygame = import_pygame()
         self._pygame.font.init()
         self.scene, self.size = scene, (int(size[0]), int(size[1]))
-        self._unit = _FINER * min(size[0] / SIZE[0], size[1] / SIZE[1])
+        self._unit = _OVERSAMPLING * min(size[0] / SIZE[0], size[1] / SIZE[1])
         self._fonts: dict[float, pygame.font.Font] = {}
-        self._canvas = self._pygame.Surface((_FINER * self.size[0], _FINER * self.size[1]))
+        self._canvas = self._pygame.Surface((_OVERSAMPLING * self.size[0], _OVERSAMPLING * self.size[1]))
         self._glass = self._pygame.Surface(self._canvas.get_size(), self._pygame.SRCALPHA)
         robot, trajectory = scene.robot, scene.trajectory
         path = np.array([trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)])
-        self._path, self._base = self._lifted(path), self._lifted(robot.base)
-        around = [self._base.reshape(-1, 3), self._path]
+        self._path, self._base = self._points(path), self._points(robot.base)
+        visible = [self._base.reshape(-1, 3), self._path]
         if not robot.planar:
             reach = np.abs(robot.platform).max() * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
-            around += [(self._path[::20, None] + reach).reshape(-1, 3), self._path + np.array([0, 0, HANG + 0.07])]
+            visible += [(self._path[::20, None] + reach).reshape(-1, 3), self._path + np.array([0, 0, HANG + 0.07])]
         else:
-            around += [self._path + 0.06, self._path - 0.06]
+            visible += [self._path + 0.06, self._path - 0.06]
         width, height = self._canvas.get_size()
         panel = self._panel
         window = (
@@ -113,39 +113,38 @@ class Painter:
             int(width - panel - 0.08 * width),
             int(height - 152 * self._unit),
         )
-        above = math.pi / 2
-        angles = (0.0, above) if robot.planar else (_AZIMUTH, _ELEVATION)
-        self._camera = fitted(np.concatenate(around), window, azimuth=angles[0], elevation=angles[1])
-        self._still = self._background()
+        angles = (0.0, math.pi / 2) if robot.planar else (_AZIMUTH, _ELEVATION)
+        self._camera = fit_camera(np.concatenate(visible), window, azimuth=angles[0], elevation=angles[1])
+        self._static_layer = self._background()
 
     @property
     def _panel(self) -> float:
-        """Width of what the motors take at the right."""
-        return max(40 + _BAR * self.scene.robot.cables, 150) * self._unit
+        """Width of the motor panel at the right."""
+        return max(40 + _BAR_SPACING * self.scene.robot.cables, 150) * self._unit
 
     def paint(
         self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
     ) -> pygame.Surface:
-        """The picture of a moment.
+        """Paints a moment.
 
         Args:
-            moment: to be painted.
-            trail: poses (k, n) where the platform has been.
-            note: words below the title.
-            good: whether they are good news.
+            moment: the moment to paint.
+            trail: past poses of the platform, (k, n).
+            note: text below the title.
+            good: whether the note is green, for success, or red.
         """
-        self._canvas.blit(self._still, (0, 0))
+        self._canvas.blit(self._static_layer, (0, 0))
         past = np.array(trail, float).reshape(-1, self.scene.robot.coordinates)
         past = past[np.isfinite(past).all(axis=1)]
         if len(past) > 1:
-            points = self._camera.project(self._lifted(past))
+            points = self._camera.project(self._points(past))
             self._pygame.draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * self._unit))
         if np.all(np.isfinite(moment.pose)):
             self._robot(moment)
         self._motors(moment)
         self._gauges(moment)
-        unit, heavy = self._unit, f"{moment.payload:.2f} kg"
-        title = f"{self.scene.title}   {heavy}" if self.scene.title else heavy
+        unit, payload = self._unit, f"{moment.payload:.2f} kg"
+        title = f"{self.scene.title}   {payload}" if self.scene.title else payload
         self._write(title, (14 * unit, 8 * unit), 17)
         self._write(note, (14 * unit, 28 * unit), 13, palette.GREEN if good else palette.VERMILLION)
         return self._pygame.transform.smoothscale(self._canvas, self.size)
@@ -153,42 +152,42 @@ class Painter:
     def array(
         self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
     ) -> NDArray[np.uint8]:
-        """The same as numbers (height, width, 3); arguments as for :meth:`paint`."""
+        """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
         return as_array(self.paint(moment, trail, note, good=good))
 
     # ---------------------------------------------------------------------------------------------------- the robot
 
-    def _lifted(self, positions: Array) -> Array:
-        """Points in space (..., 3) of poses or anchors; a planar robot, whose y points up the page, lies in z = 0."""
+    def _points(self, positions: Array) -> Array:
+        """Points in space (..., 3) of poses or anchors. Planar robots lie in z = 0, with y upwards in the picture."""
         if not self.scene.robot.planar:
             return positions[..., :3]
         return np.stack([positions[..., 0], -positions[..., 1], np.zeros(positions.shape[:-1])], axis=-1)
 
     def _background(self) -> pygame.Surface:
-        """What never moves: base, tube and reference path."""
+        """Static layer: base, tube around the path, and reference path."""
         pygame, surface, unit = self._pygame, self._canvas.copy(), self._unit
         surface.fill(_PAPER)
         base = self._camera.project(self._base)
-        corners = base[_around(base)]
+        corners = base[_polygon_order(base)]
         pygame.draw.polygon(surface, "#F4F5F7", corners)
         pygame.draw.polygon(surface, "#B8BCC4", corners, max(1, round(1.5 * unit)))
-        wide = self._camera.pixels(2 * self.scene.limits.position, self._path.mean(axis=0))
+        tube = self._camera.pixels(2 * self.scene.error_bounds.position, self._path.mean(axis=0))
         path = self._camera.project(self._path)
-        for point in _along(path, max(1.0, wide / 8)):
-            pygame.draw.circle(surface, palette.SKY, point, max(wide / 2, unit))
+        for point in _resample(path, max(1.0, tube / 8)):
+            pygame.draw.circle(surface, palette.SKY, point, max(tube / 2, unit))
         self._dashed(surface, path, palette.GREY, 1.0 * unit, 4 * unit)
-        for place, anchor in enumerate(base):
+        for index, anchor in enumerate(base):
             pygame.draw.circle(surface, _INK, anchor, 4.5 * unit)
-            if place in _firsts(self._base):
+            if index in _first_indices(self._base):
                 outward = (anchor - base.mean(axis=0)) / max(float(np.linalg.norm(anchor - base.mean(axis=0))), 1.0)
-                names = ",".join(str(i + 1) for i in range(len(base)) if np.allclose(self._base[i], self._base[place]))
+                names = ",".join(str(i + 1) for i in range(len(base)) if np.allclose(self._base[i], self._base[index]))
                 self._write(names, anchor + 13 * unit * outward, 11, palette.GREY, across=0.5, along=0.5, on=surface)
         return surface
 
     def _robot(self, moment: Moment) -> None:
         pygame, canvas, unit, camera = self._pygame, self._canvas, self._unit, self._camera
         robot = self.scene.robot
-        centre = self._lifted(moment.pose)
+        centre = self._points(moment.pose)
         ends = np.tile(centre, (robot.cables, 1))
         if not robot.planar:
             ends = centre + robot.platform @ rotation_matrix(moment.pose[3:]).T
@@ -204,47 +203,47 @@ class Painter:
             pygame.draw.circle(canvas, _INK, camera.project(centre), 5 * unit, round(1.4 * unit))
         else:
             corners = camera.project(ends)
-            corners = corners[_around(corners)]
+            corners = corners[_polygon_order(corners)]
             self._glass.fill((0, 0, 0, 0))
-            pygame.draw.polygon(self._glass, (240, 228, 66, 150), corners)  # the path shows through
+            pygame.draw.polygon(self._glass, (240, 228, 66, 150), corners)  # transparent, so that the path is visible
             canvas.blit(self._glass, (0, 0))
             for first, last in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                 self._line(first, last, _INK, 1.6 * unit)
         for cable in range(robot.cables):
             self._cable(self._base[cable], ends[cable], moment, cable)
-        wanted = self._lifted(np.asarray(self.scene.trajectory(moment.time).position))
-        pygame.draw.circle(canvas, palette.VERMILLION, camera.project(wanted), 3.2 * unit, round(1.3 * unit))
+        reference = self._points(np.asarray(self.scene.trajectory(moment.time).position))
+        pygame.draw.circle(canvas, palette.VERMILLION, camera.project(reference), 3.2 * unit, round(1.3 * unit))
 
-    def _ball(self, middle: Array, radius: float) -> None:
-        for share, colour in ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94")):
-            shifted = middle - 0.3 * (1 - share) * radius
-            self._pygame.draw.circle(self._canvas, colour, shifted, max(share * radius, 1))
+    def _ball(self, centre: Array, radius: float) -> None:
+        for fraction, colour in ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94")):
+            shifted = centre - 0.3 * (1 - fraction) * radius
+            self._pygame.draw.circle(self._canvas, colour, shifted, max(fraction * radius, 1))
 
     def _cable(self, base: Array, end: Array, moment: Moment, cable: int) -> None:
         if moment.slack[cable]:
             along = np.linspace(0, 1, 25)[:, None]
-            sag = 4 * _SAG * float(np.linalg.norm(end - base)) * along * (1 - along)
-            # A planar robot is seen along its sag: there the arc is drawn across the cable.
-            lower = np.array([0, 0, 1.0])
+            sag = 4 * _SAG_FRACTION * float(np.linalg.norm(end - base)) * along * (1 - along)
+            # Planar robots are viewed along the sag direction: draw the arc sideways.
+            sag_direction = np.array([0, 0, 1.0])
             if self.scene.robot.planar:
-                lower = np.cross(lower, end - base) / max(float(np.linalg.norm(end - base)), 1e-9)
-            points = self._camera.project(base + along * (end - base) + sag * lower)
+                sag_direction = np.cross(sag_direction, end - base) / max(float(np.linalg.norm(end - base)), 1e-9)
+            points = self._camera.project(base + along * (end - base) + sag * sag_direction)
             self._dashed(self._canvas, points, palette.GREY, 1.6 * self._unit, 6 * self._unit)
             return
-        share = float(moment.tensions[cable]) / full_tension(self.scene.robot)
+        fraction = float(moment.tensions[cable]) / full_tension(self.scene.robot)
         start, stop = self._camera.project(np.array([base, end]))
-        self._line(start, stop, tension_colour(share), (1.6 + 2.4 * min(max(share, 0.0), 1.0)) * self._unit)
+        self._line(start, stop, tension_colour(fraction), (1.6 + 2.4 * min(max(fraction, 0.0), 1.0)) * self._unit)
 
-    # --------------------------------------------------------------------------------------- what motors give, errors
+    # --------------------------------------------------------------------------------------------- motors and errors
 
     def _motors(self, moment: Moment) -> None:
-        """A bar for each motor; beyond its present U± the scale is shaded."""
+        """Paints a bar of the applied torque for each motor. The scale beyond its present U± is shaded."""
         pygame, canvas, unit = self._pygame, self._canvas, self._unit
         robot, (width, height) = self.scene.robot, canvas.get_size()
         left, top, bottom = width - self._panel + 26 * unit, 44 * unit, height - 118 * unit
-        most = float(np.max(robot.stall_torque))
-        # A motor that turns against its torque gives more than at standstill.
-        scale = (bottom - top) / (2.3 * most)
+        largest = float(np.max(robot.stall_torque))
+        # A motor that rotates against its torque can exceed its stall torque.
+        scale = (bottom - top) / (2.3 * largest)
         zero = (top + bottom) / 2
 
         def row(torque: float) -> float:
@@ -252,25 +251,27 @@ class Painter:
 
         self._write("motor torques [N·m]", (width - 12 * unit, 10 * unit), 12, across=1.0)
         for motor in range(robot.cables):
-            x, wide = left + _BAR * unit * motor, 16 * unit
+            x, bar_width = left + _BAR_SPACING * unit * motor, 16 * unit
             low, high = (row(float(limit)) for limit in moment.torque_limits[:, motor])
-            pygame.draw.rect(canvas, palette.SHADE, (x, top, wide, bottom - top))
-            pygame.draw.rect(canvas, _PAPER, (x, high, wide, low - high))
-            torque, saturated = row(float(moment.torques[motor])), abs(float(moment.drive_demand[motor])) >= 1
-            bar = (x + 3 * unit, min(torque, zero), wide - 6 * unit, max(abs(torque - zero), unit))
+            pygame.draw.rect(canvas, palette.SHADE, (x, top, bar_width, bottom - top))
+            pygame.draw.rect(canvas, _PAPER, (x, high, bar_width, low - high))
+            torque, saturated = row(float(moment.torques[motor])), abs(float(moment.commanded_action[motor])) >= 1
+            bar = (x + 3 * unit, min(torque, zero), bar_width - 6 * unit, max(abs(torque - zero), unit))
             pygame.draw.rect(canvas, palette.VERMILLION if saturated else palette.BLUE, bar)
             for edge in (low, high):
-                self._line((x, edge), (x + wide, edge), _INK, 1.6 * unit)
-            self._write(str(motor + 1), (x + wide / 2, bottom + 4 * unit), 12, across=0.5)
-        self._line((left - 4 * unit, zero), (left + _BAR * unit * robot.cables - 4 * unit, zero), palette.GREY, unit)
-        for torque in (-most, 0.0, most):
+                self._line((x, edge), (x + bar_width, edge), _INK, 1.6 * unit)
+            self._write(str(motor + 1), (x + bar_width / 2, bottom + 4 * unit), 12, across=0.5)
+        self._line(
+            (left - 4 * unit, zero), (left + _BAR_SPACING * unit * robot.cables - 4 * unit, zero), palette.GREY, unit
+        )
+        for torque in (-largest, 0.0, largest):
             self._write(f"{torque:.3g}", (left - 7 * unit, row(torque)), 11, palette.GREY, across=1.0, along=0.5)
 
-        # The colours of the cables.
+        # Colour scale of the cable tensions.
         y, across = bottom + 34 * unit, self._panel - 40 * unit
-        for place in range(round(across)):
-            colour = tension_colour(place / across)
-            pygame.draw.line(canvas, colour, (left + place, y), (left + place, y + 7 * unit))
+        for x in range(round(across)):
+            colour = tension_colour(x / across)
+            pygame.draw.line(canvas, colour, (left + x, y), (left + x, y + 7 * unit))
         self._write("cable tension [N]", (left + across / 2, y - 15 * unit), 11, palette.GREY, across=0.5)
         self._write("0", (left, y + 8 * unit), 11, palette.GREY)
         self._write(
@@ -278,38 +279,38 @@ class Painter:
         )
 
     def _gauges(self, moment: Moment) -> None:
-        """Errors against their bounds, and the time."""
-        unit, (width, height), limits = self._unit, self._canvas.get_size(), self.scene.limits
-        gauges = [("position", moment.position_error, limits.position, "mm")]
+        """Paints the errors relative to their bounds, and the time."""
+        unit, (width, height), error_bounds = self._unit, self._canvas.get_size(), self.scene.error_bounds
+        gauges = [("position", moment.position_error, error_bounds.position, "mm")]
         if not self.scene.robot.planar:
-            gauges.append(("rotation", moment.rotation_error, limits.rotation, "mrad"))
-        left, wide = 76 * unit, width - self._panel - 190 * unit
-        for place, (name, error, bound, of) in enumerate(gauges):
-            y = height - (60 - 20 * place) * unit
+            gauges.append(("rotation", moment.rotation_error, error_bounds.rotation, "mrad"))
+        left, scale = 76 * unit, width - self._panel - 190 * unit
+        for index, (name, error, bound, bound_unit) in enumerate(gauges):
+            y = height - (60 - 20 * index) * unit
             beyond = error > bound
             colour = palette.VERMILLION if beyond else palette.BLUE
-            share = min(error / bound, _GAUGE) / _GAUGE
+            fraction = min(error / bound, _GAUGE_SCALE) / _GAUGE_SCALE
             self._write(name, (14 * unit, y), 12, along=0.5)
-            self._rect(palette.SHADE, left, y - 5 * unit, wide, 10 * unit)
-            self._rect(colour, left, y - 5 * unit, share * wide, 10 * unit)
-            mark = left + wide / _GAUGE
+            self._rect(palette.SHADE, left, y - 5 * unit, scale, 10 * unit)
+            self._rect(colour, left, y - 5 * unit, fraction * scale, 10 * unit)
+            mark = left + scale / _GAUGE_SCALE
             self._line((mark, y - 8 * unit), (mark, y + 8 * unit), _INK, 2 * unit)
-            words = f"{_thousandths(error)} of {1e3 * bound:g} {of}"
-            self._write(words, (left + wide + 8 * unit, y), 12, colour if beyond else _INK, along=0.5)
+            text = f"{_thousandths(error)} of {1e3 * bound:g} {bound_unit}"
+            self._write(text, (left + scale + 8 * unit, y), 12, colour if beyond else _INK, along=0.5)
         duration, y = self.scene.trajectory.duration, height - 18 * unit
         self._write("time", (14 * unit, y), 12, along=0.5)
-        self._rect(palette.SHADE, left, y - 2 * unit, wide, 4 * unit)
-        self._rect(palette.GREY, left, y - 2 * unit, wide * min(moment.time / duration, 1.0), 4 * unit)
-        words = f"{moment.time:.3f} of {duration:.3g} s"
-        self._write(words, (left + wide + 8 * unit, y), 12, along=0.5)
+        self._rect(palette.SHADE, left, y - 2 * unit, scale, 4 * unit)
+        self._rect(palette.GREY, left, y - 2 * unit, scale * min(moment.time / duration, 1.0), 4 * unit)
+        text = f"{moment.time:.3f} of {duration:.3g} s"
+        self._write(text, (left + scale + 8 * unit, y), 12, along=0.5)
 
-    # ------------------------------------------------------------------------------------------------------- strokes
+    # ---------------------------------------------------------------------------------------------------- primitives
 
     def _rect(self, colour: str, left: float, top: float, width: float, height: float) -> None:
         self._pygame.draw.rect(self._canvas, colour, (left, top, width, height))
 
     def _line(self, start: ArrayLike, stop: ArrayLike, colour: Any, width: float) -> None:
-        """Of any direction with the same width, which pygame's own lines do not have."""
+        """Draws a line whose width does not depend on its direction, unlike the lines of pygame."""
         first, last = np.asarray(start, float), np.asarray(stop, float)
         along = last - first
         length = float(np.linalg.norm(along))
@@ -318,8 +319,8 @@ class Painter:
             self._pygame.draw.polygon(self._canvas, colour, [first + aside, last + aside, last - aside, first - aside])
 
     def _dashed(self, surface: pygame.Surface, points: Array, colour: str, width: float, dash: float) -> None:
-        for place, (start, stop) in enumerate(_pieces(points, dash)):
-            if place % 2 == 0:
+        for index, (start, stop) in enumerate(_pieces(points, dash)):
+            if index % 2 == 0:
                 self._pygame.draw.line(surface, colour, start, stop, max(1, round(width)))
 
     def _write(
@@ -333,7 +334,7 @@ class Painter:
         along: float = 0.0,
         on: pygame.Surface | None = None,
     ) -> None:
-        """Text at a point; ``across`` and ``along``: which share of it is left of the point, and above it."""
+        """Writes text at a point; ``across`` and ``along`` are the fractions of it left of the point and above it."""
         if size not in self._fonts:
             self._fonts[size] = self._pygame.font.Font(None, max(8, round(1.28 * size * self._unit)))
         image = self._fonts[size].render(text, True, colour)
@@ -342,49 +343,48 @@ class Painter:
 
 
 def as_array(surface: pygame.Surface) -> NDArray[np.uint8]:
-    """A picture as numbers (height, width, 3)."""
+    """Pixels of a surface as an array (height, width, 3)."""
     pixels = import_pygame().surfarray.array3d(surface)
     return np.ascontiguousarray(pixels.swapaxes(0, 1))
 
 
-def tension_colour(share: float) -> tuple[int, int, int]:
-    """Of a cable that carries such a share of what its motor holds at standstill."""
-    place = min(max(share, 0.0), 1.0) * (len(_TENSIONS) - 1)
-    first = min(int(place), len(_TENSIONS) - 2)
-    low, high = (np.array([int(_TENSIONS[i][j : j + 2], 16) for j in (1, 3, 5)]) for i in (first, first + 1))
-    red, green, blue = (low + (place - first) * (high - low)).round().astype(int).tolist()
+def tension_colour(fraction: float) -> tuple[int, int, int]:
+    """Colour of a cable whose tension is this fraction of the tension that its motor holds at standstill."""
+    position = min(max(fraction, 0.0), 1.0) * (len(_TENSION_COLOURS) - 1)
+    first = min(int(position), len(_TENSION_COLOURS) - 2)
+    low, high = (np.array([int(_TENSION_COLOURS[i][j : j + 2], 16) for j in (1, 3, 5)]) for i in (first, first + 1))
+    red, green, blue = (low + (position - first) * (high - low)).round().astype(int).tolist()
     return red, green, blue
 
 
 def _thousandths(error: float) -> str:
-    return f"{1e3 * error:.1f}" if error < 1 else "far more"
+    return f"{1e3 * error:.1f}" if error < 1 else "> 1000"
 
 
-def _around(points: Array) -> list[int]:
-    """Places of points (m, 2) in the order of their direction from the middle, none twice: corners of a polygon."""
-    away = points - points.mean(axis=0)
-    order = np.argsort(np.arctan2(away[:, 1], away[:, 0]))
+def _polygon_order(points: Array) -> list[int]:
+    """Indices of points (m, 2), sorted by direction from the centre and without duplicates: corners of a polygon."""
+    relative = points - points.mean(axis=0)
+    order = np.argsort(np.arctan2(relative[:, 1], relative[:, 0]))
     kept: list[int] = []
-    for place in order.tolist():
-        if not any(np.allclose(points[place], points[other]) for other in kept):
-            kept.append(place)
+    for index in order.tolist():
+        if not any(np.allclose(points[index], points[other]) for other in kept):
+            kept.append(index)
     return kept
 
 
-def _firsts(points: Array) -> list[int]:
-    """The first place of each point among points (m, 3) that may coincide."""
+def _first_indices(points: Array) -> list[int]:
+    """Index of the first occurrence of each point among points (m, 3) that may coincide."""
     return [
-        place for place in range(len(points)) if not any(np.allclose(points[place], points[i]) for i in range(place))
+        index for index in range(len(points)) if not any(np.allclose(points[index], points[i]) for i in range(index))
     ]
 
 
-def _along(points: Array, step: float) -> Array:
-    """Points a step apart on a line through points (k, 2)."""
+def _resample(points: Array, step: float) -> Array:
+    """Points on the polyline through points (k, 2), at a distance of about ``step``."""
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.linspace(0.0, lengths[-1], max(2, math.ceil(lengths[-1] / step)))
     return np.stack([np.interp(at, lengths, points[:, 0]), np.interp(at, lengths, points[:, 1])], axis=-1)
 
 
 def _pieces(points: Array, dash: float) -> list[tuple[Array, Array]]:
-    dots = _along(points, dash)
-    return list(pairwise(dots))
+    return list(pairwise(_resample(points, dash)))

@@ -1,4 +1,4 @@
-"""A window that shows pictures, where there is a display."""
+"""A window that shows pictures."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
-_NO_DISPLAY = "No display to open a window on. Use render_mode='rgb_array', or `cablebot video`."
+_NO_DISPLAY = "No display for a window: use render_mode='rgb_array', or `cablebot video`."
 
 
 class NoDisplayError(RuntimeError):
-    """There is no display to open a window on."""
+    """There is no display for a window."""
 
 
 class Window:
-    """Opens with the first picture, under a caption.
+    """A window that opens with the first picture.
 
     Args:
         caption: title of the window.
-        needs_display: whether to raise an error where there is no display. Otherwise the window opens on SDL's dummy
-            driver, as the windows of Gymnasium's own environments do, and a log message says so.
+        needs_display: whether to raise an error if there is no display. If False, the window then uses SDL's dummy
+            driver, as the windows of Gymnasium's own environments do, and writes a log message.
 
     Raises:
-        ImportError: without pygame.
+        ImportError: if pygame is missing.
     """
 
     def __init__(self, caption: str, *, needs_display: bool = True) -> None:
@@ -39,38 +39,39 @@ class Window:
         self._screen: pygame.Surface | None = None
         self._clock = self._pygame.time.Clock()
         self.closed = False
-        """Whether the user, or :meth:`close`, has closed it."""
+        """Whether the user or :meth:`close` has closed the window."""
 
     def show(self, picture: pygame.Surface, rate: float) -> list[str]:
-        """Shows a picture, at most ``rate`` of them a second; what was typed since the last one, by the keys' names.
+        """Shows a picture, and returns the names of the keys pressed since the last picture.
 
-        Does nothing once the window has been closed.
+        The call waits so that at most ``rate`` pictures are shown per second. It has no effect after the window was
+        closed.
 
         Raises:
-            NoDisplayError: if there is no display.
+            NoDisplayError: if there is no display and the window needs one.
         """
         if self.closed:
             return []
         if self._screen is None:
-            self._screen = self._opened(picture.get_size())
-        typed = []
+            self._screen = self._open(picture.get_size())
+        pressed = []
         for event in self._pygame.event.get():
             if event.type == self._pygame.QUIT:
                 self.close()
                 return []
             if event.type == self._pygame.KEYDOWN:
-                typed.append(str(self._pygame.key.name(event.key)))
+                pressed.append(str(self._pygame.key.name(event.key)))
         self._screen.blit(picture, (0, 0))
         self._pygame.display.flip()
         self._clock.tick(rate)
-        return typed
+        return pressed
 
-    def _opened(self, size: tuple[int, int]) -> pygame.Surface:
+    def _open(self, size: tuple[int, int]) -> pygame.Surface:
         pygame = self._pygame
         variables = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
         try:
             if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
-                raise NoDisplayError(_NO_DISPLAY)  # SDL would choose a driver that shows nothing
+                raise NoDisplayError(_NO_DISPLAY)  # otherwise SDL selects a driver without output
             try:
                 pygame.display.init()
             except pygame.error as error:
@@ -78,7 +79,7 @@ class Window:
         except NoDisplayError:
             if self._needs_display:
                 raise
-            _LOGGER.warning("%s Pictures are drawn where nobody sees them.", _NO_DISPLAY)
+            _LOGGER.warning("%s The pictures are painted but not shown.", _NO_DISPLAY)
             self._init_without_display()
         pygame.display.set_caption(self._caption)
         return pygame.display.set_mode(size)
@@ -95,7 +96,7 @@ class Window:
                 os.environ["SDL_VIDEODRIVER"] = before
 
     def close(self) -> None:
-        """Closes the window, if it is open; it stays closed."""
+        """Closes the window, if it is open. It cannot be opened again."""
         self.closed = True
         if self._screen is not None:
             self._screen = None

@@ -1,1 +1,1 @@
-"""``cablebot report``: a benchmark's results as one page that needs no network."""
+"""``cablebot report``: the results of a benchmark as one self-contained HTML page."""

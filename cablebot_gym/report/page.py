@@ -1,4 +1,4 @@
-"""The page: what a benchmark's records and the replays of their cells say, in one file that needs no network."""
+"""The report page: the records of a benchmark and the replays of their cells in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -11,70 +11,69 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestCell, Cell, Record, canonical
-from cablebot_gym.benchmark.maps import unusual
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, Record, canonical
+from cablebot_gym.benchmark.maps import varied_axes
 from cablebot_gym.benchmark.scores import (
-    Best,
-    Board,
+    BestKnown,
     Column,
+    Leaderboard,
     PayloadMap,
-    Standing,
-    boards,
-    find_bests,
+    Score,
+    best_known_payloads,
+    leaderboards,
     payload_maps,
-    standings,
+    scores,
 )
-from cablebot_gym.benchmark.tables import best_text, failures, fallbacks, heading, motion_title, task_title
-from cablebot_gym.evaluation.constraints import Limit
+from cablebot_gym.benchmark.tables import best_known_text, failures, fallbacks, heading, motion_title, task_title
+from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
 from cablebot_gym.trajectories import find_trajectory
 
 SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
-"""In the order in which they need each other."""
+"""Scripts of the page in order of their dependencies."""
 
 NO_MAPS = (
-    "There are none in these results. cablebot benchmark --suite maps --out maps makes them, and "
-    "cablebot report RESULTS maps puts them here."
+    "These results contain no payload maps. To add them, run cablebot benchmark --suite maps --out maps, then "
+    "cablebot report RESULTS maps."
 )
 
+BEST_KNOWN = "best known payload"
+"""Label of a best known payload in the policy column."""
 
-BEST_FOUND = "best found"
-"""In place of a policy's name."""
+NOT_APPLICABLE = "The paper criterion applies only to policies that declare unsaturated_actions; this policy does not."
 
-NOT_APPLICABLE = "The paper's criterion is about laws that do not clip their commands; this policy does not say so."
-
-NO_EPISODE = "This page has no episode of this cell: cablebot report RESULTS records one of each."
+NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RESULTS to record all episodes."
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where records come from: a suite's results."""
+    """The results of one suite."""
 
     suite: str
-    """Its name."""
+    """Name of the suite."""
     command: str
-    """What makes them."""
+    """Command that computes the results."""
     records: Sequence[Record]
-    """Of all cells."""
+    """Records of all cells."""
 
 
-def merged(sources: Sequence[Source]) -> list[Record]:
-    """All records; of a cell that is there twice, the first."""
-    kept: dict[str, Record] = {}
+def merge_records(sources: Sequence[Source]) -> list[Record]:
+    """The records of all sources; the first one of each cell."""
+    merged: dict[str, Record] = {}
     for source in sources:
         for record in source.records:
-            kept.setdefault(record.cell.key, record)
-    return list(kept.values())
+            merged.setdefault(record.cell.key, record)
+    return list(merged.values())
 
 
 def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> str:
-    """The page.
+    """The report page as HTML text.
 
     Args:
-        title: heading.
-        sources: results of one suite or several.
-        replays: by the key of a cell: its episodes, or why there are none.
+        title: heading of the page.
+        sources: results of one or more suites.
+        replays: episodes, or an error message, by key of the cell.
     """
     assets = files("cablebot_gym.report") / "assets"
 
@@ -82,220 +81,235 @@ def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[R
         return (assets / name).read_text(encoding="utf-8")
 
     data = json.dumps(page_data(sources, replays), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    parts = {
+    values = {
         "title": title.replace("&", "&amp;").replace("<", "&lt;"),
         "style": read("style.css"),
         "script": "\n".join(map(read, SCRIPTS)),
-        "data": data.replace("<", "\\u003c"),  # no end tag can stand in it
+        "data": data.replace("<", "\\u003c"),  # excludes an end tag
     }
     before, *rest = read("page.html").split("{{")
     pieces = [before]
-    for piece in rest:  # one pass: what is filled in may hold braces itself
+    for piece in rest:  # in one pass, because inserted text may contain braces
         name, _, after = piece.partition("}}")
-        pieces += [parts[name], after]
+        pieces += [values[name], after]
     return "".join(pieces)
 
 
 def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
-    """Everything that the page's scripts draw, JSON-able. Arguments as of :func:`html`."""
-    records = merged(sources)
-    some = standings(records)
-    bests = [best for best in find_bests(records).values() if not unusual(best.cell)]
+    """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
+    records = merge_records(sources)
+    all_scores = scores(records)
+    references = [best for best in best_known_payloads(records).values() if not varied_axes(best.cell)]
     by_key = {record.cell.key: record for record in records}
-    robots, motions = _Numbered(), _Numbered()
-    cells = [_cell(one, by_key[one.cell.key], replays, robots, motions) for one in some]
-    places = {one.cell.key: place for place, one in enumerate(some)}
+    robots, motions = _Unique(), _Unique()
+    cells = [_cell(score, by_key[score.cell.key], replays, robots, motions) for score in all_scores]
+    indices = {score.cell.key: index for index, score in enumerate(all_scores)}
     rows = []
-    for board in boards(records):
-        rows += [_row(board, policy, column, places) for policy, column in board.places]
-        some_bests = [best for best in bests if _belongs(best.cell, board)]
-        if some_bests:
-            rows.append(_best_row(board, some_bests, range(len(cells), len(cells) + len(some_bests))))
-            cells += [_best_cell(best, by_key[best.cell.key], replays, robots, motions) for best in some_bests]
+    for leaderboard in leaderboards(records):
+        rows += [_row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries]
+        group = [best for best in references if _belongs(best.cell, leaderboard)]
+        if group:
+            rows.append(_best_row(leaderboard, group, range(len(cells), len(cells) + len(group))))
+            cells += [_best_cell(best, by_key[best.cell.key], replays, robots, motions) for best in group]
     return {
         "rows": rows,
         "cells": cells,
         "robots": robots.values,
         "motions": motions.values,
-        "maps": [_map(found) for found in payload_maps(records)],
-        "made": _made(sources, records),
-        "words": {"no_maps": NO_MAPS},
+        "maps": [_map(payload_map) for payload_map in payload_maps(records)],
+        "notes": _notes(sources, records),
+        "no_maps": NO_MAPS,
         "rate": RATE,
         "levels": LEVELS,
     }
 
 
-class _Numbered:
-    """Different things, each once, by number."""
+class _Unique:
+    """A list of distinct JSON-able values."""
 
     def __init__(self) -> None:
         self.values: list[Any] = []
-        self._places: dict[str, int] = {}
+        self._indices: dict[str, int] = {}
 
     def add(self, value: Any) -> int:
+        """The index of a value, which is appended if it is new."""
         key = canonical(value)
-        if key not in self._places:
-            self._places[key] = len(self.values)
+        if key not in self._indices:
+            self._indices[key] = len(self.values)
             self.values.append(value)
-        return self._places[key]
+        return self._indices[key]
 
 
-def _row(board: Board, policy: str, column: Column, places: Mapping[str, int]) -> dict[str, Any]:
-    some = board.places[policy, column]
-    share = board.share(policy, column)
-    applicable = all(one.result.get("applicable", True) for one in some)
-    payloads = [one.payload or 0.0 for one in some]
-    failed = any(one.error is not None for one in some)
-    alone = some[0].weight if len(some) == 1 else f"{median(payloads):.2f}"
-    weight = "failed" if failed else alone if applicable else "n/a"
+def _row(leaderboard: Leaderboard, policy: str, column: Column, indices: Mapping[str, int]) -> dict[str, Any]:
+    entry = leaderboard.entries[policy, column]
+    fraction = leaderboard.fraction(policy, column)
+    applicable = all(score.result.get("applicable", True) for score in entry)
+    payloads = [score.payload or 0.0 for score in entry]
+    failed = any(score.error is not None for score in entry)
+    value = entry[0].payload_text if len(entry) == 1 else f"{median(payloads):.2f}"
+    payload_text = "error" if failed else value if applicable else "n/a"
     return {
-        "key": canonical([board.env_id, board.motion, policy, heading(column)]),
-        "id": board.env_id,
+        "key": canonical([leaderboard.env_id, leaderboard.motion, policy, heading(column)]),
+        "id": leaderboard.env_id,
         "policy": policy,
-        "motion": motion_title(board).removesuffix(": median and worst share"),
+        "motion": motion_title(leaderboard).removesuffix(": median and worst fraction"),
         "condition": heading(column).removesuffix(" [kg]"),
-        "weight": weight,
+        "payload_text": payload_text,
         "payload": None if failed or not applicable else median(payloads),
-        "share": None if share is None else share.median,
-        "interval": _interval(some),
-        "raised": any(one.raised for one in some),
-        "note": _note(some, applicable, failed),
-        "limit": _gives_way(some),
-        "cells": [places[one.cell.key] for one in some],
+        "fraction": None if fraction is None else fraction.median,
+        "interval": _interval(entry),
+        "raised": any(score.raised for score in entry),
+        "note": _note(entry, applicable, failed),
+        "violation": _violation_text(entry),
+        "cells": [indices[score.cell.key] for score in entry],
     }
 
 
-def _belongs(cell: BestCell, board: Board) -> bool:
-    return (cell.env_id, str(cell.trajectory["name"])) == (board.env_id, board.motion)
+def _belongs(cell: BestKnownCell, leaderboard: Leaderboard) -> bool:
+    return (cell.env_id, str(cell.trajectory["name"])) == (leaderboard.env_id, leaderboard.motion)
 
 
-def _best_row(board: Board, some: Sequence[Best], places: Sequence[int]) -> dict[str, Any]:
-    payloads = [best.result["payload"] for best in some if best.result.get("verified")]
-    payload = median(payloads) if len(payloads) == len(some) else None
+def _best_row(leaderboard: Leaderboard, group: Sequence[BestKnown], indices: Sequence[int]) -> dict[str, Any]:
+    payloads = [best.result["payload"] for best in group if best.result.get("verified")]
+    payload = median(payloads) if len(payloads) == len(group) else None
     return {
-        "key": canonical([board.env_id, board.motion, BEST_FOUND]),
-        "id": board.env_id,
-        "policy": BEST_FOUND,
-        "motion": motion_title(board).removesuffix(": median and worst share"),
-        "condition": heading(board.columns[0]).removesuffix(" [kg]"),
-        "weight": "none" if payload is None else f"{payload:.2f}",
+        "key": canonical([leaderboard.env_id, leaderboard.motion, BEST_KNOWN]),
+        "id": leaderboard.env_id,
+        "policy": BEST_KNOWN,
+        "motion": motion_title(leaderboard).removesuffix(": median and worst fraction"),
+        "condition": heading(leaderboard.columns[0]).removesuffix(" [kg]"),
+        "payload_text": "none" if payload is None else f"{payload:.2f}",
         "payload": payload,
-        "share": None if payload is None else median(best.result["payload"] / (best.payload or 1.0) for best in some),
+        "fraction": None
+        if payload is None
+        else median(best.result["payload"] / (best.payload or 1.0) for best in group),
         "interval": None,
         "raised": False,
         "note": "",
-        "limit": "",
-        "cells": [*places],
+        "violation": "",
+        "cells": [*indices],
     }
 
 
-def _note(some: Sequence[Standing], applicable: bool, failed: bool) -> str:
-    """Why there is no share; nothing where there is one, or another column says so."""
+def _note(entry: Sequence[Score], applicable: bool, failed: bool) -> str:
+    """Reason for a missing fraction; empty if there is a fraction or if another column states the reason."""
     if not applicable:
-        return "does not declare unclipped"
-    searched = all(one.best is not None for one in some) or some[0].cell.criterion != "task"
-    return "" if failed or searched else "no best found"
+        return "does not declare unsaturated_actions"
+    searched = all(score.best_known is not None for score in entry) or entry[0].cell.criterion != "task"
+    return "" if failed or searched else "no best known payload"
 
 
-def _interval(some: Sequence[Standing]) -> list[float] | None:
-    """Shares from the worst to the best motion, or from the assured payload to the payload."""
-    if len(some) > 1:
-        scores = [one.score for one in some if one.score is not None]
-        return [min(scores), max(scores)] if len(scores) == len(some) else None
-    one = some[0]
-    if one.cell.draws == 1 or one.score is None or not one.best:
+def _interval(entry: Sequence[Score]) -> list[float] | None:
+    """Fractions of the worst and best motion; with draws, those of the assured payload and the DLCC.
+
+    The assured payload is a 95/95 lower tolerance bound.
+    """
+    if len(entry) > 1:
+        values = [score.score for score in entry if score.score is not None]
+        return [min(values), max(values)] if len(values) == len(entry) else None
+    score = entry[0]
+    if score.cell.draws == 1 or score.score is None or not score.best_known:
         return None
-    return [(one.result.get("assured_payload") or 0.0) / one.best, one.score]
+    return [(score.result.get("assured_payload") or 0.0) / score.best_known, score.score]
 
 
-def _gives_way(some: Sequence[Standing]) -> str:
-    """What is first beyond the payload, of one motion; the kinds of several."""
-    limits = [Limit(**one.result["limit"]) for one in some if one.result.get("limit")]
-    if len(some) == 1:
-        return str(limits[0]) if limits else (some[0].error or "")
-    kinds = [limit.kind for limit in limits]
+def _violation_text(entry: Sequence[Score]) -> str:
+    """Limiting violation for one motion; the kinds of violation and their counts for several motions."""
+    violations = [Violation(**score.result["violation"]) for score in entry if score.result.get("violation")]
+    if len(entry) == 1:
+        return str(violations[0]) if violations else (entry[0].error or "")
+    kinds = [violation.kind for violation in violations]
     return ", ".join(f"{kind} {kinds.count(kind)} ×" for kind in dict.fromkeys(kinds))
 
 
 def _cell(
-    one: Standing,
+    score: Score,
     record: Record,
     replays: Mapping[str, Sequence[Replay] | str],
-    robots: _Numbered,
-    motions: _Numbered,
+    robots: _Unique,
+    motions: _Unique,
 ) -> dict[str, Any]:
-    cell = one.cell
-    none = NO_EPISODE if one.result.get("applicable", True) else NOT_APPLICABLE
-    return _episodes(cell, replays.get(cell.key, ""), robots, motions, none) | {
+    cell = score.cell
+    reason = NO_EPISODE if score.result.get("applicable", True) else NOT_APPLICABLE
+    return _episodes(cell, replays.get(cell.key, ""), robots, motions, reason) | {
         "title": task_title(cell),
-        "carries": "not carried" if one.payload is None else "what it carries",
-        "code": _code("cablebot_gym.evaluation", "evaluate_dlcc", [cell.policy, cell.env_id], cell.question()),
-        "facts": _facts(one, record),
+        "payload_label": "unloaded" if score.payload is None else "DLCC",
+        "code": _code("cablebot_gym.evaluation", "evaluate_dlcc", [cell.policy, cell.env_id], cell.options()),
+        "facts": _facts(score, record),
     }
 
 
 def _best_cell(
-    best: Best,
+    best: BestKnown,
     record: Record,
     replays: Mapping[str, Sequence[Replay] | str],
-    robots: _Numbered,
-    motions: _Numbered,
+    robots: _Unique,
+    motions: _Unique,
 ) -> dict[str, Any]:
     return _episodes(best.cell, replays.get(best.cell.key, ""), robots, motions) | {
         "title": task_title(best.cell),
-        "carries": "the best found",
-        "code": _code("cablebot_gym.bounds.best_known", "best_found", [best.cell.env_id], best.cell.question()),
-        "facts": [["Best found", best_text(best)], _made_by(record)],
+        "payload_label": BEST_KNOWN,
+        "code": _code("cablebot_gym.bounds.best_known", "find_best_known", [best.cell.env_id], best.cell.options()),
+        "facts": [["Best known payload", best_known_text(best)], _made_by(record)],
     }
 
 
 def _episodes(
-    cell: Cell, seen: Sequence[Replay] | str, robots: _Numbered, motions: _Numbered, none: str = NO_EPISODE
+    cell: Cell, replays: Sequence[Replay] | str, robots: _Unique, motions: _Unique, reason: str = NO_EPISODE
 ) -> dict[str, Any]:
-    if isinstance(seen, str):
-        return {"replays": None, "why": seen or none}
+    if isinstance(replays, str):
+        return {"replays": None, "reason": replays or reason}
     return {
-        "replays": [replay.to_dict() for replay in seen],
+        "replays": [replay.to_dict() for replay in replays],
         "robot": robots.add(_robot(cell)),
         "motion": motions.add(_motion(cell)),
     }
 
 
-def _code(module: str, function: str, asked: Sequence[str], question: Mapping[str, Any]) -> str:
-    """What computes a cell."""
-    lines = [repr(value) for value in asked]
-    lines += [f"{name}={value!r}" for name, value in question.items() if value is not None]
+def _code(module: str, function: str, arguments: Sequence[str], options: Mapping[str, Any]) -> str:
+    """Python code that computes a cell."""
+    lines = [repr(value) for value in arguments]
+    lines += [f"{name}={value!r}" for name, value in options.items() if value is not None]
     inner = "".join(f"    {line},\n" for line in lines)
     return f"import cablebot_gym\nfrom {module} import {function}\n\nprint({function}(\n{inner}))"
 
 
-def _facts(one: Standing, record: Record) -> list[list[str]]:
-    result, cell = one.result, one.cell
+def _facts(score: Score, record: Record) -> list[list[str]]:
+    result, cell = score.result, score.cell
     facts = [_made_by(record)]
-    if one.error is not None:
-        return [["Failed", one.error], *facts]
+    if score.error is not None:
+        return [["Error", score.error], *facts]
     if not result.get("applicable", True):
         return [["Not applicable", NOT_APPLICABLE], *facts]
-    if cell.told_share != 1.0:
-        text = f"{cell.told_share:g} times the true payload; payloads here are the true ones"
-        facts.insert(0, ["What is told", text])
-    if one.best is not None:
-        facts.insert(0, ["Best found", f"{one.best:.3f} kg"])
+    if cell.model_payload_factor != 1.0:
+        text = f"{cell.model_payload_factor:g} times the true payload; all payloads on this page are true payloads"
+        facts.insert(0, ["Payload model", text])
+    if score.best_known is not None:
+        facts.insert(0, ["Best known payload", f"{score.best_known:.3f} kg"])
     if result.get("failures"):
-        facts.insert(0, ["Draws that fail beyond", ", ".join(f"{k}: {n}" for k, n in result["failures"].items())])
+        facts.insert(
+            0,
+            [
+                "Violations of the draws at a larger payload",
+                ", ".join(f"{k}: {n}" for k, n in result["failures"].items()),
+            ],
+        )
     if cell.draws > 1:
         assured = result.get("assured_payload")
         text = "none" if assured is None else f"{assured:.3f} kg"
-        facts.insert(0, ["Draws", f"{cell.draws}, {cell.probability:.0%} have to carry it; assured: {text}"])
-    if result.get("limit"):
-        facts.insert(0, ["First beyond it", str(Limit(**result["limit"]))])
+        facts.insert(
+            0,
+            ["Draws", f"{cell.draws}; success rate {cell.probability:.0%}; 95/95 lower tolerance bound: {text}"],
+        )
+    if result.get("violation"):
+        facts.insert(0, ["Limiting violation", str(Violation(**result["violation"]))])
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
-    facts.insert(0, ["Carried", ", ".join(intervals) or "no payload that was tried, not even zero"])
+    facts.insert(0, ["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"])
     return facts
 
 
 def _made_by(record: Record) -> list[str]:
-    return ["Source", f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items())]
+    return ["Provenance", f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items())]
 
 
 def _robot(cell: Cell) -> dict[str, Any]:
@@ -325,57 +339,61 @@ def _motion(cell: Cell) -> dict[str, Any]:
     path = trajectory(np.minimum(times, trajectory.duration)).position[:, : robot.base.shape[1]]
     return {
         "path": np.round(path, 6).tolist(),
-        "bound": cell.limits["position"],
-        "rotation": cell.limits["rotation"],
+        "bound": cell.error_bounds["position"],
+        "rotation": cell.error_bounds["rotation"],
     }
 
 
-def _map(found: PayloadMap) -> dict[str, Any]:
-    def payload(one: Standing | None) -> float | None:
-        return None if one is None or one.error is not None else one.payload or 0.0
+def _map(payload_map: PayloadMap) -> dict[str, Any]:
+    def payload(score: Score | None) -> float | None:
+        return None if score is None or score.error is not None else score.payload or 0.0
 
     return {
-        "id": found.env_id,
-        "label": found.axis.label,
-        "x": [round(value * found.axis.scale, 9) for value in found.values],
-        "bests": list(found.bests),
+        "id": payload_map.env_id,
+        "label": payload_map.axis.label,
+        "x": [round(value * payload_map.axis.scale, 9) for value in payload_map.values],
+        "best_known": list(payload_map.best_known),
         "policies": [
-            {"name": policy, "values": [payload(one) for one in some]} for policy, some in found.policies.items()
+            {"name": policy, "values": [payload(score) for score in entry]}
+            for policy, entry in payload_map.policies.items()
         ],
     }
 
 
-def _made(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str, Any]]:
-    bests = [best_text(best) for best in find_bests(records).values()]
-    parts = [
+def _notes(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str, Any]]:
+    references = [best_known_text(best) for best in best_known_payloads(records).values()]
+    sections = [
         {
-            "title": "A payload",
+            "title": "Definitions",
             "lines": [
-                "is the upper end of the payloads that are carried, from zero on: scanned, then refined.",
-                "Carried, by the task criterion: motors clip; the position error within R, the rotation error within "
-                "its bound and no slack cable at every physics step.",
-                "Shares are of the best found for the same robot, motion and limits; it is verified by replay.",
-                "Episodes are those at the payload, or at zero if none is carried, and at a little more; of cells "
-                "with draws, the first draw; of the best found, its own inputs without feedback.",
-                "Each row's number is computed by the lines under 'How this number was made'.",
+                "The dynamic load-carrying capacity (DLCC) is the upper end of the interval of feasible payloads that "
+                "starts at zero. A scan finds the interval, and a bisection refines its end.",
+                "The task criterion requires, at every physics step, a position error within R, a rotation error "
+                "within its bound and no slack cable. Motor torques are clipped.",
+                "Fractions refer to the best known payload for the same robot, motion and error bounds. It is "
+                "verified by replay.",
+                "The page shows the episode at the DLCC, or the unloaded episode if the policy fails unloaded, and an "
+                "episode at a slightly larger payload. For cells with draws, they are those of the first draw. For a "
+                "best known payload, the page shows the open-loop replay of its actions.",
+                "The code under 'How this number is computed' reproduces the number of each row.",
             ],
         },
-        {"title": "These results", "lines": [f"suite {one.suite}: {one.command}" for one in sources]},
-        {"title": "Best found", "lines": bests or ["none in these results"]},
+        {"title": "Commands", "lines": [f"suite {source.suite}: {source.command}" for source in sources]},
+        {"title": "Best known payloads", "lines": references or ["none in these results"]},
     ]
     notes = [*failures(records), *fallbacks(records)]
-    return parts + ([{"title": "Notes", "lines": notes}] if notes else [])
+    return sections + ([{"title": "Notes", "lines": notes}] if notes else [])
 
 
-def replayed(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
-    """By key, the cells that have an episode, and the true payload that each carries [kg]."""
+def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
+    """The cells whose episodes the page shows, with their DLCC [kg], by key."""
     return {
         record.cell.key: (record.cell, record.result.get("payload"))
         for record in records
-        if record.error is None and record.result.get("applicable", True) and not _only_of_maps(record.cell)
+        if record.error is None and record.result.get("applicable", True) and not _only_in_map(record.cell)
     }
 
 
-def _only_of_maps(cell: Cell) -> bool:
-    """A best found of a map has no row, and so no place for an episode."""
-    return isinstance(cell, BestCell) and bool(unusual(cell))
+def _only_in_map(cell: Cell) -> bool:
+    """Whether a cell is the best known payload of a map, which has no row and therefore no episode."""
+    return isinstance(cell, BestKnownCell) and bool(varied_axes(cell))

@@ -1,4 +1,4 @@
-"""Records the episodes of many cells, and keeps each as it comes."""
+"""Records the episodes of many cells and stores each as soon as it is finished."""
 
 from __future__ import annotations
 
@@ -9,66 +9,66 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestCell, Cell, canonical
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, canonical
 from cablebot_gym.report.replay import Replay, best_replays, replays
 from cablebot_gym.utils import workers as processes
-from cablebot_gym.utils.files import write_text_whole
+from cablebot_gym.utils.files import atomic_write_text
 
 FOLDER = "episodes"
-"""Name of the folder beside the results."""
+"""Name of the folder of the episodes, next to the results."""
 
-Asked = tuple[Cell, float | None]
-"""A cell, and the true payload that it carries [kg]."""
+ReplayQuery = tuple[Cell, float | None]
+"""A cell and its DLCC [kg]; None if the policy fails unloaded."""
 
-Seen = list[Replay] | str
-"""The episodes of a cell, or a sentence that says why there are none."""
+ReplayResult = list[Replay] | str
+"""The episodes of a cell, or an error message."""
 
 
 def record_all(
-    asked: Mapping[str, Asked], folder: Path, *, workers: int, say: Callable[[str], None]
-) -> Iterator[tuple[str, Seen]]:
-    """Episodes by key as they come, those first that the folder has.
+    queries: Mapping[str, ReplayQuery], folder: Path, *, workers: int, say: Callable[[str], None]
+) -> Iterator[tuple[str, ReplayResult]]:
+    """Yields each key with its episodes: stored ones first, then the others as they are recorded.
 
     Args:
-        asked: cells and payloads by the cell's key.
-        folder: keeps what is recorded, one file each; a broken file, or one of other code, is recorded anew.
-        workers: processes at the same time.
-        say: gets what a user should know meanwhile, one sentence.
+        queries: cells and payloads by key of the cell.
+        folder: folder of the stored episodes, one file per cell. Broken files and files of different code are replaced.
+        workers: number of parallel processes.
+        say: called with one-sentence messages for the user.
     """
-    open_: dict[str, partial[Seen]] = {}
-    for key, (cell, payload) in asked.items():
-        found = _read(_path(folder, cell, payload))
-        if found is None:
-            open_[key] = partial(_record, cell, payload)
+    pending: dict[str, partial[ReplayResult]] = {}
+    for key, (cell, payload) in queries.items():
+        stored = _read(_path(folder, cell, payload))
+        if stored is None:
+            pending[key] = partial(_record, cell, payload)
         else:
-            yield key, found
+            yield key, stored
     returned = (processes.WorkerDied,)
-    for key, seen in processes.run(open_, workers=workers, kind=_kind, say=say, returned=returned):
-        if isinstance(seen, processes.WorkerDied):
-            yield key, str(seen)
+    for key, result in processes.run(pending, workers=workers, kind=_kind, say=say, returned=returned):
+        if isinstance(result, processes.WorkerDied):
+            yield key, str(result)
             continue
-        if not isinstance(seen, str):
-            cell, payload = asked[key]
-            _write(_path(folder, cell, payload), seen)
-        yield key, seen
+        if not isinstance(result, str):
+            cell, payload = queries[key]
+            _write(_path(folder, cell, payload), result)
+        yield key, result
 
 
-def _record(cell: Cell, payload: float | None) -> Seen:
-    """Whatever goes wrong is the cell's: it does not end the report."""
+def _record(cell: Cell, payload: float | None) -> ReplayResult:
+    """The episodes of a cell. An exception becomes an error message; it does not stop the report."""
     try:
-        return best_replays(cell) if isinstance(cell, BestCell) else replays(cell, payload)
+        return best_replays(cell) if isinstance(cell, BestKnownCell) else replays(cell, payload)
     except Exception as error:
         return f"No episode: {' '.join(str(error).split())}"
 
 
-def _kind(task: partial[Seen]) -> str:
+def _kind(task: partial[ReplayResult]) -> str:
     cell: Cell = task.args[0]
     return cell.env_id
 
 
 def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
-    asked = hashlib.sha256(canonical([cell.to_dict(), payload, cell.source]).encode()).hexdigest()[:16]
-    return folder / f"{cell.stem}-{asked}.json"
+    digest = hashlib.sha256(canonical([cell.to_dict(), payload, cell.source]).encode()).hexdigest()[:16]
+    return folder / f"{cell.stem}-{digest}.json"
 
 
 def _read(path: Path) -> list[Replay] | None:
@@ -82,6 +82,6 @@ def _replay(data: Mapping[str, Any]) -> Replay:
     return Replay(**{**data, "low": tuple(data["low"]), "high": tuple(data["high"])})
 
 
-def _write(path: Path, seen: list[Replay]) -> None:
-    text = json.dumps([replay.to_dict() for replay in seen], allow_nan=False)
-    write_text_whole(path, text)
+def _write(path: Path, episodes: list[Replay]) -> None:
+    text = json.dumps([replay.to_dict() for replay in episodes], allow_nan=False)
+    atomic_write_text(path, text)

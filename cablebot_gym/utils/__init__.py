@@ -1,1 +1,1 @@
-"""Files, consoles, code hashes, suggestions and worker processes."""
+"""Utilities: files, console output, code hashes, suggestions, colours and worker processes."""

@@ -1,4 +1,4 @@
-"""Which code made a result: a hash of the modules that it depends on, comments and docstrings aside."""
+"""Hash of the code that produced a result: the modules that it depends on, without comments and docstrings."""
 
 from __future__ import annotations
 
@@ -10,55 +10,54 @@ from functools import cache
 from pathlib import Path
 
 _NAMED = re.compile(r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
-"""``package.module:attribute``, by which Gymnasium and entry points name what they load."""
+"""Matches ``package.module:attribute``, the notation of Gymnasium and of entry points."""
 
 
 @cache
 def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
-    """Of modules, of what they import from their own packages and from this one, and of data files.
+    """Hash of modules, of their imports from their own packages and from ``cablebot_gym``, and of data files.
 
-    A module of no package imports from its own folder, unless it is installed among many others.
-
-    A result is of the same code if these hashes agree. Neither comments nor docstrings nor other modules change them.
+    For a module outside a package, imports from its folder count too, unless the folder is ``site-packages``. Two
+    results come from the same code if their hashes are equal. Comments, docstrings and other modules have no effect.
 
     Args:
-        modules: names such as ``cablebot_gym.evaluation.evaluator``.
-        data: files whose content matters, such as weights.
+        modules: module names, such as ``cablebot_gym.evaluation.evaluator``.
+        data: data files that affect the result, such as weights.
     """
     packages = frozenset({"cablebot_gym", *(name.partition(".")[0] for name in modules)})
     folders = frozenset(path.parent for name in modules if (path := module_file(name)) is not None and "." not in name)
     files: dict[str, Path] = {}
-    open_ = list(modules)
-    while open_:
-        name = open_.pop()
+    pending = list(modules)
+    while pending:
+        name = pending.pop()
         path = module_file(name)
         if name in files or path is None:
             continue
-        if name.partition(".")[0] not in packages and not _beside(name, folders):
+        if name.partition(".")[0] not in packages and not _in_folders(name, folders):
             continue
         files[name] = path
         parent = name.rpartition(".")[0]
-        open_ += [*_meaning(path, name)[1], *([parent] if parent else [])]
+        pending += [*_parsed(path, name)[1], *([parent] if parent else [])]
     digest = hashlib.sha256()
     for name in sorted(files):
-        digest.update(f"{name}\n{_meaning(files[name], name)[0]}\n".encode())
+        digest.update(f"{name}\n{_parsed(files[name], name)[0]}\n".encode())
     for path in sorted(data):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def _beside(module: str, folders: frozenset[Path]) -> bool:
-    """Whether a module, or the package that it is of, lies in one of these folders."""
+def _in_folders(module: str, folders: frozenset[Path]) -> bool:
+    """Whether a module or its top-level package is in one of these folders."""
     path = module_file(module.partition(".")[0])
     if path is None:
         return False
-    there = path.parent.parent if path.name == "__init__.py" else path.parent
-    return there in folders and there.name not in ("site-packages", "dist-packages")
+    folder = path.parent.parent if path.name == "__init__.py" else path.parent
+    return folder in folders and folder.name not in ("site-packages", "dist-packages")
 
 
 @cache
 def module_file(module: str) -> Path | None:
-    """Where a module is written, without importing it; None if it has no source."""
+    """Source file of a module, found without importing it; None if it has no source."""
     top, *rest = module.split(".")
     try:
         spec = importlib.util.find_spec(top)
@@ -77,8 +76,8 @@ def module_file(module: str) -> Path | None:
 
 
 @cache
-def _meaning(path: Path, module: str) -> tuple[str, frozenset[str]]:
-    """What a module says without comments and docstrings, and the names that it may import."""
+def _parsed(path: Path, module: str) -> tuple[str, frozenset[str]]:
+    """Syntax tree of a module without comments and docstrings, and the names of modules that it may import."""
     tree = ast.parse(path.read_bytes())
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     names: set[str] = set()
@@ -91,12 +90,12 @@ def _meaning(path: Path, module: str) -> tuple[str, frozenset[str]]:
             names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _NAMED.match(node.value):
             names.add(node.value.partition(":")[0])
-    return ast.dump(_Bare().visit(tree)), frozenset(names)
+    return ast.dump(_DocstringRemover().visit(tree)), frozenset(names)
 
 
-class _Bare(ast.NodeTransformer):
-    """Takes out the strings that stand alone: docstrings, of attributes too."""
+class _DocstringRemover(ast.NodeTransformer):
+    """Removes string expression statements: docstrings, including those of attributes."""
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
-        """Nothing in place of a string."""
+        """Drops the statement if it is a string."""
         return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node

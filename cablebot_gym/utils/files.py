@@ -1,4 +1,4 @@
-"""Result files: a folder is tried before the work, and a file appears whole or not at all."""
+"""Result files: checks before the work starts, and atomic writes."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def usable_folder(folder: Path) -> None:
-    """Finds out whether files can be written to a folder, or the folder be made; leaves nothing behind.
+def check_writable_dir(folder: Path) -> None:
+    """Checks that files can be written to a folder, or that the folder can be created. Nothing is left behind.
 
     Raises:
-        ValueError: if not.
+        ValueError: if files cannot be written.
     """
-    there = folder.absolute()
-    while not there.exists() and there != there.parent:
-        there = there.parent
+    existing = folder.absolute()
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
     try:
-        with tempfile.TemporaryFile(dir=there):
+        with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
         raise ValueError(
-            f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another"
+            f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another folder"
         ) from error
 
 
-def usable_file(path: Path) -> None:
-    """Finds out whether a file can be written; leaves nothing behind.
+def check_writable_file(path: Path) -> None:
+    """Checks that a file can be written. Nothing is left behind.
 
     Raises:
-        ValueError: if its folder cannot be written to, or it is a folder itself.
+        ValueError: if the folder is not writable, or ``path`` is a folder.
     """
-    usable_folder(path.parent)
+    check_writable_dir(path.parent)
     if path.is_dir():
         raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another name")
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Lets ``write`` fill a temporary file beside ``path`` and moves it there when it is complete.
+def atomic_write(path: Path, write: Callable[[Path], None]) -> None:
+    """Calls ``write`` with a temporary file beside ``path`` and then moves the file to ``path``.
 
-    The folder is made if need be. An interrupt or an error leaves what was at ``path`` before. The temporary name keeps
-    the suffix, by which some writers choose their format.
+    A missing folder is created. After an interrupt or an error the previous file at ``path`` is unchanged. The
+    temporary file has the same suffix because some writers choose the format by suffix.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
@@ -49,20 +49,20 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
-        os.chmod(temporary, 0o666 & ~_umask())  # as an ordinary new file; temporary ones are private
+        os.chmod(temporary, 0o666 & ~_umask())  # the mode of an ordinary new file; temporary files are private
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
 
 
-def write_text_whole(path: Path, text: str) -> None:
-    """Writes ``text`` to ``path`` as :func:`write_whole` does, in UTF-8."""
+def atomic_write_text(path: Path, text: str) -> None:
+    """Writes ``text`` to ``path`` in UTF-8, see :func:`atomic_write`."""
 
     def write(temporary: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
-    write_whole(path, write)
+    atomic_write(path, write)
 
 
 def _umask() -> int:

@@ -1,4 +1,4 @@
-"""Colours that figures and pictures share: those of Okabe and Ito, which colour-blind eyes tell apart, and greys."""
+"""Colours of figures and pictures: greys and the palette of Okabe and Ito, which is safe for colour-blind readers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Many computations in processes of their own: each runs once, what they log is said once, and none is left behind."""
+"""Computations in worker processes.
+
+Each computation runs once, repeated log messages appear once, and no process outlives its iterator.
+"""
 
 from __future__ import annotations
 
@@ -16,26 +19,26 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
 Task = TypeVar("Task", bound=Callable[[], Any])
-"""A computation. For workers, a function of a module, or a :func:`functools.partial` of one, that can be pickled."""
+"""A computation. For workers it must be picklable: a module-level function or a ``functools.partial`` of one."""
 
 ATTEMPTS = 2
-"""How often a computation may take its worker with it before it counts as failed."""
+"""Number of times that a computation is started if its process dies."""
 
 
 class WorkerDied(RuntimeError):
-    """The process of a computation ended without a result, as when it crashes or the memory is not enough."""
+    """The process of a computation ended without a result, for example after a crash or for lack of memory."""
 
 
 def cores() -> int:
-    """How many of this machine's cores this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_workers(workers: int | None) -> int:
-    """``workers``, a number of processes that was asked for; None stands for one per core.
+    """The number of worker processes; one per core for None.
 
     Raises:
-        ValueError: if it is not positive.
+        ValueError: if ``workers`` is less than 1.
     """
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, not {workers}")
@@ -50,16 +53,18 @@ def run(
     say: Callable[[str], None],
     returned: tuple[type[Exception], ...] = (),
 ) -> Iterator[tuple[str, Any]]:
-    """Results by key, as they come. Closing the iterator, or an interrupt, ends the processes.
+    """Yields keys and results in the order of completion. Closing the iterator or an interrupt ends the processes.
 
-    A computation whose process dies is tried again in a fresh one, :data:`ATTEMPTS` times in all.
+    A computation whose process dies is repeated in a new process, at most :data:`ATTEMPTS` times in total.
 
     Args:
-        tasks: by key; one after the other in this process if ``workers`` is 1.
-        workers: processes at the same time.
-        kind: computations of one kind need the same compiled code, see :func:`leaders_first`.
-        say: gets what workers log to ``cablebot_gym``, each message once.
-        returned: exceptions that come in place of a result, :class:`WorkerDied` perhaps; others end the whole.
+        tasks: computations by key. With ``workers`` = 1 they run one after the other in this process.
+        workers: number of processes.
+        kind: returns the kind of a computation; computations of one kind need the same compiled code, see
+            :func:`leaders_first`.
+        say: called with each message that workers log to ``cablebot_gym``; repeated messages are dropped.
+        returned: exception types that are yielded in place of a result, such as :class:`WorkerDied`. Other exceptions
+            are raised.
     """
     if workers == 1 or not tasks:
         for key, task in tasks.items():
@@ -69,16 +74,16 @@ def run(
                 result = error
             yield key, result
         return
-    for key, failure, result in _Crew(min(workers, len(tasks)), say).results(tasks, leaders_first(tasks, kind)):
+    for key, failure, result in _Pool(min(workers, len(tasks)), say).results(tasks, leaders_first(tasks, kind)):
         if failure is not None and not isinstance(failure, returned):
             raise failure
         yield key, result if failure is None else failure
 
 
 def leaders_first(tasks: Mapping[str, Task], kind: Callable[[Task], Hashable]) -> list[str]:
-    """The keys, one computation of each kind first.
+    """The keys of the tasks, with one computation of each kind first.
 
-    A kernel is compiled once per machine; two workers that need the same one at the same time would both compile it.
+    Two workers that need the same kernel at the same time would both compile it.
     """
     leaders: dict[Hashable, str] = {}
     for key, task in tasks.items():
@@ -87,19 +92,19 @@ def leaders_first(tasks: Mapping[str, Task], kind: Callable[[Task], Hashable]) -
 
 
 class _Worker:
-    """A process and what it is at."""
+    """A process and its current computation."""
 
     def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")  # threads of BLAS do not survive a fork
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        context = multiprocessing.get_context("spawn")  # BLAS threads do not survive a fork
+        self.pipe, remote = context.Pipe()
+        self.process = context.Process(target=_serve, args=(remote,), daemon=True)
         self.process.start()
-        theirs.close()  # so that the end of the process is the end of the pipe
+        remote.close()  # the pipe then closes when the process ends
         self.key: str | None = None
 
-    def give(self, key: str, task: Callable[[], Any]) -> None:
+    def submit(self, key: str, task: Callable[[], Any]) -> None:
         self.key = key
-        with suppress(OSError):  # it is dead, which receiving will show
+        with suppress(OSError):  # the process is dead; receiving reports it
             self.pipe.send(task)
 
     def end(self) -> None:
@@ -108,73 +113,73 @@ class _Worker:
         self.pipe.close()
 
 
-class _Crew:
+class _Pool:
     def __init__(self, size: int, say: Callable[[str], None]) -> None:
         self._size, self._say = size, say
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._workers: list[_Worker] = []
 
     def results(self, tasks: Mapping[str, Task], order: list[str]) -> Iterator[tuple[str, Exception | None, Any]]:
-        """Key, error and result of each as they come."""
+        """Key, error and result of each computation in the order of completion."""
         queue, deaths = deque(order), Counter[str]()
 
-        def occupy(worker: _Worker) -> None:
+        def submit_next(worker: _Worker) -> None:
             worker.key = None
             if queue:
                 key = queue.popleft()
-                worker.give(key, tasks[key])
+                worker.submit(key, tasks[key])
 
         try:
             for _ in range(self._size):
-                with _interrupts_held():
+                with _interrupts_deferred():
                     self._workers.append(_Worker())
-                occupy(self._workers[-1])
+                submit_next(self._workers[-1])
             while busy := {worker.pipe: worker for worker in self._workers if worker.key is not None}:
                 for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
-                    key, ended = worker.key or "", self._heard(worker)
-                    if isinstance(ended, WorkerDied):
+                    key, outcome = worker.key or "", self._receive(worker)
+                    if isinstance(outcome, WorkerDied):
                         deaths[key] += 1
-                        worker = self._replaced(worker)
+                        worker = self._replace(worker)
                         if deaths[key] < ATTEMPTS:
-                            worker.give(key, tasks[key])
+                            worker.submit(key, tasks[key])
                             continue
-                        ended = (ended, None)
-                    if ended is not None:
-                        occupy(worker)  # first: whoever takes the result may take their time
-                        yield key, *ended
+                        outcome = (outcome, None)
+                    if outcome is not None:
+                        submit_next(worker)  # before the yield: the caller may be slow
+                        yield key, *outcome
         finally:
             for worker in self._workers:
                 worker.end()
 
-    def _heard(self, worker: _Worker) -> tuple[Exception | None, Any] | WorkerDied | None:
-        """Error and result, the death of the process, or None if it only had something to say."""
+    def _receive(self, worker: _Worker) -> tuple[Exception | None, Any] | WorkerDied | None:
+        """Error and result, a :class:`WorkerDied` if the process died, or None after a log message."""
         try:
-            what, content = worker.pipe.recv()
+            kind, content = worker.pipe.recv()
         except (EOFError, OSError):
-            worker.process.join(1.0)  # the pipe ends a moment before the process does
+            worker.process.join(1.0)  # the pipe closes shortly before the process ends
             worker.end()
             return WorkerDied(f"its process died {ATTEMPTS} times, with exit status {worker.process.exitcode}")
-        if what == "say":
-            if content not in self._said:
-                self._said.add(content)
+        if kind == "log":
+            if content not in self._reported:
+                self._reported.add(content)
                 self._say(content)
             return None
-        return (content, None) if what == "error" else (None, content)
+        return (content, None) if kind == "error" else (None, content)
 
-    def _replaced(self, dead: _Worker) -> _Worker:
-        with _interrupts_held():
-            fresh = self._workers[self._workers.index(dead)] = _Worker()
-        return fresh
+    def _replace(self, dead: _Worker) -> _Worker:
+        with _interrupts_deferred():
+            new = self._workers[self._workers.index(dead)] = _Worker()
+        return new
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Interrupts wait until the end, whichever thread they reach; a process started meanwhile never gets any."""
-    came: list[int] = []
+def _interrupts_deferred() -> Iterator[None]:
+    """Defers interrupts of all threads until the end. A process that is started meanwhile never receives any."""
+    received: list[int] = []
     handler = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
-    if handler is not None:  # it runs in this thread, even for what the mask let through to another
-        signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
-    masks = hasattr(signal, "pthread_sigmask")  # which processes inherit
+    if handler is not None:  # runs in this thread even if another thread receives the signal
+        signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
+    masks = hasattr(signal, "pthread_sigmask")  # child processes inherit the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
     try:
         yield
@@ -183,17 +188,17 @@ def _interrupts_held() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if handler is not None:
             signal.signal(signal.SIGINT, handler)
-        if came:
+        if received:
             signal.raise_signal(signal.SIGINT)
 
 
 def _serve(pipe: Connection) -> None:
-    """What a worker does: one computation after the other, until the pipe ends."""
+    """Main loop of a worker: runs one computation after the other until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logger = logging.getLogger("cablebot_gym")
     logger.addHandler(_PipeHandler(pipe))
     logger.propagate = False
-    with suppress(BrokenPipeError):  # nobody is there to listen any more
+    with suppress(BrokenPipeError):  # the parent process is gone
         while True:
             try:
                 data = pipe.recv_bytes()
@@ -207,22 +212,22 @@ def _serve(pipe: Connection) -> None:
 
 
 def _portable(error: Exception) -> Exception:
-    """The error, or its words if it cannot be sent; with the traceback, which cannot, as a note."""
+    """The error, or a RuntimeError with its message if it cannot be pickled. The traceback is attached as a note."""
     try:
-        sent = pickle.loads(pickle.dumps(error))
+        copy = pickle.loads(pickle.dumps(error))
     except Exception:
-        sent = None
-    portable = error if type(sent) is type(error) else RuntimeError(f"{type(error).__name__}: {error}")
+        copy = None
+    portable = error if type(copy) is type(error) else RuntimeError(f"{type(error).__name__}: {error}")
     portable.add_note("".join(traceback.format_exception(error)))
     return portable
 
 
 class _PipeHandler(logging.Handler):
-    """Passes on what a worker logs, from the thread that computes."""
+    """Sends the log messages of a worker to the parent process."""
 
     def __init__(self, pipe: Connection) -> None:
         super().__init__()
         self._pipe = pipe
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._pipe.send(("say", record.getMessage()))
+        self._pipe.send(("log", record.getMessage()))

@@ -1,4 +1,4 @@
-"""Episodes of policies, watched and filmed. Needs the extra ``render``."""
+"""Videos of episodes, in files and in a window. Requires the extra ``render``."""
 
 SPEED = 0.25
-"""Of films, as a share of the episode's own: a circle of one second takes four."""
+"""Default playback speed, as a fraction of real time: one second of an episode takes four seconds."""

@@ -1,4 +1,4 @@
-"""Episodes of policies as films: side by side, in a file or in a window."""
+"""Videos of episodes of policies, side by side, in a file or in a window."""
 
 from __future__ import annotations
 
@@ -18,184 +18,190 @@ from cablebot_gym.policies import name_of
 from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.rendering.painter import SIZE, Painter, as_array, import_pygame
 from cablebot_gym.rendering.window import Window
-from cablebot_gym.utils.files import usable_file, write_whole
+from cablebot_gym.utils.files import atomic_write, check_writable_file
 from cablebot_gym.video import SPEED
 
 RATE = 30
-"""Pictures a second."""
+"""Pictures per second of playback."""
 
 GIF_RATE = 25
-"""The same of a GIF, whose pictures last whole hundredths of a second."""
+"""Pictures per second of a GIF, whose frame durations are multiples of 0.01 s."""
 
-STILL = 1.0
-"""How long the end stays [s]."""
+END_TIME = 1.0
+"""Time for which the last picture is shown [s]."""
 
 SUFFIXES = (".mp4", ".gif")
-"""Formats of a film."""
+"""File name suffixes of the video formats."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Film:
-    """One episode, moment by moment."""
+class Video:
+    """A recorded episode, one moment per control step."""
 
     scene: Scene
-    """What stays the same."""
+    """Constant content of the pictures."""
     moments: tuple[Moment, ...]
-    """At the start and after every control step."""
+    """Moments at the start and after every control step."""
     verdict: Verdict
-    """Under the task criterion."""
+    """Verdict of the task criterion."""
 
     def at(self, time: float) -> int:
-        """Place of the last moment that is not later than a time [s]."""
+        """Index of the last moment that is not later than a time [s]."""
         times = [moment.time for moment in self.moments]
         return max(int(np.searchsorted(times, time + 1e-9, side="right")) - 1, 0)
 
-    def note(self, place: int) -> str:
-        """What is to be said at the moment of this place: what gave way, once it has, and the verdict at the end."""
-        limit, now = self.verdict.limit, self.moments[place].time
-        if limit is not None and (limit.time or 0.0) <= now + 1e-9:
-            return f"not carried: {limit}"
-        return "carried" if self.verdict.carried and place == len(self.moments) - 1 else ""
+    def note(self, index: int) -> str:
+        """Note below the title of the picture of moment ``index``.
+
+        From the time of the violation on, the note states it. The last picture of an episode without a violation has
+        the note "carried". Otherwise it is empty.
+        """
+        violation, time = self.verdict.violation, self.moments[index].time
+        if violation is not None and (violation.time or 0.0) <= time + 1e-9:
+            return f"not carried: {violation}"
+        return "carried" if self.verdict.carried and index == len(self.moments) - 1 else ""
 
     @property
     def trail(self) -> Array:
-        """Poses (k, n), one for each moment."""
+        """Poses of all moments, (k, n)."""
         return np.array([moment.pose for moment in self.moments])
 
 
-def film(policy: Any, env_id: str, *, title: str | None = None, **keywords: Any) -> Film:
-    """An episode of a policy.
+def record_video(policy: Any, env_id: str, *, title: str | None = None, **keywords: Any) -> Video:
+    """Records one episode of a policy.
 
     Args:
         policy: an object with ``predict``, a callable, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        title: words above the picture; the policy's name and the environment if not given.
-        keywords: for :func:`~cablebot_gym.evaluation.rollout.record_rollout`.
+        title: text above the picture; by default the name of the policy and the environment id.
+        keywords: keywords of :func:`~cablebot_gym.evaluation.rollout.record_rollout`.
 
     Raises:
-        ValueError: if an argument is not valid.
-        cablebot_gym.policies.PolicyError: if the policy raises or returns anything but finite drive commands.
+        ValueError: if an argument is invalid.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises an error or returns invalid actions.
     """
     scenes: list[Scene] = []
     moments: list[Moment] = []
 
-    def look(env: DLCCMonitor) -> None:
+    def record_moment(env: DLCCMonitor) -> None:
         if not scenes:
             scenes.append(env.get_wrapper_attr("scene"))
         moments.append(env.get_wrapper_attr("moment"))
 
-    recorded = record_rollout(policy, env_id, look=look, **keywords)
+    rollout = record_rollout(policy, env_id, on_step=record_moment, **keywords)
     title = f"{name_of(policy)} on {env_id}" if title is None else title
-    return Film(scene=replace(scenes[0], title=title), moments=tuple(moments), verdict=recorded.verdict)
+    return Video(scene=replace(scenes[0], title=title), moments=tuple(moments), verdict=rollout.verdict)
 
 
-class Projector:
-    """Paints films side by side, at the same instant of each.
+class VideoPainter:
+    """Paints videos side by side, at the same time of each episode.
 
     Args:
-        films: at least one.
-        size: of each picture [pixels].
+        videos: videos to paint, at least one.
+        size: width and height of each picture [pixels].
 
     Raises:
-        ImportError: without pygame.
-        ValueError: if the size is too small.
+        ImportError: if pygame is missing.
+        ValueError: if the size is too small or too large.
     """
 
-    def __init__(self, films: Sequence[Film], size: tuple[int, int] = SIZE) -> None:
-        self.films = films
-        self._painters = [Painter(one.scene, size) for one in films]
-        self._trails = [one.trail for one in films]
-        self.size = (size[0] * len(films), size[1])
-        """Of all together [pixels]."""
-        self.duration = max(one.moments[-1].time for one in films)
-        """Of the longest [s]."""
+    def __init__(self, videos: Sequence[Video], size: tuple[int, int] = SIZE) -> None:
+        self.videos = videos
+        self._painters = [Painter(video.scene, size) for video in videos]
+        self._trails = [video.trail for video in videos]
+        self.size = (size[0] * len(videos), size[1])
+        """Width and height of all pictures together [pixels]."""
+        self.duration = max(video.moments[-1].time for video in videos)
+        """Duration of the longest episode [s]."""
 
     def surfaces(self, time: float) -> Iterator[Any]:
-        """A picture of each film at a time [s]."""
-        for one, painter, trail in zip(self.films, self._painters, self._trails, strict=True):
-            place = one.at(time)
-            note = one.note(place)
-            yield painter.paint(one.moments[place], trail[: place + 1], note, good=note == "carried")
+        """The picture of each video at a time of the episode [s]."""
+        for video, painter, trail in zip(self.videos, self._painters, self._trails, strict=True):
+            index = video.at(time)
+            note = video.note(index)
+            yield painter.paint(video.moments[index], trail[: index + 1], note, good=note == "carried")
 
     def array(self, time: float) -> NDArray[np.uint8]:
-        """All pictures at a time [s] as one (height, width, 3)."""
+        """All pictures at a time [s] as one array (height, width, 3)."""
         return np.concatenate([as_array(surface) for surface in self.surfaces(time)], axis=1)
 
     def times(self, speed: float, rate: float) -> Array:
-        """Instants of the pictures of a whole film [s], whose end stays for a while.
+        """Episode times of all pictures of the video [s]; the last picture is shown for :data:`END_TIME`.
 
-        There are ``rate`` of them a second, at a speed that is a share of the episode's own.
+        Args:
+            speed: playback speed, as a fraction of real time.
+            rate: pictures per second of playback.
         """
         moving = np.arange(math.ceil(self.duration * rate / speed) + 1) * speed / rate
-        return np.concatenate([np.minimum(moving, self.duration), np.full(round(STILL * rate), self.duration)])
+        return np.concatenate([np.minimum(moving, self.duration), np.full(round(END_TIME * rate), self.duration)])
 
 
-def check_film(path: Path) -> None:
-    """Refuses a path whose format is not known, before the work.
+def check_video(path: Path) -> None:
+    """Checks that a video can be written to a path.
 
     Raises:
-        ValueError: naming the known ones.
-        ImportError: if what writes the format is missing, naming the extra.
+        ValueError: if the suffix is unknown or the path is not writable; the message lists the known suffixes.
+        ImportError: if the package that writes the format is missing; the message gives the extra to install.
     """
     if path.suffix not in SUFFIXES:
-        raise ValueError(f"cannot film to {str(path)!r}: the file name has to end in {' or '.join(SUFFIXES)}")
-    usable_file(path)
+        raise ValueError(f"cannot write a video to {str(path)!r}: the file name has to end in {' or '.join(SUFFIXES)}")
+    check_writable_file(path)
     try:
         if path.suffix == ".gif":
             import PIL.Image  # noqa: F401
         else:
             import imageio_ffmpeg  # noqa: F401
     except ImportError as error:
-        raise ImportError(f"{path.suffix} files need the extra: pip install 'cablebot-gym[render]'") from error
+        raise ImportError(f"{path.suffix} files require the extra: pip install 'cablebot-gym[render]'") from error
 
 
 def check_speed(speed: float) -> float:
-    """A speed that can be played.
+    """The playback speed, checked.
 
     Raises:
-        ValueError: if it is not between 1/100 and 10.
+        ValueError: if it is not between 0.01 and 10.
     """
     if not 0.01 <= speed <= 10:
-        raise ValueError(f"speed must lie between 0.01 and 10, a share of the episode's own, not {speed:g}")
+        raise ValueError(f"speed must lie between 0.01 and 10 (1 is real time), not {speed:g}")
     return speed
 
 
-def write_film(
+def write_video(
     path: Path,
-    films: Sequence[Film],
+    videos: Sequence[Video],
     *,
     speed: float = SPEED,
     size: tuple[int, int] = SIZE,
     progress: Callable[[int, int], None] = lambda done, expected: None,
 ) -> None:
-    """Writes films side by side to an ``.mp4`` (H.264) or a ``.gif``, whole or not at all.
+    """Writes videos side by side to an ``.mp4`` file (H.264) or a ``.gif`` file. The write is atomic.
 
     Args:
-        path: its suffix says which.
-        films: at least one.
-        speed: as a share of the episode's own.
-        size: of each picture, even numbers [pixels].
-        progress: called with the number of pictures done and of all.
+        path: file to write; its suffix determines the format.
+        videos: videos to write, at least one.
+        speed: playback speed, as a fraction of real time.
+        size: width and height of each picture, even numbers [pixels].
+        progress: callback with the number of finished pictures and the number of all pictures.
 
     Raises:
-        ValueError: if the format, the speed or the size is not valid.
-        ImportError: if what writes the format is missing, naming the extra.
+        ValueError: if the format, the speed or the size is invalid.
+        ImportError: if the package that writes the format is missing; the message gives the extra to install.
     """
-    check_film(path)
+    check_video(path)
     check_speed(speed)
     if any(side % 2 for side in size):
-        raise ValueError(f"a film has an even number of pixels either way, not {size[0]} × {size[1]}")
-    projector = Projector(films, size)
+        raise ValueError(f"width and height of a video must be even numbers of pixels, not {size[0]} × {size[1]}")
+    painter = VideoPainter(videos, size)
     rate = GIF_RATE if path.suffix == ".gif" else RATE
-    times = projector.times(speed, rate)
+    times = painter.times(speed, rate)
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
         for done, time in enumerate(times.tolist(), 1):
-            yield projector.array(time)
+            yield painter.array(time)
             progress(done, len(times))
 
     write = _write_gif if path.suffix == ".gif" else _write_mp4
-    write_whole(path, lambda temporary: write(temporary, pictures(), projector.size, rate))
+    atomic_write(path, lambda temporary: write(temporary, pictures(), painter.size, rate))
 
 
 def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, int], rate: int) -> None:
@@ -215,37 +221,37 @@ def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[in
 
     images = (Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE) for picture in pictures)
     first = next(images)
-    with path.open("wb") as file:  # Pillow leaves its own open after an interrupt
+    with path.open("wb") as file:  # Pillow would leave its own file open after an interrupt
         first.save(file, format="GIF", save_all=True, append_images=images, duration=1000 // rate, loop=0)
 
 
-def play(films: Sequence[Film], *, speed: float = SPEED, size: tuple[int, int] = SIZE) -> None:
-    """Shows films side by side in a window, again and again, until it is closed.
+def play(videos: Sequence[Video], *, speed: float = SPEED, size: tuple[int, int] = SIZE) -> None:
+    """Shows videos side by side in a window, in a loop, until the window is closed.
 
-    Space stops and goes on, the arrows go a picture back or on, r starts again, q or Esc ends.
+    Space pauses and resumes, the left and right arrow keys step by one picture, r restarts, q or Esc closes the window.
 
     Raises:
         NoDisplayError: if there is no display.
-        ValueError: if the speed or the size is not valid.
-        ImportError: without pygame.
+        ValueError: if the speed or the size is invalid.
+        ImportError: if pygame is missing.
     """
     check_speed(speed)
-    projector = Projector(films, size)
-    window = Window("cablebot: space stops, arrows go one picture, r starts again, q ends")
-    times = projector.times(speed, RATE)
-    surface = import_pygame().Surface(projector.size)
-    place, moving = 0, True
+    painter = VideoPainter(videos, size)
+    window = Window("cablebot: Space pauses, arrow keys step, r restarts, q quits")
+    times = painter.times(speed, RATE)
+    surface = import_pygame().Surface(painter.size)
+    index, playing = 0, True
     try:
         while not window.closed:
-            for column, picture in enumerate(projector.surfaces(times[place])):
+            for column, picture in enumerate(painter.surfaces(times[index])):
                 surface.blit(picture, (column * size[0], 0))
-            step = int(moving)
+            step = int(playing)
             for key in window.show(surface, RATE):
                 if key in ("q", "escape"):
                     return
                 if key == "space":
-                    moving = not moving
-                step = 0 if key == "space" else {"left": -1, "right": 1, "r": -place}.get(key, step)
-            place = (place + step) % len(times)
+                    playing = not playing
+                step = 0 if key == "space" else {"left": -1, "right": 1, "r": -index}.get(key, step)
+            index = (index + step) % len(times)
     finally:
         window.close()

@@ -1,4 +1,4 @@
-"""A Sphinx extension that writes what can be computed into ``docs/generated/``: pages, tables and pictures."""
+"""Sphinx extension that generates pages, tables and pictures in ``docs/generated/``."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from generate.folder import Folder
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Called by Sphinx."""
+    """Registers the extension; Sphinx calls this function."""
     mathml.setup(app)
     app.connect("builder-inited", write_all)
-    app.connect("source-read", point_inside)
+    app.connect("source-read", rewrite_links)
     app.connect("builder-inited", report.write)
     docstrings.setup(app)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def write_all(app: Sphinx) -> None:
-    """Everything that pages in ``docs/`` refer to; what an earlier build left and this one does not make is removed."""
+    """Writes all generated files and deletes files of earlier builds that this build does not write."""
     with Folder(Path(app.srcdir) / "generated") as folder:
-        for part in (environments, policies, modules, tables, figures):
-            part.write(folder)
+        for module in (environments, policies, modules, tables, figures):
+            module.write(folder)
 
 
-def point_inside(app: Sphinx, name: str, source: list[str]) -> None:
-    """Pages link to what stands at the top of the repository; here these are pages of the site."""
+def rewrite_links(app: Sphinx, name: str, source: list[str]) -> None:
+    """Replaces links to files at the top of the repository by links to pages of the site."""
     source[0] = source[0].replace("](../LEADERBOARD.md)", "](/leaderboard.md)")

@@ -1,4 +1,7 @@
-"""Docstrings are written to be read in Python: what Sphinx would take for something else is put right here."""
+"""Sphinx event handlers that adapt docstrings, signatures and annotations for the API pages.
+
+The docstrings are written for Python's ``help()``; Sphinx would misread some of their characters.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from cablebot_gym.envs.single import CableBotEnv
 from generate.environments import manual
 
 LONGEST_VALUE = 200
-"""Of a constant, to be shown [characters]."""
+"""Maximum length of the shown value of a constant [characters]."""
 
 _BAR = re.compile(r"(``.*?``)|\|")
 
@@ -27,48 +30,48 @@ _ARRAY_LIKE = re.compile(
 
 
 def setup(app: Sphinx) -> None:
-    """Connects the functions below."""
+    """Connects the event handlers of this module."""
     app.connect("autodoc-process-docstring", docstring, priority=400)  # before napoleon reads it, at 500
     app.connect("autodoc-process-signature", signature)
     app.connect("autodoc-process-bases", bases)
-    app.connect("doctree-read", shorter)
+    app.connect("doctree-read", shorten_annotations)
 
 
 def docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Changes the lines in place."""
+    """Escapes the lines of a docstring for reStructuredText, in place."""
     if obj is CableBotEnv:  # its docstring is Markdown
         lines[:] = [manual()[0], "", "The manual is on the page of each environment, and in ``help(env.unwrapped)``."]
-    # Bars are of absolute values; reStructuredText takes them for substitutions.
-    lines[:] = _BAR.sub(lambda found: found[1] or r"\|", "\n".join(lines)).split("\n")
-    if what in ("attribute", "data", "property"):  # napoleon takes words before the first line's colon for a type
+    # Bars mark absolute values; reStructuredText would read them as substitutions.
+    lines[:] = _BAR.sub(lambda match: match[1] or r"\|", "\n".join(lines)).split("\n")
+    if what in ("attribute", "data", "property"):  # napoleon reads words before a colon in the first line as a type
         lines.insert(0, r"\ ")
 
 
 def signature(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, arguments: str | None, returns: str | None
 ) -> tuple[str | None, str | None]:
-    """Types by the names that the code has for them."""
-    return arguments and _named(arguments), returns and _named(returns)
+    """Signature with the type names of the code instead of their expansions."""
+    return arguments and _simplify_types(arguments), returns and _simplify_types(returns)
 
 
 def bases(app: Sphinx, name: str, obj: Any, options: Any, classes: list[Any]) -> None:
-    """Base classes without their type arguments, in place."""
-    classes[:] = [getattr(one, "__origin__", one) for one in classes]
+    """Removes the type arguments of base classes, in place."""
+    classes[:] = [getattr(base, "__origin__", base) for base in classes]
 
 
-def shorter(app: Sphinx, doctree: nodes.document) -> None:
-    """Types so in the annotations of attributes, which have no signature; values that fill half a page are left out."""
+def shorten_annotations(app: Sphinx, doctree: nodes.document) -> None:
+    """Simplifies the types in annotations of attributes and removes values longer than ``LONGEST_VALUE``."""
     for node in list(doctree.findall(addnodes.desc_annotation)):
         text = node.astext()
         if len(text) > LONGEST_VALUE:
             node.parent.remove(node)
-        elif _named(text) != text:
+        elif _simplify_types(text) != text:
             node.children = []
-            node += nodes.Text(_named(text))
+            node += nodes.Text(_simplify_types(text))
 
 
-def _named(text: str) -> str:
-    def array(found: re.Match[str]) -> str:
-        return "Array" if found[1] in ("Any", "float64") else f"NDArray[{found[1]}]"
+def _simplify_types(text: str) -> str:
+    def array(match: re.Match[str]) -> str:
+        return "Array" if match[1] in ("Any", "float64") else f"NDArray[{match[1]}]"
 
     return _ARRAY_LIKE.sub("ArrayLike", _NDARRAY.sub(array, text))

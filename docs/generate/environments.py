@@ -1,4 +1,4 @@
-"""A page for each environment: its class's docstring, which is the manual, with the tables of this very id."""
+"""A page for each environment: the docstring of its class with the tables of this id."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from cablebot_gym.policies import PolicyEntry, load_policy, policy_entries
 from cablebot_gym.robots import RPM, Robot
 from cablebot_gym.trajectories import trajectory_names
 from generate.folder import Folder, number, numbers, table
-from generate.results import all_boards, env_link, env_rows
+from generate.results import all_leaderboards, env_link, env_rows
 
 PICTURED = 0.3, 0.5
-"""Share of the motion at which the picture is taken, and of the payload that the policy carries there [kg]."""
+"""Fraction of the motion at which the picture is taken, and of the payload that the policy carries there [kg]."""
 
 
 def write(folder: Folder) -> None:
-    """All pages, their pictures, and the table that lists them."""
+    """Writes all pages, their pictures, and the table that lists them."""
     rows = [["id", "cables m", "coordinates n", "platform [kg]", "joints", "observation", "action"]]
     for env_id in ENV_IDS:
         env = gym.make(env_id, render_mode="rgb_array")
@@ -44,7 +44,7 @@ def write(folder: Folder) -> None:
 
 
 def page(env_id: str, env: CableBotEnv) -> str:
-    """The whole page."""
+    """The text of an environment's page."""
     lead, sections = manual()
     sections["Action space"] += _motors(env.settings.robot)
     sections["Observation space"] = _with_table(sections["Observation space"], env.layout.table())
@@ -63,7 +63,7 @@ def page(env_id: str, env: CableBotEnv) -> str:
 
 
 def manual() -> tuple[str, dict[str, str]]:
-    """The docstring of the class: what stands before its first heading, and its sections by title."""
+    """The docstring of the class: its lead, and its sections by title."""
     text = inspect.getdoc(CableBotEnv) or ""
     text = re.sub(r":(class|func|data|meth):`", r"{py:\1}`", text)  # roles as Markdown has them
     lead, *rest = re.split(r"^## ", text, flags=re.MULTILINE)
@@ -71,7 +71,7 @@ def manual() -> tuple[str, dict[str, str]]:
 
 
 def picture(env: gym.Env[Any, Any], env_id: str) -> Image.Image:
-    """The environment's own rendering, under way with the first classical law that is made for it."""
+    """A rendered picture of an episode with the first classical law for the environment."""
     observation, _ = env.reset(seed=0, options={"payload": PICTURED[1]})
     task = env.get_wrapper_attr("task")
     policy = load_policy(made_for(env_id)[0].name, task.robot)
@@ -81,33 +81,37 @@ def picture(env: gym.Env[Any, Any], env_id: str) -> Image.Image:
 
 
 def made_for(env_id: str) -> list[PolicyEntry]:
-    """Policies for an environment, classical ones first."""
-    some = [entry for entry in policy_entries().values() if env_id in entry.env_ids]
-    return sorted(some, key=lambda entry: (entry.kind != "classical", entry.kind != "optimal"))
+    """The policies for an environment, classical ones first."""
+    entries = [entry for entry in policy_entries().values() if env_id in entry.env_ids]
+    return sorted(entries, key=lambda entry: (entry.kind != "classical", entry.kind != "optimal"))
 
 
 def _facts(env_id: str, settings: Settings) -> str:
     robot, spec = settings.robot, gym.spec(env_id)
     steps = spec.max_episode_steps or 0
-    rotation = "" if robot.planar else f", rotation {number(1e3 * settings.limits.rotation)} mrad"
+    rotation = "" if robot.planar else f", rotation {number(1e3 * settings.error_bounds.rotation)} mrad"
     motion = settings.trajectory
     others = ", ".join(f"`{name}`" for name in trajectory_names(robot.coordinates) if name != motion.name)
     highest = PAYLOAD_MAX["planar" if robot.planar else "spatial"]
     rows = [
         ("", ""),
-        ("make it", f'`gym.make("{env_id}")`, `gym.make_vec("{env_id}", num_envs=N)`'),
+        ("constructor", f'`gym.make("{env_id}")`, `gym.make_vec("{env_id}", num_envs=N)`'),
         ("robot", f"`{ENV_ROBOTS[env_id]}`: `cablebot_gym.robots.{robot.name.upper().replace('-', '_')}`"),
         ("reference motion", f"`{motion.name}`, {number(motion.duration)} s; by name also {others}"),
-        ("limits", f"position {number(1e3 * settings.limits.position)} mm{rotation}"),
+        ("error bounds", f"position {number(1e3 * settings.error_bounds.position)} mm{rotation}"),
         (
             "control",
             f"{number(settings.control_frequency)} Hz, {settings.substeps} physics steps of "
             f"{number(1e3 * settings.physics_step)} ms in each control period",
         ),
         ("time limit", f"{steps} steps, {number(steps * settings.period)} s"),
-        ("ends early", f"{number(1e3 * settings.termination_radius)} mm off, or slack for {settings.slack_time:g} s"),
+        (
+            "termination",
+            f"position error above {number(1e3 * settings.termination_radius)} mm, "
+            f"or slack for {settings.slack_time:g} s",
+        ),
         ("cables", settings.cable),
-        ("payloads judged", f"0 to {number(highest)} kg, see [DLCC](/dlcc.md)"),
+        ("payloads tried", f"0 to {number(highest)} kg, see [DLCC](/dlcc.md)"),
     ]
     return table(rows)
 
@@ -122,9 +126,9 @@ def _motors(robot: Robot) -> str:
 
 
 def _with_table(section: str, layout: str) -> str:
-    """A section whose table, of all robots, is replaced by this robot's."""
+    """A section with the table of all robots replaced by that of this robot."""
     lines = section.splitlines()
-    marks = [place for place, line in enumerate(lines) if line.startswith("|")]
+    marks = [index for index, line in enumerate(lines) if line.startswith("|")]
     return "\n".join([*lines[: marks[0]], layout, *lines[marks[-1] + 1 :]])
 
 
@@ -159,28 +163,33 @@ def _robot(robot: Robot) -> str:
         [f"home pose X₀ [{units}]", numbers(robot.home)],
         [f"workspace [{units}]", f"{numbers(low)} to {numbers(high)}"],
     ]
-    source = "The tables of the paper that these are from stand beside the values in `cablebot_gym/robots.py`."
-    return f"{table(rows)}\n{table(anchors)}\n{source} [Another robot](/your-own/robot.md) is a keyword."
+    source = "`cablebot_gym/robots.py` names the table of the paper for each value."
+    return f"{table(rows)}\n{table(anchors)}\n{source} The keyword `robot` takes [another one](/your-own/robot.md)."
 
 
 def _equations(robot: Robot) -> str:
-    """The parts that apply, and where they are put into code."""
+    """The equations of the robot, and the modules with their code."""
     parts = ["planar" if robot.planar else "spatial", robot.joints, "motors", "cables"]
     titles = {"motors": "Motors", "cables": "Cables"}
-    text = "Symbols and numbers are the paper's, misprints corrected; the numbers link to what was wrong.\n"
+    text = (
+        "Symbols and equation numbers are the paper's, with corrected misprints; each number links to its correction.\n"
+    )
     for part in parts:
         title = titles.get(part, "Platform" if part == parts[0] else "Joints")
         text += f"\n### {title}\n\n```{{include}} /parts/{part}.md\n```\n"
     return (
-        text + "\nAs code to read: {py:mod}`cablebot_gym.physics.textbook`; compiled: `cablebot_gym/physics/kernel.py`."
+        text
+        + "\nReadable code: {py:mod}`cablebot_gym.physics.textbook`. Compiled code: `cablebot_gym/physics/kernel.py`."
     )
 
 
 def _policies(env_id: str) -> str:
-    text = "Payload [kg] and its share of the best found, by the task criterion unless it says otherwise; the rest of "
-    text += "the table, and what its words mean, is on the [leaderboard](/leaderboard.md).\n"
-    for board in all_boards():
-        if board.env_id == env_id:
-            title = motion_title(board)
-            text += f"\n{title[0].upper() + title[1:]}:\n\n{table(env_rows(board))}"
+    text = (
+        "Payload [kg] and its fraction of the best known payload, task criterion unless noted. The whole table is on "
+    )
+    text += "the [leaderboard](/leaderboard.md).\n"
+    for leaderboard in all_leaderboards():
+        if leaderboard.env_id == env_id:
+            title = motion_title(leaderboard)
+            text += f"\n{title[0].upper() + title[1:]}:\n\n{table(env_rows(leaderboard))}"
     return text

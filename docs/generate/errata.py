@@ -1,4 +1,4 @@
-"""Where an equation stands on the page of errata."""
+"""Links to the sections of ``docs/errata.md``."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ _MENTION = re.compile(r"\bEqs?\.\s*(\d+(?:\s*(?:[–-]|,|and)\s*\d+)*)")
 
 @cache
 def anchors() -> dict[int, tuple[str, str]]:
-    """Heading and anchor by the number of the equation."""
-    found: dict[int, tuple[str, str]] = {}
+    """Heading and anchor of the section of each equation, by equation number."""
+    sections: dict[int, tuple[str, str]] = {}
     for heading in re.findall(r"^## (Eqs?\..*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE):
         anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-        found |= dict.fromkeys(_expanded(heading), (heading, anchor))
-    return found
+        sections |= dict.fromkeys(_equation_numbers(heading), (heading, anchor))
+    return sections
 
 
 def mentioned(text: str) -> str:
-    """Links to the errata of the equations that a text names, one after the other; empty if it names none."""
-    wanted = sorted({one for numbers in _MENTION.findall(text) for one in _expanded(numbers)})
-    links = dict.fromkeys(anchors()[one] for one in wanted)
+    """Comma-separated links to the errata of the equations that a text names; empty if it names none."""
+    equations = sorted({number for mention in _MENTION.findall(text) for number in _equation_numbers(mention)})
+    links = dict.fromkeys(anchors()[number] for number in equations)
     return ", ".join(f"[{heading}](/errata.md#{anchor})" for heading, anchor in links)
 
 
-def _expanded(text: str) -> list[int]:
-    """Numbers in words such as ``8 and 10–12``."""
+def _equation_numbers(text: str) -> list[int]:
+    """All equation numbers in a text such as ``8 and 10–12``."""
     ranges = [(int(first), int(last or first)) for first, last in _NUMBERS.findall(text)]
-    return [one for first, last in ranges for one in range(first, last + 1)]
+    return [number for first, last in ranges for number in range(first, last + 1)]

@@ -1,4 +1,4 @@
-"""The pictures of the page on DLCC and of the one on uncertainty, from simulations made while the pages are built."""
+"""The figures of the pages on DLCC and uncertainty, simulated when the pages are built."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
-from cablebot_gym.plotting.figures import DPI, Travelled, draw_success, new_figure, path_panels
+from cablebot_gym.plotting.figures import DPI, TravelledPath, draw_success, new_figure, path_panels
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import SPATIAL
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds, payload_model_text
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, ORANGE, SHADE, VERMILLION
 from generate.folder import Folder
@@ -20,17 +20,17 @@ from generate.folder import Folder
 ENV_ID, POLICY = "CableBot-Spatial-v0", "fl"
 
 SHOWN = {4.0: BLUE, 5.0: VERMILLION}
-"""Payloads on either side of what the policy carries [kg], and their colours."""
+"""A payload that is carried, one that is not [kg], and their colours."""
 
 MOTOR = 1
-"""The one that saturates first, from 0."""
+"""Motor that saturates first, from 0."""
 
 SCANNED = np.linspace(0, 8, 65)
-"""Payloads of the scan's picture [kg]."""
+"""Payloads of the scan [kg]."""
 
 
 def write(folder: Folder) -> None:
-    """All of them."""
+    """Writes all figures."""
     episodes = {payload: record_rollout(POLICY, ENV_ID, payload=payload) for payload in SHOWN}
     pictures = {
         "line": torque_speed_line(episodes),
@@ -43,7 +43,7 @@ def write(folder: Folder) -> None:
 
 
 def torque_speed_line(episodes: dict[float, Rollout]) -> Figure:
-    """What one motor is asked for, against what it can give: over its speed, and over time."""
+    """Requested torque of one motor versus its speed, and its action versus time, with their limits."""
     figure = new_figure(4.6)
     plane, clock = figure.subplots(1, 2)
     stall, slope = SPATIAL.stall_torque[MOTOR], SPATIAL.speed_slope[MOTOR]
@@ -58,33 +58,33 @@ def torque_speed_line(episodes: dict[float, Rollout]) -> Figure:
     plane.fill_between(speed, -stall - slope * speed, -1.35 * stall, color=SHADE, zorder=0)
     for payload, colour in SHOWN.items():
         arrays = episodes[payload].arrays
-        demand, speeds = arrays["drive_demand"][:, MOTOR], arrays["motor_speeds"][:, MOTOR]
-        plane.plot(speeds, stall * demand - slope * speeds, color=colour, linewidth=1.4, label=f"{payload:g} kg")
-        clock.plot(arrays["command_time"], demand, color=colour, linewidth=1.4, label=f"{payload:g} kg")
+        action, speeds = arrays["commanded_action"][:, MOTOR], arrays["motor_speeds"][:, MOTOR]
+        plane.plot(speeds, stall * action - slope * speeds, color=colour, linewidth=1.4, label=f"{payload:g} kg")
+        clock.plot(arrays["action_time"], action, color=colour, linewidth=1.4, label=f"{payload:g} kg")
     for level in (1, -1):
         clock.axhline(level, color="black", linewidth=1.4)
     clock.axhspan(1, 2, color=SHADE, zorder=0)
     clock.axhspan(-2, -1, color=SHADE, zorder=0)
-    plane.set(xlabel=f"speed of motor {MOTOR + 1} [rad/s]", ylabel="torque asked for [N·m]", xlim=speed)
+    plane.set(xlabel=f"speed of motor {MOTOR + 1} [rad/s]", ylabel="requested torque [N·m]", xlim=speed)
     plane.set(ylim=(-1.3 * stall, 1.3 * stall), title="torque-speed line")
-    clock.set(xlabel="time [s]", ylabel=f"drive command a of motor {MOTOR + 1}", xlim=(0, 1), ylim=(-1.35, 1.35))
-    clock.set(title="the same as drive command")
+    clock.set(xlabel="time [s]", ylabel=f"action a of motor {MOTOR + 1}", xlim=(0, 1), ylim=(-1.35, 1.35))
+    clock.set(title="action")
     plane.legend(loc="lower left")
     return figure
 
 
 def errors(episodes: dict[float, Rollout]) -> Figure:
-    """Paths in the tube, and errors against their bounds."""
-    figure, limits = new_figure(4.6), Limits()
+    """Paths within the position bound, and errors with their bounds."""
+    figure, error_bounds = new_figure(4.6), ErrorBounds()
     travelled = [_travelled(episodes[payload], payload, colour) for payload, colour in SHOWN.items()]
     trajectory = find_trajectory("paper-spatial", SPATIAL.coordinates)
-    path_panels(figure, trajectory, travelled, position=limits.position, rotation=limits.rotation)
+    path_panels(figure, trajectory, travelled, position=error_bounds.position, rotation=error_bounds.rotation)
     return figure
 
 
-def _travelled(episode: Rollout, payload: float, colour: str) -> Travelled:
+def _travelled(episode: Rollout, payload: float, colour: str) -> TravelledPath:
     arrays = episode.arrays
-    return Travelled(
+    return TravelledPath(
         times=arrays["time"],
         pose=arrays["pose"],
         position_error=arrays["tracking_error"],
@@ -95,19 +95,19 @@ def _travelled(episode: Rollout, payload: float, colour: str) -> Travelled:
 
 
 def payloads() -> Figure:
-    """The largest of everything that has a bound, as a share of it, over the payload."""
+    """Largest action and errors as fractions of their bounds, versus the payload."""
     figure = new_figure(4.6)
     for axes, known in zip(figure.subplots(1, 2, sharey=True), (True, False), strict=True):
         _scan(axes, known)
-    figure.axes[0].set(ylabel="largest value in the episode, share of its bound")
+    figure.axes[0].set(ylabel="largest value, fraction of its bound")
     figure.axes[1].legend(loc="upper right")
     return figure
 
 
 def _scan(axes: Axes, known: bool) -> None:
-    demand, position, rotation = _peaks(known)
+    action, position, rotation = _peaks(known)
     curves = (
-        ("drive command |a|", demand, ORANGE),
+        ("action |a|", action, ORANGE),
         ("position error", position, BLUE),
         ("rotation error", rotation, GREEN),
     )
@@ -124,13 +124,13 @@ def _scan(axes: Axes, known: bool) -> None:
             axes.plot([low, high], [height, height], color=GREY, linewidth=8, solid_capstyle="butt")
         text = f"{criterion} criterion: {feasible[0][1]:.2f} kg"
         axes.annotate(text, (feasible[0][1], height), (6, 0), textcoords="offset points", va="center")
-    title = "payload told" if known else "payload not told"
+    title = payload_model_text(known)
     axes.set(xlabel="payload [kg]", xlim=(0, SCANNED[-1]), ylim=(-0.6, 2.5), title=title)
 
 
 def _peaks(known: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest |a|, position and rotation error over their bounds, of each payload scanned; infinite once it fails."""
-    limits, count = Limits(), len(SCANNED)
+    """Largest |a|, position and rotation error over their bounds for each payload; infinite after termination."""
+    error_bounds, count = ErrorBounds(), len(SCANNED)
     envs = gym.make_vec(ENV_ID, num_envs=count, payload=SCANNED, payload_known=known)
     policy = load_policy(POLICY, SPATIAL)
     observation, info = envs.reset(seed=0)
@@ -138,12 +138,12 @@ def _peaks(known: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for _ in range(500):
         observation, _, terminated, _, info = envs.step(policy.predict(observation)[0])
         now = (
-            np.abs(info["drive_demand"]).max(axis=1),
-            info["tracking_error_peak"] / limits.position,
-            info["rotation_error_peak"] / limits.rotation,
+            np.abs(info["commanded_action"]).max(axis=1),
+            info["tracking_error_peak"] / error_bounds.position,
+            info["rotation_error_peak"] / error_bounds.rotation,
         )
         peaks = np.where(ended, peaks, np.maximum(peaks, now))
         ended |= terminated
     envs.close()
-    demand, position, rotation = np.where(ended, np.inf, peaks)
-    return demand, position, rotation
+    action, position, rotation = np.where(ended, np.inf, peaks)
+    return action, position, rotation

@@ -1,4 +1,4 @@
-"""Where generated files go, and what they are made of."""
+"""The folder of generated files, and functions that format Markdown tables and numbers."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 
 class Folder:
-    """A folder that holds, once left without an error, what was written meanwhile and nothing else.
+    """Context manager of a folder; an exit without an error deletes all files that the block did not write.
 
-    A text that has not changed keeps its file, so that Sphinx does not read it again.
+    A file with unchanged text is not rewritten, so that Sphinx does not read it again.
     """
 
     def __init__(self, root: Path) -> None:
@@ -32,31 +32,31 @@ class Folder:
                 shutil.rmtree(path)
 
     def path(self, name: str) -> Path:
-        """Where to write a file of this name, such as a picture."""
+        """Path of a file to write, such as a picture. Creates its parent folders and keeps the file on exit."""
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         self._written.add(path)
         return path
 
     def write(self, name: str, text: str) -> None:
-        """Writes a page, or a part of one (suffix ``.inc``) for another to include."""
+        """Writes a page, or a fragment (suffix ``.inc``) that another page includes."""
         path = self.path(name)
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 
 
 def table(rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table; the first row is its head."""
+    """Markdown table; the first row is the header."""
     head, *body = ([cell.replace("|", "\\|") for cell in row] for row in rows)
     lines = [head, ["---"] * len(head), *body]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def number(value: float) -> str:
-    """As a page says it."""
+    """Number with six significant digits and a typographic minus sign."""
     return f"{value:.6g}".replace("-", "−")
 
 
 def numbers(values: Iterable[float]) -> str:
-    """A vector as a page says it."""
+    """Vector in parentheses, rounded to six decimals."""
     return f"({', '.join(number(round(value, 6) + 0.0) for value in values)})"

@@ -1,4 +1,4 @@
-"""Equations as MathML, which browsers show by themselves: no script, no network, neither here nor there."""
+"""Renderer of equations as MathML. Browsers show MathML without scripts and without network access."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ _COMBINING = {"˙": "\N{COMBINING DOT ABOVE}", "¨": "\N{COMBINING DIAERESIS}"}
 
 
 def setup(app: Sphinx) -> None:
-    """Adds the renderer ``mathml``."""
+    """Registers the renderer ``mathml``."""
     app.add_html_math_renderer("mathml", inline_renderers=(inline, None), block_renderers=(block, None))
 
 
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
-    """An equation in a line of text."""
+    """Renders an inline equation."""
     translator.body.append(_readable(tex2mathml(node.astext())))
     raise nodes.SkipNode
 
 
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
-    """An equation on a line of its own."""
+    """Renders a display equation."""
     equation = _readable(tex2mathml(node.astext(), as_block=True))
     translator.body.append(f'<div class="math" style="margin: 0.8em 0; overflow-x: auto">{equation}</div>\n')
     raise nodes.SkipNode
 
 
 def _readable(mathml: str) -> str:
-    """Dots as part of their letter: as accents they vanish where no font for mathematics is installed."""
+    """MathML with dots merged into their letters; dots as accents vanish if no mathematical font is installed."""
 
-    def letter(found: re.Match[str]) -> str:
-        dotted = normalize("NFC", found[1] + _COMBINING[found[2]])
+    def letter(match: re.Match[str]) -> str:
+        dotted = normalize("NFC", match[1] + _COMBINING[match[2]])
         return f'<mi style="font-style: italic">{dotted}</mi>'
 
     return _DOTTED.sub(letter, mathml).replace("<mo>'</mo>", "<mo>′</mo>")

@@ -1,4 +1,4 @@
-"""A page for each policy that is installed: its docstrings, its settings, what it carries."""
+"""A page for each installed policy: docstrings, settings and payloads."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from generate.folder import Folder, number, table
 from generate.results import env_link, policy_link, policy_rows
 
 EXTRAS = {"optimal": "optimal", "learned": None, "classical": None}
-"""What the kinds of policies need to run."""
+"""Extra that each kind of policy needs."""
 
 
 def write(folder: Folder) -> None:
-    """All pages, and the table that lists them."""
-    rows = [["policy", "kind", "made for", "in a line"]]
+    """Writes all pages and the table that lists them."""
+    rows = [["policy", "kind", "made for", "summary"]]
     for entry in policy_entries().values():
         made_for = ", ".join(map(env_link, entry.env_ids))
         rows.append([policy_link(entry.name), entry.kind, made_for, entry.summary])
@@ -35,7 +35,7 @@ def write(folder: Folder) -> None:
 
 
 def page(entry: PolicyEntry) -> str:
-    """The whole page."""
+    """The text of a policy's page."""
     documented = [policy_class(entry), *outer_loops(entry)]
     text = f"# `{entry.name}`\n\n{entry.summary[0].upper() + entry.summary[1:]}.\n\n"
     text += table(
@@ -43,14 +43,14 @@ def page(entry: PolicyEntry) -> str:
             ["", ""],
             ["kind", entry.kind],
             ["made for", ", ".join(map(env_link, entry.env_ids))],
-            ["needs", f"`pip install 'cablebot-gym[{EXTRAS[entry.kind]}]'`" if EXTRAS[entry.kind] else "nothing more"],
-            ["by the paper's criterion", judged_by_the_paper(entry)],
+            ["needs", f"`pip install 'cablebot-gym[{EXTRAS[entry.kind]}]'`" if EXTRAS[entry.kind] else "no extra"],
+            ["paper criterion", paper_criterion(entry)],
         ]
     )
     commands = "".join(f"cablebot dlcc {env_id} --policy {entry.name}\n" for env_id in entry.env_ids)
-    text += f"\n```sh\n{commands}```\n\n## What it carries\n\n"
-    text += "Payload [kg] and its share of the best found, by the task criterion unless it says otherwise, from the "
-    text += f"[leaderboard](/leaderboard.md), where these words are explained.\n\n{table(policy_rows(entry.name))}\n"
+    text += f"\n```sh\n{commands}```\n\n## Payload\n\n"
+    text += "Payload [kg] and its fraction of the best known payload, task criterion unless noted, from the "
+    text += f"[leaderboard](/leaderboard.md).\n\n{table(policy_rows(entry.name))}\n"
     if entry.name in SHIPPED:
         text += f"## How it was trained\n\n{_training(entry)}\n\n## How it works\n\n"
     else:
@@ -58,14 +58,14 @@ def page(entry: PolicyEntry) -> str:
     module = inspect.getdoc(inspect.getmodule(documented[0]))
     errata = mentioned("\n".join([entry.summary, str(module), *(str(inspect.getdoc(one)) for one in documented)]))
     if errata:
-        text += f"What is misprinted in the paper's equations named below: {errata}.\n\n"
+        text += f"Misprints of the paper's equations below: {errata}.\n\n"
     for one in documented:
         text += f"```{{eval-rst}}\n.. autoclass:: {one.__module__}.{one.__qualname__}\n   :no-index:\n```\n\n"
     return text
 
 
 def policy_class(entry: PolicyEntry) -> type:
-    """Of the policies that an entry makes; found without making one, which may need an extra."""
+    """The class of the policies that an entry makes, found without making one."""
     if isinstance(entry.factory, type):
         return entry.factory
     if entry.name in SHIPPED:
@@ -75,35 +75,35 @@ def policy_class(entry: PolicyEntry) -> type:
 
 
 def outer_loops(entry: PolicyEntry) -> list[type]:
-    """Classes of the outer loops of the laws that have one."""
+    """The classes of a law's outer loops."""
     return [] if entry.kind != "classical" else list({type(outer): 1 for outer in _outers(entry).values()})
 
 
-def judged_by_the_paper(entry: PolicyEntry) -> str:
+def paper_criterion(entry: PolicyEntry) -> str:
     """Where it declares that its commands are not clipped; of laws, which alone can, and need no extra to be made."""
     if entry.kind == "classical":
-        where = [env_id for env_id in entry.env_ids if getattr(_made(entry, env_id), "unclipped", False)]
+        where = [env_id for env_id in entry.env_ids if getattr(_made(entry, env_id), "unsaturated_actions", False)]
         if where:
-            return "judged" if len(where) == len(entry.env_ids) else f"judged on {', '.join(map(env_link, where))}"
-    return "not applicable: it clips its own commands"
+            return "applies" if len(where) == len(entry.env_ids) else f"applies on {', '.join(map(env_link, where))}"
+    return "does not apply: the policy saturates its own actions"
 
 
 def settings(entry: PolicyEntry) -> str:
-    """Gains by environment, and the factory with the constants that it names."""
+    """Gains by environment, and the factory with its constants."""
     text = ""
     rows = [[env_id, *_values(outer)] for env_id, outer in _outers(entry).items()] if entry.kind == "classical" else []
     if rows:
         names = [_symbol(field.name) for field in dataclasses.fields(next(iter(_outers(entry).values())))]
-        text += f"The outer loop's, by environment:\n\n{table([['id', *names], *rows])}\n"
+        text += f"Outer loop by environment:\n\n{table([['id', *names], *rows])}\n"
     source = factory_source(entry.factory)
     if source:
-        return f"{text}How it is made from a nominal robot:\n\n```python\n{source}```\n"
+        return f"{text}Factory, called with the nominal robot:\n\n```python\n{source}```\n"
     default = f"`{policy_class(entry).__name__}(robot)`, with the defaults of the arguments below.\n"
-    return f"{text}How it is made from a nominal robot: {default}"
+    return f"{text}Factory, called with the nominal robot: {default}"
 
 
 def factory_source(factory: Callable[..., Any]) -> str:
-    """The code of a factory that is a function, after the constants that it names."""
+    """The code of a factory function, after its constants."""
     if not inspect.isfunction(factory):
         return ""
     source = inspect.getsource(factory)
@@ -117,7 +117,7 @@ def _made(entry: PolicyEntry, env_id: str) -> Any:
 
 
 def _outers(entry: PolicyEntry) -> dict[str, Any]:
-    """The outer loop by environment, of a law or of the law within."""
+    """The outer loop by environment."""
     found = {}
     for env_id in entry.env_ids:
         policy = _made(entry, env_id)
@@ -145,5 +145,5 @@ def _training(entry: PolicyEntry) -> str:
         f"cablebot train {env_id} --algo {shipped.algorithm}{config} --out runs/{entry.name}\n"
         for env_id in shipped.env_ids
     )
-    card = f"Its card has every seed, the curves, the held-out motions and the versions: [{entry.name}]"
+    card = f"Its card has every seed, the learning curves, the held-out motions and the versions: [{entry.name}]"
     return f"{card}(/learned.md#{entry.name}). To train one like it:\n\n```sh\n{command}```"

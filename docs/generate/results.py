@@ -1,4 +1,4 @@
-"""What policies carry: the leaderboard's results, read from where the benchmark writes them."""
+"""Tables of the stored leaderboard results."""
 
 from __future__ import annotations
 
@@ -6,36 +6,40 @@ from functools import cache
 from pathlib import Path
 
 from cablebot_gym.benchmark.leaderboard import read_results
-from cablebot_gym.benchmark.scores import Board, Column, boards
-from cablebot_gym.benchmark.tables import heading, motion_title, place
+from cablebot_gym.benchmark.scores import Column, Leaderboard, leaderboards
+from cablebot_gym.benchmark.tables import entry_text, heading, motion_title
 
 RESULTS = Path(__file__).parents[1] / "leaderboard" / "results.json"
 MAPS = Path(__file__).parents[1] / "maps" / "results.json"
 
 
 @cache
-def all_boards() -> tuple[Board, ...]:
+def all_leaderboards() -> tuple[Leaderboard, ...]:
     """The leaderboard's tables."""
-    return tuple(boards(read_results(RESULTS.read_text(encoding="utf-8"))[2]))
+    return tuple(leaderboards(read_results(RESULTS.read_text(encoding="utf-8"))[2]))
 
 
-def env_rows(board: Board) -> list[list[str]]:
+def env_rows(leaderboard: Leaderboard) -> list[list[str]]:
     """Head and rows of a table of policies, with links to their pages."""
-    columns = _shown(board)
+    columns = _shown(leaderboard)
     rows = [["policy", *map(heading, columns)]]
-    for policy in board.policies:
-        rows.append([policy_link(policy), *(place(board, policy, column) for column in columns)])
+    for policy in leaderboard.policies:
+        rows.append([policy_link(policy), *(entry_text(leaderboard, policy, column) for column in columns)])
     return rows
 
 
 def policy_rows(policy: str) -> list[list[str]]:
     """Head and rows of a table of environments and motions, for one policy."""
-    some = [board for board in all_boards() if policy in board.policies]
-    columns = list(dict.fromkeys(column for board in some for column in _shown(board)))
+    some = [leaderboard for leaderboard in all_leaderboards() if policy in leaderboard.policies]
+    columns = list(dict.fromkeys(column for leaderboard in some for column in _shown(leaderboard)))
     rows = [["id", "motion", *map(heading, columns)]]
-    for board in some:
+    for leaderboard in some:
         rows.append(
-            [env_link(board.env_id), motion_title(board), *(place(board, policy, column) for column in columns)]
+            [
+                env_link(leaderboard.env_id),
+                motion_title(leaderboard),
+                *(entry_text(leaderboard, policy, column) for column in columns),
+            ]
         )
     return rows
 
@@ -50,6 +54,6 @@ def env_link(env_id: str) -> str:
     return f"[`{env_id}`](/generated/environments/{env_id}.md)"
 
 
-def _shown(board: Board) -> list[Column]:
-    """Columns whose policies are told the payload, or nothing of it: the leaderboard has the others."""
-    return [column for column in board.columns if column.information in ("told", "untold")]
+def _shown(leaderboard: Leaderboard) -> list[Column]:
+    """Columns with payload known or unknown; the leaderboard has the others."""
+    return [column for column in leaderboard.columns if column.model_payload_factor == 1.0]

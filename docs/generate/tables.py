@@ -22,7 +22,7 @@ PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 def write(folder: Folder) -> None:
-    """All of them."""
+    """Writes all tables."""
     folder.write("trajectories.inc", trajectories())
     folder.write("uncertainties.inc", uncertainties())
     folder.write("parameters.inc", parameters())
@@ -31,7 +31,7 @@ def write(folder: Folder) -> None:
 
 
 def trajectories() -> str:
-    """The named motions, and how fast they are."""
+    """The named motions with their duration and peak speeds and accelerations."""
     rows = [["name", "robots", "class", "duration [s]", "largest speed [m/s]", "largest acceleration [m/s²]"]]
     for name, make in TRAJECTORIES.items():
         motion = make()
@@ -47,7 +47,7 @@ def trajectories() -> str:
 
 
 def uncertainties() -> str:
-    """The named sets as data, for the spatial robot with joint springs, which has all that can be uncertain."""
+    """The named uncertainties as data, for the spatial robot with joint springs, which has every parameter."""
     text = ""
     for name, make in UNCERTAINTIES.items():
         data = json.dumps(_changed(make(FLEX_SPATIAL)), indent=2)
@@ -56,7 +56,7 @@ def uncertainties() -> str:
 
 
 def _changed(value: Any) -> Any:
-    """Data with which the value can be made again: fields that are not the default, without those within."""
+    """A value as data, without the fields that have their default."""
     if isinstance(value, Mapping):
         return {name: _changed(item) for name, item in value.items()}
     if not is_dataclass(value):
@@ -66,8 +66,8 @@ def _changed(value: Any) -> Any:
 
 
 def parameters() -> str:
-    """What can be drawn."""
-    rows = [["parameter", "of", "robots"]]
+    """The uncertain parameters."""
+    rows = [["parameter", "attribute of the robot", "robots"]]
     for name, one in PARAMETERS.items():
         robots = [*(["with joint springs"] if one.flexible else []), *(["spatial"] if one.spatial else [])]
         rows.append([f"`{name}`", f"`{one.attribute}`", ", ".join(robots) or "all"])
@@ -75,7 +75,7 @@ def parameters() -> str:
 
 
 def requirements() -> str:
-    """What the package and its extras need, from pyproject.toml."""
+    """Requirements of the package and its extras, from pyproject.toml."""
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     extras = {"": project["dependencies"], **project["optional-dependencies"]}
     rows = [["extra", "needs"], ["Python", f"`{project['requires-python']}`"]]

@@ -1,15 +1,16 @@
-"""Cards of the learned policies that ship: what every training seed carries, with intervals, and how it was trained.
+"""Cards of the shipped learned policies: DLCC of every training seed, intervals, and the training itself.
 
-A policy is trained with several seeds. What they carry is summed up by the interquartile mean and a stratified
-bootstrap interval, as rliable has them (Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical
-Precipice*, 2021). The seed with the median payload ships. Making a card needs torch; reading and rendering does not.
+Each policy is trained with several seeds. Their DLCCs are summarised by the interquartile mean and a stratified
+bootstrap interval, as in rliable (Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical
+Precipice*, 2021). The shipped seed is the one with the median payload. Making a card needs torch; reading and rendering
+one does not.
 """
 
 from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, has_loops, read_cards
 from cards.figure import draw_curves
-from cards.making import Evaluate, base_text, make_card, read_bests, with_bests, with_searched
+from cards.making import Evaluate, base_text, make_card, read_best_known, with_best_known, with_search_results
 from cards.page import card_markdown
-from cards.statistics import iqm, iqm_interval, typical
+from cards.statistics import iqm, iqm_interval, median_seed
 
 __all__ = [
     "DRAWS",
@@ -24,9 +25,9 @@ __all__ = [
     "iqm",
     "iqm_interval",
     "make_card",
-    "read_bests",
+    "median_seed",
+    "read_best_known",
     "read_cards",
-    "typical",
-    "with_bests",
-    "with_searched",
+    "with_best_known",
+    "with_search_results",
 ]

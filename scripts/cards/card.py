@@ -1,4 +1,4 @@
-"""Everything known about a policy that ships, as it is kept beside its weights."""
+"""The card of a shipped policy, a JSON file next to its weights."""
 
 from __future__ import annotations
 
@@ -12,170 +12,170 @@ from typing import Any
 from cablebot_baselines.learned.runs import rank
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Condition, stem
 from cablebot_gym.envs import ENV_IDS
-from cablebot_gym.utils.files import write_text_whole
+from cablebot_gym.utils.files import atomic_write_text
 from cards.statistics import iqm, iqm_interval, scores
 
 LEAST_SEEDS = 5
-"""Training seeds of a card."""
+"""Minimum number of training seeds of a card."""
 
 DRAWS = 256
-"""Episodes at each payload under an uncertainty."""
+"""Number of episodes at each payload under an uncertainty."""
 
 PROBABILITY = 0.95
-"""Share of the draws that has to carry a payload."""
+"""Required fraction of successful draws."""
 
 HELD_OUT = 20
-"""Held-out motions."""
+"""Number of held-out motions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeedRun:
-    """A training with one seed."""
+    """A training run with one seed."""
 
     seed: int
     command: str
-    """What to type for the same training, but for ``--out``."""
+    """Command line that repeats the training, without ``--out``."""
     timesteps: int
-    """Of PPO actions over all environments, of training by gradients evaluations of the objective."""
+    """PPO: number of actions over all environments. APG: number of evaluations of the objective."""
     wall_s: float
-    """[s]"""
+    """Wall time [s]."""
     threads: int
-    """Of torch."""
+    """Number of torch's threads."""
     versions: Mapping[str, str]
-    """Of Python and of the packages that trained."""
+    """Versions of Python and of the packages."""
     payloads: tuple[float | None, ...]
-    """Of the run's best policy under each of the card's conditions [kg]; None where not even zero is carried."""
+    """DLCC of the run's best policy under each of the card's conditions [kg]; None if it fails unloaded."""
     curve: tuple[Mapping[str, Any], ...]
-    """Evaluations while training: ``timesteps``, ``wall_s`` [s], ``payload_kg``."""
+    """Evaluations during training: ``timesteps``, ``wall_s`` [s], ``payload_kg``."""
     held_out: tuple[float | None, ...] = ()
-    """Of the run's best policy on the card's held-out motions [kg]; empty if it was not judged on them."""
+    """DLCC of the run's best policy on each held-out motion of the card [kg]; empty if not evaluated."""
 
     @property
     def in_training(self) -> float | None:
-        """What the run's best policy carried in these evaluations, a mean over their motions [kg]."""
+        """DLCC of the run's best policy in the evaluations during training, a mean over their motions [kg]."""
         return max((one["payload_kg"] for one in self.curve), key=rank, default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut:
-    """A motion that no training saw, under the card's first condition."""
+    """A motion that was not used in training, under the card's first condition."""
 
     seed: int
-    """Of the motion."""
+    """Seed of the motion."""
     law_payload: float | None
-    """Of the card's reference law [kg]."""
-    best_found: float | None
-    """[kg]; None if it was not searched for, or in vain."""
+    """DLCC of the card's reference law [kg]."""
+    best_known: float | None
+    """Best known payload [kg]; None if it was not searched for, or the search failed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """A policy that ships, in one environment. JSON-able.
+    """Card of a shipped policy in one environment; JSON-able.
 
     Raises:
-        ValueError: if its parts do not fit each other.
+        ValueError: if its fields are inconsistent.
     """
 
     policy: str
     env_id: str
     algorithm: str
-    """As ``cablebot train --algo`` has it."""
+    """Name of the algorithm, as for ``cablebot train --algo``."""
     config: str | None
-    """Name of the file of hyperparameters; None for the one that the algorithm reads anyway."""
+    """Name of the file of hyperparameters; None for the algorithm's default file."""
     command: str
-    """Makes weights and card."""
+    """Command line that makes weights and card."""
     base: Mapping[str, Any]
-    """The law that is steered, fields of :class:`~cablebot_baselines.learned.base.Base`."""
+    """Base law, fields of :class:`~cablebot_baselines.learned.base.Base`."""
     base_text: str
-    """The same in words, with its gains."""
+    """Description of the base law with its gains."""
     steering: Mapping[str, Any]
-    """How the network's actions steer it."""
+    """Action mapping of the network."""
     features: tuple[str, ...]
-    """What the network reads."""
+    """Names of the network's inputs."""
     parameters: int
-    """Of the network."""
+    """Number of parameters of the network."""
     motions: Any
-    """Trained on: ``motions`` of :func:`~cablebot_baselines.learned.gradient_run.make_gradient_config`, or an environment's
-    ``trajectory``."""
+    """Training motions: ``motions`` of a :class:`~cablebot_baselines.learned.gradient_run.GradientConfig`, or an
+    environment's ``trajectory``."""
     evaluation: Mapping[str, Any]
-    """Conditions of the evaluations while training, keywords of :func:`cablebot_gym.evaluation.evaluate_dlcc`."""
+    """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` during training."""
     planner_output_used: bool
-    """Whether a planner's motions went into the training."""
+    """Whether the training used a planner's motions."""
     conditions: tuple[Condition, ...]
-    """Under which the payloads were found."""
+    """Conditions of the evaluation."""
     draws: int
-    """Episodes at each payload under an uncertainty."""
+    """Number of episodes at each payload under an uncertainty."""
     probability: float
-    """Share of the draws that has to carry a payload."""
+    """Required fraction of successful draws."""
     shipped_seed: int
-    """The one with the median payload in training."""
+    """Training seed with the median payload in training."""
     sha256: str
-    """Of the bundle that ships."""
+    """SHA-256 hash of the shipped bundle."""
     base_in_training: float | None
-    """What the base law alone carried in the evaluations while training [kg]."""
+    """DLCC of the base law alone in the evaluations during training [kg]."""
     base_payloads: tuple[float | None, ...]
-    """Of the base law alone, the network saying zero, under each condition [kg]."""
+    """DLCC of the base law alone under each condition [kg]."""
     law: str
-    """A classical law to compare with, as on the command line."""
+    """Classical law for comparison, as on the command line."""
     law_payloads: tuple[float | None, ...]
-    """Of it under each condition [kg]."""
-    best_found: float | None
-    """On the paper's circle without uncertainty [kg]; None if the leaderboard does not know it."""
+    """DLCC of this law under each condition [kg]."""
+    best_known: float | None
+    """Best known payload on the paper's circle without uncertainty [kg]; None if the leaderboard has none."""
     seeds: tuple[SeedRun, ...]
-    """What each training seed came to."""
+    """Training runs, one for each seed."""
     held_out: tuple[HeldOut, ...]
-    """What is carried along motions that were not trained on."""
+    """Held-out motions."""
     sb3: bool = False
-    """Whether ``NAME-KIND-sb3.zip`` ships too: the model of Stable-Baselines3 with this policy's actor."""
+    """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped too."""
 
     def __post_init__(self) -> None:
         numbers = [len(self.base_payloads), len(self.law_payloads), *(len(run.payloads) for run in self.seeds)]
         if not self.conditions or set(numbers) != {len(self.conditions)}:
-            raise ValueError("a card needs a payload for each of its conditions")
+            raise ValueError("a card must have one payload for each condition")
         seeds = [run.seed for run in self.seeds]
         if len({*seeds}) != len(seeds) or self.shipped_seed not in seeds:
-            raise ValueError(f"a card needs different seeds and the one that ships among them, not {seeds}")
+            raise ValueError(f"the seeds of a card must be distinct and include the shipped one, not {seeds}")
 
-        places = {len(run.held_out) for run in self.seeds if run.held_out or run is self.shipped}
-        if places != {len(self.held_out)}:
-            raise ValueError("a card needs a payload on each held-out motion, of the run that ships at least")
+        counts = {len(run.held_out) for run in self.seeds if run.held_out or run is self.shipped}
+        if counts != {len(self.held_out)}:
+            raise ValueError("the shipped run of a card must have one payload for each held-out motion")
 
     @property
     def stem(self) -> str:
-        """Name of its files."""
+        """Name of the policy's files without suffix."""
         return stem(self.policy, self.env_id)
 
     @property
     def shipped(self) -> SeedRun:
-        """The training whose policy ships."""
+        """Training run of the shipped policy."""
         return next(run for run in self.seeds if run.seed == self.shipped_seed)
 
     @property
-    def judged(self) -> list[SeedRun]:
-        """The trainings whose policies met the held-out motions."""
+    def evaluated_runs(self) -> list[SeedRun]:
+        """Training runs that were evaluated on the held-out motions."""
         return [run for run in self.seeds if run.held_out]
 
     def above_law(self, run: SeedRun) -> int:
-        """On how many held-out motions the policy of a training carries more than the law."""
+        """Number of held-out motions on which a run's policy has a larger DLCC than the law."""
         pairs = zip(run.held_out, self.held_out, strict=True)
         return sum(rank(payload) > rank(motion.law_payload) for payload, motion in pairs)
 
-    def shares(self, run: SeedRun) -> list[float]:
-        """Of the best found, on the held-out motions where it is known."""
+    def fractions(self, run: SeedRun) -> list[float]:
+        """DLCC as a fraction of the best known payload, on the held-out motions that have one."""
         pairs = zip(run.held_out, self.held_out, strict=True)
-        return [(payload or 0.0) / motion.best_found for payload, motion in pairs if motion.best_found]
+        return [(payload or 0.0) / motion.best_known for payload, motion in pairs if motion.best_known]
 
-    def carried(self, place: int) -> list[float]:
-        """Payloads of all seeds under the condition of this place [kg], 0 where not even zero is carried."""
-        return scores([run.payloads[place] for run in self.seeds])
+    def payloads(self, index: int) -> list[float]:
+        """DLCCs of all seeds under condition ``index`` [kg]; 0 if the policy fails unloaded."""
+        return scores([run.payloads[index] for run in self.seeds])
 
-    def summary(self, place: int) -> Summary:
-        """The payloads of all seeds under the condition of this place."""
-        return summed_up(self.carried(place))
+    def summary(self, index: int) -> Summary:
+        """Summary of the DLCCs of all seeds under condition ``index``."""
+        return summarize(self.payloads(index))
 
     def to_json(self) -> str:
-        """The card; for its readers with ``summaries``, which follow from the rest."""
-        summaries = [asdict(self.summary(place)) for place in range(len(self.conditions))]
+        """The card as JSON text, including ``summaries``, which :meth:`from_json` ignores."""
+        summaries = [asdict(self.summary(index)) for index in range(len(self.conditions))]
         lines = []
         for name, value in (asdict(self) | {"summaries": summaries}).items():
             text = json.dumps(value, ensure_ascii=False, allow_nan=False)
@@ -187,10 +187,10 @@ class Card:
 
     @classmethod
     def from_json(cls, text: str) -> Card:
-        """A card from the text that :meth:`to_json` wrote.
+        """Creates a card from the text of :meth:`to_json`.
 
         Raises:
-            ValueError: if it is no card's.
+            ValueError: if the text is not that of a card.
         """
         try:
             data = {name: value for name, value in json.loads(text).items() if name != "summaries"}
@@ -204,45 +204,47 @@ class Card:
             held_out = tuple(HeldOut(**motion) for motion in data.pop("held_out"))
             return cls(seeds=tuple(runs), conditions=conditions, held_out=held_out, **data)
         except (AttributeError, KeyError, TypeError) as error:
-            raise ValueError(f"this is no card of a policy ({type(error).__name__}: {error})") from error
+            raise ValueError(f"the text is not a card of a policy ({type(error).__name__}: {error})") from error
 
     def save(self, folder: Path) -> Path:
-        """Writes ``NAME-KIND.json``, whole or not at all."""
+        """Writes ``NAME-KIND.json`` atomically."""
         path, text = folder / f"{self.stem}.json", self.to_json()
-        write_text_whole(path, text)
+        atomic_write_text(path, text)
         return path
 
 
 def has_loops(motions: Any) -> bool:
-    """Whether random loops are among the ``motions`` of a card."""
+    """Whether the ``motions`` of a card contain random loops."""
     return isinstance(motions, Mapping) and "loops" in motions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Payloads over training seeds [kg]."""
+    """Summary of payloads over training seeds [kg]."""
 
     iqm: float
     """Interquartile mean."""
     low: float
-    """Lower end of its interval."""
+    """Lower end of the interval of ``iqm``."""
     high: float
-    """Upper end."""
+    """Upper end of the interval of ``iqm``."""
     median: float
-    """The middle one."""
+    """Median."""
 
 
-def summed_up(payloads: Sequence[float]) -> Summary:
-    """Payloads over training seeds [kg]."""
+def summarize(payloads: Sequence[float]) -> Summary:
+    """Summarises payloads over training seeds [kg]."""
     low, high = iqm_interval([payloads])
     return Summary(iqm=float(iqm(payloads)), low=low, high=high, median=median(payloads))
 
 
 def read_cards(folder: Path = WEIGHTS) -> list[Card]:
-    """All cards of a folder, in the order of :data:`~cablebot_baselines.learned.shipped.SHIPPED` and of the environments.
+    """Reads all cards of a folder.
+
+    Their order is that of :data:`~cablebot_baselines.learned.shipped.SHIPPED` and of the environments.
 
     Raises:
-        ValueError: if one is damaged, naming its file.
+        ValueError: if a card is damaged; the message names its file.
     """
     cards = []
     for name in SHIPPED:
@@ -253,5 +255,5 @@ def read_cards(folder: Path = WEIGHTS) -> list[Card]:
                 cards.append(Card.from_json(path.read_text(encoding="utf-8")))
             except ValueError as error:
                 again = f"python scripts/train_shipped.py --policy {name}"
-                raise ValueError(f"card {str(path)!r} cannot be read ({error}): make it anew, {again}") from error
+                raise ValueError(f"card {str(path)!r} cannot be read ({error}). Make it again: {again}") from error
     return cards

@@ -1,4 +1,4 @@
-"""Payloads while training, drawn from the cards."""
+"""Figure of the payloads during training, from the cards."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cablebot_baselines.learned.shipped import Condition, short_id
-from cablebot_gym.plotting.figures import add_legend, entitle, new_figure
+from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 from cards.card import Card
 from cards.statistics import scores
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 def draw_curves(cards: Sequence[Card]) -> Figure:
-    """Payload against wall time while training: all seeds, a panel for each policy and environment.
+    """Draws payload versus wall time during training for all seeds, one panel for each policy and environment.
 
     Args:
-        cards: in the order of the panels, at least one.
+        cards: cards in the order of the panels, at least one.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -33,15 +33,15 @@ def draw_curves(cards: Sequence[Card]) -> Figure:
         _curves(axes, card)
     for axes in list(panels)[len(cards) :]:
         axes.set_axis_off()
-    shown = next((place for place, card in enumerate(cards) if card.motions == "paper" and card.best_found), 0)
+    shown = next((index for index, card in enumerate(cards) if card.motions == "paper" and card.best_known), 0)
     add_legend(figure, figure.axes[shown])
-    entitle(figure, "Payload of the policy in training, on the motions that choose the best of its run")
+    set_title(figure, "Payload during training, on the motions that select the best policy of a run")
     return figure
 
 
 def _curves(axes: Axes, card: Card) -> None:
     others = [run for run in card.seeds if run.seed != card.shipped_seed]
-    for place, run in enumerate([*others, card.shipped]):  # that one on top
+    for index, run in enumerate([*others, card.shipped]):  # the shipped run is drawn on top
         ships = run.seed == card.shipped_seed
         axes.plot(
             [row["wall_s"] for row in run.curve],
@@ -49,20 +49,20 @@ def _curves(axes: Axes, card: Card) -> None:
             marker=".",
             color=VERMILLION if ships else BLUE,
             linewidth=1.8 if ships else 1.0,
-            label="seed that ships" if ships else "_" if place else "other seeds",
+            label="shipped seed" if ships else "_" if index else "other seeds",
         )
     where = "circle"
     if card.motions == "paper":
-        if card.best_found:
-            axes.axhline(card.best_found, color="black", linestyle="--", linewidth=1.0, label="best found")
+        if card.best_known:
+            axes.axhline(card.best_known, color="black", linestyle="--", linewidth=1.0, label="best known payload")
         known, uncertainty = card.evaluation.get("payload_known", True), card.evaluation.get("uncertainty")
-        if (same := Condition(told=known, uncertainty=uncertainty)) in card.conditions:
+        if (same := Condition(payload_known=known, uncertainty=uncertainty)) in card.conditions:
             (law,) = scores([card.law_payloads[card.conditions.index(same)]])
             axes.axhline(law, color=GREY, linestyle="-.", linewidth=1.0, label="classical law")
     else:
         where = "loops, mean"
     (base,) = scores([card.base_in_training])
-    axes.axhline(base, color=GREY, linestyle=":", linewidth=1.0, label="base alone")
+    axes.axhline(base, color=GREY, linestyle=":", linewidth=1.0, label="base law alone")
     axes.set_title(f"{card.policy}, {short_id(card.env_id)}: {where}", fontsize=10)
     axes.margins(y=0.08)
     axes.set_ylim(bottom=0)

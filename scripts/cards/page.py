@@ -1,4 +1,4 @@
-"""docs/learned.md, from the cards."""
+"""The page docs/learned.md, made from the cards."""
 
 from __future__ import annotations
 
@@ -13,55 +13,60 @@ from cablebot_baselines.learned.shipped import SHIPPED, Condition, short_id
 from cablebot_gym.benchmark.scores import Column
 from cablebot_gym.benchmark.tables import heading
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
-from cards.card import Card, SeedRun, Summary, has_loops, summed_up
+from cards.card import Card, SeedRun, Summary, has_loops, summarize
 from cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, scores
 
 _HEAD = """# Learned policies
 
-What ships in `baselines/cablebot_baselines/learned/weights/`, each under a name for `cablebot dlcc --policy NAME` and for
-`cablebot benchmark`: plain arrays, which run without torch and are never unpickled. `python scripts/train_shipped.py`
-trains, judges and writes all of it, this page too.
+The folder `baselines/cablebot_baselines/learned/weights/` contains the shipped learned policies. Their names work with
+`cablebot dlcc --policy NAME` and `cablebot benchmark`. The files contain plain arrays; loading them needs neither torch
+nor unpickling. `python scripts/train_shipped.py` trains and evaluates the policies and writes the weights, the cards
+and this page. APG means analytic policy gradient: training by gradients through the inverse dynamics.
 
-A learned policy steers a classical law: its network shifts the law's reference, or adds to its commands. Each was
-trained with several seeds, all of which count here. The one that ships has the median payload in training: it
-is typical, not the luckiest.
+A learned policy steers a classical law, the base law: its network shifts the law's reference, or adds to the law's
+actions. Each policy was trained with several seeds, and the table includes all of them. The shipped seed is the one
+with the median payload in training, so that it is typical and not the luckiest.
 
-* Payloads in kg, the largest that is carried on the paper's circle by the task criterion, as on the
-  [leaderboard](../LEADERBOARD.md){drawn}. None, where not even zero is carried, counts as 0.
-* IQM: interquartile mean over the training seeds; in brackets its {confidence:.0%} interval from {resamples} resamples
-  of a stratified bootstrap, whose strata are environments.
-* base alone: the law underneath, while the network says zero. law: one of the laws of `baselines/cablebot_baselines/classical/`.
-* best found: the leaderboard's, without uncertainty; a lower bound of what is possible.
-* held-out: motions with seeds from {held_out} on, which no training and no choice of a seed or a round has seen. On how
-  many the policy carries more than the law, both under the first condition; and its median share of the best found, on
-  as many of them as it was searched for. What was trained on random loops is judged with every training seed, and the
-  median counts; what was trained on the circle alone is not made for them, and only what ships is judged.
-* in training: for what was trained on random loops, the mean payload on loops that chose the best of each run, and that
-  no network was trained on.
-* training: wall time of one seed, the median.
+* Payloads are dynamic load-carrying capacities (DLCC) in kg on the paper's circle by the task criterion, as on the
+  [leaderboard](../LEADERBOARD.md){drawn}.
+  A policy that fails unloaded counts as 0.
+* IQM is the interquartile mean over the training seeds. The brackets contain its {confidence:.0%} interval from
+  {resamples} resamples of a stratified bootstrap; the strata are the environments.
+* "base alone" is the base law without the network. "law" is one of the laws in
+  `baselines/cablebot_baselines/classical/`.
+* The best known payload is that of the leaderboard without uncertainty. It is a lower bound of the largest possible
+  payload.
+* Held-out motions have seeds from {held_out} on. They were not used in training or to select a seed or a round. The
+  first column counts the motions on which the policy has a larger DLCC than the law, both under the first condition.
+  The second column is the median fraction of the best known payload, and the number of motions with one. For policies
+  trained on random loops, all training seeds are evaluated and the median is given. Policies trained on the circle
+  alone are not made for other motions, and only the shipped seed is evaluated.
+* "in training", for policies trained on random loops, is the mean payload on the validation loops. They select the best
+  policy of each run and are not used to train the network.
+* "training" is the median wall time of one seed.
 
 """
 
 _COLUMNS = (
-    *("policy", "id", "condition", "seeds", "IQM", "median", "base alone", "law", "IQM of best found"),
-    *("held-out: above law", "held-out: of best found", "training"),
+    *("policy", "id", "condition", "seeds", "IQM", "median", "base alone", "law", "IQM of best known payload"),
+    *("held-out: above law", "held-out: of best known payload", "training"),
 )
 
 
 def card_markdown(cards: Sequence[Card]) -> str:
-    """The page: one table of all, then each policy's command, base law, versions and seeds.
+    """The page: one table of all policies, then each policy's command, base law, versions and seeds.
 
     Args:
-        cards: in the order of the page, at least one.
+        cards: cards in the order of the page, at least one.
     """
     draws = sorted({card.draws for card in cards if any(one.uncertainty for one in card.conditions)})
     drawn = ""
     if draws:
         several = " or ".join(map(str, draws))
-        drawn = f"; `table6` and `sensors` with {several} draws, {cards[0].probability:.0%} of which have to carry"
+        drawn = f"; `table6` and `sensors` use {several} draws, {cards[0].probability:.0%} of which must succeed"
     text = _HEAD.format(drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED)
     text += _table([_COLUMNS, *(row for card in cards for row in _rows(card))], left=3)
-    text += "\n![Payload against wall time while training](learned.png)\n"
+    text += "\n![Payload versus wall time during training](learned.png)\n"
     for name in dict.fromkeys(card.policy for card in cards):
         text += _section([card for card in cards if card.policy == name])
     return text
@@ -70,18 +75,18 @@ def card_markdown(cards: Sequence[Card]) -> str:
 def _rows(card: Card) -> list[list[str]]:
     seeds, rows = str(len(card.seeds)), []
     if has_loops(card.motions):
-        summary = summed_up(scores([run.in_training for run in card.seeds]))
-        rows.append(["told, in training", seeds, *_spread(summary), _kg(card.base_in_training), "–", "–"])
-    for place, condition in enumerate(card.conditions):
-        summary = card.summary(place)
+        summary = summarize(scores([run.in_training for run in card.seeds]))
+        rows.append(["payload known, in training", seeds, *_iqm_cells(summary), _kg(card.base_in_training), "–", "–"])
+    for index, condition in enumerate(card.conditions):
+        summary = card.summary(index)
         rows.append(
             [
                 _title(condition),
                 seeds,
-                *_spread(summary),
-                _kg(card.base_payloads[place]),
-                f"`{card.law}` {_kg(card.law_payloads[place])}",
-                "–" if not card.best_found else f"{summary.iqm / card.best_found:.0%} of {card.best_found:.2f}",
+                *_iqm_cells(summary),
+                _kg(card.base_payloads[index]),
+                f"`{card.law}` {_kg(card.law_payloads[index])}",
+                "–" if not card.best_known else f"{summary.iqm / card.best_known:.0%} of {card.best_known:.2f}",
             ]
         )
     time = _time(median(run.wall_s for run in card.seeds))
@@ -89,14 +94,14 @@ def _rows(card: Card) -> list[list[str]]:
     return [first, *(["", "", *row, "", "", ""] for row in rows[1:])]
 
 
-def _spread(summary: Summary) -> tuple[str, str]:
+def _iqm_cells(summary: Summary) -> tuple[str, str]:
     return f"{summary.iqm:.2f} [{summary.low:.2f}, {summary.high:.2f}]", f"{summary.median:.2f}"
 
 
 def _held_out_cells(card: Card) -> tuple[str, str]:
-    shares = [card.shares(run) for run in card.judged]
-    share = f"{median(map(median, shares)):.0%} on {len(shares[0])}" if shares[0] else "–"
-    return _above(card, *card.judged), share
+    fractions = [card.fractions(run) for run in card.evaluated_runs]
+    fraction = f"{median(map(median, fractions)):.0%} on {len(fractions[0])}" if fractions[0] else "–"
+    return _above(card, *card.evaluated_runs), fraction
 
 
 def _above(card: Card, *runs: SeedRun) -> str:
@@ -104,24 +109,26 @@ def _above(card: Card, *runs: SeedRun) -> str:
 
 
 def _held_out(card: Card, run: SeedRun) -> str:
-    if run not in card.judged:
+    if run not in card.evaluated_runs:
         return "–"
-    shares = card.shares(run)
-    return _above(card, run) + (f", {median(shares):.0%}" if shares else "")
+    fractions = card.fractions(run)
+    return _above(card, run) + (f", {median(fractions):.0%}" if fractions else "")
 
 
 def _section(cards: Sequence[Card]) -> str:
     first = cards[0]
     text = f"\n## `{first.policy}`\n\n{_sentence(SHIPPED[first.policy].summary)}.\n\n```sh\n"
     text += "".join(f"{card.command}\n" for card in cards) + "```\n"
-    known = [(card, card.best_found) for card in cards if card.best_found]
+    known = [(card, card.best_known) for card in cards if card.best_known]
     if len(known) > 1 and len(known) == len(cards):
-        shares = [np.array(card.carried(0)) / best for card, best in known]
-        low, high = iqm_interval(shares)
-        mean = float(iqm(np.concatenate(shares)))
+        fractions = [np.array(card.payloads(0)) / best for card, best in known]
+        low, high = iqm_interval(fractions)
+        mean = float(iqm(np.concatenate(fractions)))
         condition = _title(first.conditions[0])
-        text += f"\nOver its {len(cards)} environments, {condition}, the IQM of the shares of the best found is "
-        text += f"{mean:.1%} [{low:.1%}, {high:.1%}].\n"
+        text += (
+            f"\nOver its {len(cards)} environments ({condition}), the IQM of the fraction of the best known payload "
+        )
+        text += f"is {mean:.1%} [{low:.1%}, {high:.1%}].\n"
     return text + "".join(_details(card) for card in cards)
 
 
@@ -129,19 +136,18 @@ def _details(card: Card) -> str:
     versions = "; ".join(
         dict.fromkeys(", ".join(f"{name} {number}" for name, number in run.versions.items()) for run in card.seeds)
     )
-    planner = "A planner's output was used in training." if card.planner_output_used else "No planner was used."
+    planner = "The training used a planner's output." if card.planner_output_used else "The training used no planner."
     text = f"\n### {short_id(card.env_id)}\n\n"
-    text += f"* Base: {card.base_text}.\n"
-    text += f"* Steering: {_steering(card.steering)}. Network: {card.parameters} parameters, reads "
+    text += f"* Base law: {card.base_text}.\n"
+    text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
     text += f"{', '.join(card.features)}.\n"
-    text += f"* Trained on {_trained_on(card.motions)}. {planner}\n"
-    text += f"* What ships, seed {card.shipped_seed}: `{card.shipped.command}`\n"
+    text += f"* Training motions: {_trained_on(card.motions)}. {planner}\n"
+    text += f"* Shipped seed {card.shipped_seed}: `{card.shipped.command}`\n"
     if card.sb3:
-        text += (
-            f"* `{card.stem}-sb3.zip` is the same actor as a model of Stable-Baselines3, to go on training with. It "
-        )
-        text += "reads the features as the bundle's `mean` and `scale` normalise them, cut at ±10.\n"
-    text += f"* {versions}\n\n"
+        text += f"* `{card.stem}-sb3.zip` contains the same actor as a model of Stable-Baselines3, for further "
+        text += "training. Its inputs are the features, normalised with the bundle's `mean` and `scale` and clipped at "
+        text += "±10.\n"
+    text += f"* Versions: {versions}\n\n"
     rows = [["seed", "steps", "wall time", "in training", *map(_title, card.conditions), "held-out", ""]]
     for run in card.seeds:
         numbers = [_kg(run.in_training), *map(_kg, run.payloads), _held_out(card, run)]
@@ -150,10 +156,12 @@ def _details(card: Card) -> str:
     return text + _table(rows, left=0)
 
 
-def _steering(way: Mapping[str, Any]) -> str:
-    numbers = {name: value for name, value in way.items() if name != "kind" and (value or name != "lead")}
-    units = {"hold": " s", "lead": " s"}
-    return f"{way['kind']}, " + ", ".join(f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items())
+def _steering(action_mapping: Mapping[str, Any]) -> str:
+    numbers = {name: value for name, value in action_mapping.items() if name != "kind" and (value or name != "preview")}
+    units = {"action_period": " s", "preview": " s"}
+    return f"{action_mapping['kind']}, " + ", ".join(
+        f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items()
+    )
 
 
 def _trained_on(motions: Any) -> str:
@@ -166,14 +174,19 @@ def _trained_on(motions: Any) -> str:
 
 
 def _title(condition: Condition) -> str:
-    information = "told" if condition.told else "untold"
     return heading(
-        Column(information=information, uncertainty=condition.uncertainty, criterion="task", draws=1),
+        Column(
+            payload_known=condition.payload_known,
+            model_payload_factor=1.0,
+            uncertainty=condition.uncertainty,
+            criterion="task",
+            draws=1,
+        ),
     )
 
 
 def _kg(payload: float | None) -> str:
-    return "none" if payload is None else f"{payload:.2f}"
+    return "fails unloaded" if payload is None else f"{payload:.2f}"
 
 
 def _time(seconds: float) -> str:
@@ -185,6 +198,6 @@ def _sentence(text: str) -> str:
 
 
 def _table(rows: Sequence[Sequence[str]], *, left: int) -> str:
-    """Markdown; the first ``left`` columns begin at the left, the others end at the right."""
-    rule = ["---" if place < left else "---:" for place in range(len(rows[0]))]
+    """A Markdown table; the first ``left`` columns are left-aligned, the others right-aligned."""
+    rule = ["---" if index < left else "---:" for index in range(len(rows[0]))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (rows[0], rule, *rows[1:]))

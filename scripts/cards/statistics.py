@@ -1,4 +1,4 @@
-"""What several training seeds carry, summed up."""
+"""Statistics of payloads over training seeds."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.runs import rank
 
 CONFIDENCE = 0.95
-"""Of intervals."""
+"""Confidence level of intervals."""
 
 RESAMPLES = 10_000
-"""Of the bootstrap."""
+"""Number of bootstrap resamples."""
 
 
 def iqm(values: ArrayLike) -> Array:
-    """Interquartile mean along the last axis: a quarter of the values, rounded down, is left out at either end.
+    """Interquartile mean along the last axis: it omits a quarter of the values, rounded down, at either end.
 
     Args:
-        values: (..., N).
+        values: array (..., N).
     """
     ordered = np.sort(np.asarray(values, float), axis=-1)
     cut = ordered.shape[-1] // 4
@@ -32,34 +32,34 @@ def iqm(values: ArrayLike) -> Array:
 def iqm_interval(
     strata: Sequence[ArrayLike], *, resamples: int = RESAMPLES, confidence: float = CONFIDENCE, seed: int = 0
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval (low, high) of the interquartile mean of all values together.
+    """Percentile bootstrap interval (low, high) of the interquartile mean over all values.
 
     Args:
-        strata: values by task, each (seeds,); values are drawn anew within each.
-        resamples: how many.
-        confidence: of the interval.
-        seed: of the draws, which are the same with every version of numpy.
+        strata: values of each task, (seeds,); resampling is within each task.
+        resamples: number of resamples.
+        confidence: confidence level.
+        seed: seed of the resampling, which does not depend on the version of NumPy.
     """
     drawn = []
-    for place, values in enumerate(np.asarray(stratum, float) for stratum in strata):
-        # Raw bits: of these alone numpy promises that they stay the same.
-        bits = np.random.Philox(np.random.SeedSequence([seed, place])).random_raw(resamples * len(values))
+    for stratum_index, values in enumerate(np.asarray(stratum, float) for stratum in strata):
+        # NumPy guarantees reproducibility across versions for raw bits only.
+        bits = np.random.Philox(np.random.SeedSequence([seed, stratum_index])).random_raw(resamples * len(values))
         index = ((bits >> np.uint64(11)) * 2.0**-53 * len(values)).astype(int)
         drawn.append(values[index.reshape(resamples, len(values))])
     ends = np.quantile(iqm(np.concatenate(drawn, axis=1)), [(1 - confidence) / 2, (1 + confidence) / 2])
     return float(ends[0]), float(ends[1])
 
 
-def typical(payloads: Mapping[int, float | None]) -> int:
-    """The seed with the median payload; of two in the middle the one that carries less, of equal ones the smallest.
+def median_seed(payloads: Mapping[int, float | None]) -> int:
+    """The seed with the median payload, for an even number the lower median; ties go to the smallest seed.
 
     Args:
-        payloads: by seed [kg]; None where not even zero is carried.
+        payloads: payload of each seed [kg]; None if the policy fails unloaded.
     """
     ordered = sorted(payloads, key=lambda seed: (rank(payloads[seed]), seed))
     return ordered[(len(ordered) - 1) // 2]
 
 
 def scores(payloads: Sequence[float | None]) -> list[float]:
-    """Payloads [kg], 0 where not even zero is carried."""
+    """Payloads [kg] with 0 for None (fails unloaded)."""
     return [payload or 0.0 for payload in payloads]

@@ -15,7 +15,7 @@ def runs(tmp_path):
     from shipping import CARRIED, save_run  # needs torch, as most tests here do not
 
     for seed in CARRIED:
-        save_run(tmp_path / "runs" / f"curve-planar-{seed}", seed)
+        save_run(tmp_path / "runs" / f"apg-circle-planar-{seed}", seed)
     return tmp_path / "runs"
 
 
@@ -31,7 +31,7 @@ def computed(monkeypatch):
         cells.append(cell)
         number = Path(cell.policy).parent.name.rpartition("-")[2]
         payload = CARRIED[int(number)] if number.isdigit() else 1.5 if "base" in cell.policy else 1.9
-        if cell.information == "untold" and payload is not None:
+        if not cell.payload_known and payload is not None:
             payload -= 1.0
         if "seed" in cell.trajectory:
             payload = 2.0 if cell.policy == "fl" else payload + (1.0 if cell.trajectory["seed"] % 2 else -1.0)

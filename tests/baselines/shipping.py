@@ -11,7 +11,7 @@ from cards import read_cards
 
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.config import read_yaml
-from cablebot_baselines.learned.export import silent_network
+from cablebot_baselines.learned.export import zero_network
 from cablebot_baselines.learned.gradient_run import ALGORITHM, make_gradient_config
 from cablebot_baselines.learned.runs import BEST, LAST
 from cablebot_baselines.learned.shipped import SHIPPED
@@ -22,10 +22,10 @@ from cablebot_gym.robots import find_robot
 
 ROOT = Path(__file__).parents[2]
 PLANAR_ID, SPATIAL_ID = ENV_IDS[:2]
-CURVE = SHIPPED["curve"]
+CURVE = SHIPPED["apg-circle"]
 
 CARRIED = {0: 2.0, 1: None, 2: 2.8, 3: 2.4, 4: 2.6}
-"""What seeds are made to carry where the payload is told; 1 kg less where it is not."""
+"""Payloads of the seeds where the payload is known; 1 kg less where it is unknown."""
 
 IN_TRAINING = {0: 2.0, 1: None, 2: 2.9, 3: 2.7, 4: 2.5}
 """What their runs say that they carried in training: its median is another seed's."""
@@ -42,11 +42,13 @@ script = _imported(ROOT / "scripts" / "train_shipped.py")
 
 
 def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
-    """A finished run of ``curve`` whose network says next to nothing; ``changes`` are of its card."""
+    """A finished run of ``apg-circle`` whose network outputs nearly zero; ``changes`` are of its card."""
     plain = read_yaml(env_id, Path("gradient"))
     made = make_gradient_config(env_id, plain)
-    steering = Steering(find_robot(env_robot(env_id)), base=made.base, way=made.way, features=made.features)
-    network = silent_network(steering.inputs, steering.actions)
+    steering = Steering(
+        find_robot(env_robot(env_id)), base=made.base, action_mapping=made.action_mapping, features=made.features
+    )
+    network = zero_network(steering.inputs, steering.actions)
     network.biases[0][:] = 1e-9 * seed
     card = {
         "command": f"cablebot train {env_id} --algo gradient --config gradient --seed {seed} --threads 1",
@@ -67,7 +69,14 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "base_payload_kg": 1.4,
         **changes,
     }
-    bundle = Bundle(env_id=env_id, base=made.base, way=made.way, features=made.features, network=network, card=card)
+    bundle = Bundle(
+        env_id=env_id,
+        base=made.base,
+        action_mapping=made.action_mapping,
+        features=made.features,
+        network=network,
+        card=card,
+    )
     bundle.save(folder / BEST)
     bundle.save(folder / LAST)
     return folder

@@ -1,4 +1,4 @@
-"""The law that weighs its payload: the estimate, the sharing out of what motors can give, and what both carry."""
+"""The law that estimates its payload: the estimate, the torque allocation, and what both carry."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear
 
 from cablebot_baselines.classical import Adaptive, Composite, FeedbackLinearization
 from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE
-from cablebot_baselines.classical.allocation import attainable
+from cablebot_baselines.classical.allocation import allocate
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
@@ -43,8 +43,8 @@ def rollout(law, env, *, rng=None, steps=None):
     for _ in range(steps or env.unwrapped.tasks[0].steps - 1):
         seen = observation if rng is None else noisy(observation, layout, rng)
         action, state = law.predict(seen, state=state, episode_start=start)
-        told = law.robot.mass + observation[:, layout.slices()["told_payload"]][:, 0]
-        estimates.append(law.mass(state, told))
+        model_mass = law.robot.mass + observation[:, layout.slices()["model_payload"]][:, 0]
+        estimates.append(law.mass(state, model_mass))
         observation, _, start, _, info = env.step(action)
         kept &= ~start & ~info["slack"].any(axis=1)
         kept &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
@@ -59,15 +59,15 @@ def test_payload_is_not_misjudged_after_a_tenth_of_a_second(env_id):
     """What is left is the prior's share: 10 ms of 100 ms."""
     law, payload = LAWS[env_id], np.array([0.0, 0.4, 1.0])
     env = gym.make_vec(env_id, num_envs=3, payload=payload, payload_known=False)
-    _, estimates = rollout(Adaptive(law, prior=1e-4), env, steps=50)
+    _, estimates = rollout(Adaptive(law, estimator_prior_weight=1e-4), env, steps=50)
     np.testing.assert_allclose(estimates[0], law.robot.mass)
     np.testing.assert_allclose(estimates[-1], law.robot.mass + payload, rtol=2e-3)
 
 
 def test_prior_is_not_another_share_than_its_time():
-    """Weighed for as long as the prior, the estimate lies half way between the told and the true mass."""
+    """Weighed for as long as the prior, the estimate lies half way between the model mass and the true mass."""
     env = gym.make_vec(SPATIAL_ID, num_envs=1, payload=2.0, payload_known=False)
-    _, estimates = rollout(Adaptive(LAWS[SPATIAL_ID], prior=0.05), env, steps=26)
+    _, estimates = rollout(Adaptive(LAWS[SPATIAL_ID], estimator_prior_weight=0.05), env, steps=26)
     assert estimates[-1][0] == pytest.approx(11.0, abs=0.1)
 
 
@@ -75,7 +75,7 @@ def test_clipped_torque_is_not_taken_for_what_was_asked():
     """Motors of a quarter of the torque clip from the start; the mass that they move is judged right all the same."""
     weak = SPATIAL.replace(motors=type(SPATIAL.motors)(stall_torque=2.9, free_speed=20.0))
     env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False, slack_time=1.0)
-    law = Adaptive(FeedbackLinearization(weak), prior=1e-4, allocation=False)
+    law = Adaptive(FeedbackLinearization(weak), estimator_prior_weight=1e-4, allocation=False)
     observation, _ = env.reset(seed=0)
     state, beyond = None, 0.0
     for _ in range(60):
@@ -123,8 +123,8 @@ def test_sensor_noise_does_not_make_it_fail(entry, env_id, payload):
     np.testing.assert_allclose(estimates[-1], 10.0 + payload, atol=0.1)
 
 
-def test_told_mass_that_is_wrong_is_not_believed():
-    """A platform 10 % heavier than the law knows, payload told: fl leaves the tube, this law does not."""
+def test_model_mass_that_is_wrong_is_not_believed():
+    """A platform 10 % heavier than the law knows, payload known: fl leaves its error bounds, this law does not."""
     heavy = SPATIAL.replace(mass=11.0)
     env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=heavy, payload=1.0)
     kept, estimates = rollout(ADAPTIVE.factory(SPATIAL), env)
@@ -132,20 +132,20 @@ def test_told_mass_that_is_wrong_is_not_believed():
     assert estimates[-1][0] == pytest.approx(12.0, abs=0.1)
 
 
-@pytest.mark.parametrize("prior", [0.0, -1.0, np.nan, np.inf])
-def test_prior_that_is_no_time_is_not_accepted(prior):
-    with pytest.raises(ValueError, match="prior must be a time greater than 0 s"):
-        Adaptive(LAWS[SPATIAL_ID], prior=prior)
+@pytest.mark.parametrize("estimator_prior_weight", [0.0, -1.0, np.nan, np.inf])
+def test_prior_that_is_no_time_is_not_accepted(estimator_prior_weight):
+    with pytest.raises(ValueError, match="estimator_prior_weight must be a time greater than 0 s"):
+        Adaptive(LAWS[SPATIAL_ID], estimator_prior_weight=estimator_prior_weight)
 
 
-# --- sharing out ------------------------------------------------------------------------------------------------------
+# --- allocation -------------------------------------------------------------------------------------------------------
 
 
 def test_allocation_is_not_another_than_the_bounded_least_squares():
     rng = np.random.default_rng(0)
     slope = rng.normal(size=(200, 6, 6)) + 2 * np.eye(6)
     command = rng.normal(size=(200, 6)) * rng.uniform(0.3, 3.0, size=(200, 1))
-    found = attainable(command, slope)
+    found = allocate(command, slope)
     for wanted, g, given in zip(command, slope, found, strict=True):
         inverse = np.linalg.inv(g)
         expected = lsq_linear(inverse, inverse @ wanted, bounds=(-1, 1), tol=1e-14).x
@@ -157,7 +157,7 @@ def test_allocation_is_not_another_than_the_bounded_least_squares():
 def test_command_within_reach_is_not_changed():
     rng = np.random.default_rng(1)
     command = rng.uniform(-1, 1, size=(5, 6))
-    np.testing.assert_allclose(attainable(command, rng.normal(size=(5, 6, 6))), command, rtol=1e-12)
+    np.testing.assert_allclose(allocate(command, rng.normal(size=(5, 6, 6))), command, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -168,20 +168,20 @@ def test_slope_is_not_another_than_the_torques_own(law):
     env_id = FLEX_ID if law.robot.flexible else SPATIAL_ID
     observation, _ = gym.make(env_id, initial_error=np.array([0.02, 0.01, -0.02, 0.1, 0.1, -0.1])).reset(seed=0)
     layout = observation_layout(law.robot)
-    part, mass = layout.split(observation), np.array(12.0)
-    base = law.torques(part, mass)[0]
+    blocks, mass = layout.split(observation), np.array(12.0)
+    base = law.torques(blocks, mass)[0]
     columns = [
-        law.torques({**part, "reference_acceleration": part["reference_acceleration"] + unit}, mass)[0] - base
+        law.torques({**blocks, "reference_acceleration": blocks["reference_acceleration"] + unit}, mass)[0] - base
         for unit in np.eye(6)
     ]
-    np.testing.assert_allclose(law.torque_slope(mass, part["pose"]), np.transpose(columns), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(law.torque_slope(mass, blocks["pose"]), np.transpose(columns), rtol=1e-8, atol=1e-10)
 
 
 def test_law_that_clips_itself_does_not_declare_the_contrary():
-    assert not ADAPTIVE.factory(SPATIAL).unclipped
-    assert ADAPTIVE.factory(PLANAR).unclipped
+    assert not ADAPTIVE.factory(SPATIAL).unsaturated_actions
+    assert ADAPTIVE.factory(PLANAR).unsaturated_actions
     free = Adaptive(LAWS[SPATIAL_ID], allocation=False)
-    assert free.unclipped
+    assert free.unsaturated_actions
     observation, _ = gym.make(SPATIAL_ID, payload=15.0).reset(seed=0)
     assert np.abs(free.predict(observation)[0]).max() > 1.2
     assert np.abs(ADAPTIVE.factory(SPATIAL).predict(observation)[0]).max() == 1.0
@@ -194,8 +194,8 @@ def test_law_that_clips_itself_does_not_declare_the_contrary():
     ("entry", "env_id", "payload"),
     [(ADAPTIVE, "CableBot-Planar-v0", 1.93), (ADAPTIVE, SPATIAL_ID, 4.97), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
 )
-def test_payload_that_is_not_told_is_not_less_than_was_reached(entry, env_id, payload):
-    """Told, fl carries 1.92 and 4.03 kg, and the best other law for joint springs 4.63 kg."""
+def test_unknown_payload_is_not_less_than_was_reached(entry, env_id, payload):
+    """With a known payload, fl carries 1.92 and 4.03 kg, and the best other law for joint springs 4.63 kg."""
     law = entry.factory(LAWS[env_id].robot)
     result = evaluate_dlcc(law, env_id, payload_known=False, resolution=0.01)
     assert result.payload == pytest.approx(payload, abs=0.05)

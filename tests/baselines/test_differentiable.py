@@ -13,7 +13,7 @@ from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robo
 from cablebot_gym.trajectories import find_trajectory
 
 torch = pytest.importorskip("torch")
-from cablebot_baselines.learned.differentiable import asked  # noqa: E402  # needs torch
+from cablebot_baselines.learned.differentiable import required_actuation  # noqa: E402  # needs torch
 
 COUNT = 40
 MINIMUM = 5.0
@@ -40,10 +40,10 @@ def masses(robot: Robot) -> np.ndarray:
 def test_tensors_do_not_ask_for_other_torques_than_the_kernel(robot: Robot) -> None:
     x, mass = motion(robot), masses(robot)
     needed = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
-    result = asked(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
+    result = required_actuation(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
     np.testing.assert_allclose(result.tensions.numpy(), needed.tensions, rtol=1e-9, atol=1e-9)
-    demand = textbook.drive_command(robot, needed.torques, needed.speeds)
-    np.testing.assert_allclose(result.demand.numpy(), demand, rtol=1e-9, atol=1e-12)
+    action = textbook.normalised_action(robot, needed.torques, needed.speeds)
+    np.testing.assert_allclose(result.action.numpy(), action, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
@@ -65,9 +65,9 @@ def test_springs_are_not_left_out_of_what_motors_have_to_do(robot: Robot) -> Non
     torques = spring + robot.motor_inertia * acceleration + robot.motor_damping * speed
     x = reference(times)
     derivatives = [torch.tensor(v) for v in (x.position, x.velocity, x.acceleration, x.jerk, x.snap)]
-    result = asked(robot, derivatives, torch.full((COUNT,), mass, dtype=torch.float64), minimum=MINIMUM)
+    result = required_actuation(robot, derivatives, torch.full((COUNT,), mass, dtype=torch.float64), minimum=MINIMUM)
     kinks = 1e-3 if robot.planar else 1e-6  # least tensions have kinks, which differences of any kind smear
-    far = np.abs(result.demand.numpy() - textbook.drive_command(robot, torques, speed)).max(axis=1)
+    far = np.abs(result.action.numpy() - textbook.normalised_action(robot, torques, speed)).max(axis=1)
     assert np.quantile(far, 0.9) < kinks
 
 
@@ -77,8 +77,8 @@ def test_gradients_are_not_those_of_another_function(robot: Robot) -> None:
     mass = torch.tensor(masses(robot)[:2])
 
     def both(*derivatives: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        result = asked(robot, derivatives, mass, minimum=MINIMUM)
-        return result.tensions, result.demand
+        result = required_actuation(robot, derivatives, mass, minimum=MINIMUM)
+        return result.tensions, result.action
 
     # Differences in time stand behind a spring's acceleration: their rounding is larger.
     assert torch.autograd.gradcheck(both, first, eps=1e-6, atol=1e-3 if robot.flexible else 1e-5, rtol=1e-4)
@@ -86,14 +86,16 @@ def test_gradients_are_not_those_of_another_function(robot: Robot) -> None:
 
 def test_soft_tensions_do_not_keep_the_kinks_that_springs_feel() -> None:
     x, mass = motion(FLEX_PLANAR), masses(FLEX_PLANAR)
-    soft = asked(FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0)
+    soft = required_actuation(FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0)
     needed = inverse_dynamics(FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
     structure = textbook.jacobian(FLEX_PLANAR, x.position)
-    expected = textbook.soft_tensions(structure, needed.tensions, MINIMUM, 10.0)
+    expected = textbook.smooth_tension_distribution(structure, needed.tensions, MINIMUM, 10.0)
     np.testing.assert_allclose(soft.tensions.numpy(), expected, rtol=0, atol=1e-8)
     few = [value[:3].clone().requires_grad_(True) for value in tensors(FLEX_PLANAR, x)]
     assert torch.autograd.gradcheck(
-        lambda *motion: asked(FLEX_PLANAR, motion, torch.tensor(mass[:3]), minimum=MINIMUM, softness=10.0).demand,
+        lambda *motion: (
+            required_actuation(FLEX_PLANAR, motion, torch.tensor(mass[:3]), minimum=MINIMUM, softness=10.0).action
+        ),
         few,
         eps=1e-6,
         atol=1e-3,
@@ -105,7 +107,8 @@ def test_demands_are_affine_in_the_mass_of_a_spatial_robot() -> None:
     """What lets a payload at which a limit is reached be computed and not searched."""
     x = tensors(SPATIAL, motion(SPATIAL))
     low, middle, high = (
-        asked(SPATIAL, x, torch.full((COUNT,), mass, dtype=torch.float64)).demand for mass in (10.0, 12.0, 14.0)
+        required_actuation(SPATIAL, x, torch.full((COUNT,), mass, dtype=torch.float64)).action
+        for mass in (10.0, 12.0, 14.0)
     )
     torch.testing.assert_close(middle, (low + high) / 2)
     assert (high - low).abs().max() > 0.05

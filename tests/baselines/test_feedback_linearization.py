@@ -90,16 +90,16 @@ def length_rates(robot, pose, velocity, acceleration, time=0.0):
 
 
 def law(robot, kind, observation, minimum=5.0, gains=None):
-    """Tensions, torques and drive commands of Eqs. 10–13 (planar) and 16–18 (spatial) for one observation."""
-    part = {name: np.array(observation[at]) for name, at in observation_layout(robot).slices().items()}
+    """Tensions, torques and actions of Eqs. 10–13 (planar) and 16–18 (spatial) for one observation."""
+    blocks = {name: np.array(observation[at]) for name, at in observation_layout(robot).slices().items()}
     stiffness, damping = gains or GAINS[kind]
-    pose, velocity = part["pose"], part["velocity"]
+    pose, velocity = blocks["pose"], blocks["velocity"]
     v = (
-        part["reference_acceleration"]
-        + damping * (part["reference_velocity"] - velocity)
-        + stiffness * (part["reference_pose"] - pose)
+        blocks["reference_acceleration"]
+        + damping * (blocks["reference_velocity"] - velocity)
+        + stiffness * (blocks["reference_pose"] - pose)
     )  # Eq. 18
-    mass = {"planar": 1.0, "spatial": 10.0}[kind] + part["told_payload"][0]
+    mass = {"planar": 1.0, "spatial": 10.0}[kind] + blocks["model_payload"][0]
     s = structure(robot, pose)
     if kind == "planar":
         tensions = planar_tensions(s, mass * v, minimum)
@@ -136,7 +136,7 @@ def motor_speed(robot, observation):
     return -structure(robot, pose) @ velocity / RADIUS
 
 
-def observations(kind, rng, count, told=None):
+def observations(kind, rng, count, model_payload=None):
     """Plausible observations, far enough off the reference for every term to matter."""
     layout, robot = observation_layout(ROBOTS[kind]), ROBOTS[kind]
     n = robot.coordinates
@@ -150,9 +150,9 @@ def observations(kind, rng, count, told=None):
     made[:, at["velocity"]] = rng.uniform(-1, 1, (count, n))
     made[:, at["reference_velocity"]] = rng.uniform(-1, 1, (count, n))
     made[:, at["reference_acceleration"]] = rng.uniform(-8, 8, (count, n))
-    made[:, at["told_payload"]] = rng.uniform(0, 5, (count, 1)) if told is None else told
+    made[:, at["model_payload"]] = rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
     made[:, at["payload_known"]] = 1.0
-    for name in ("time_left", "preview_20ms", "preview_50ms", "preview_100ms", "preview_200ms"):
+    for name in ("time_to_go", "preview_20ms", "preview_50ms", "preview_100ms", "preview_200ms"):
         made[:, at[name]] = rng.uniform(0, 1, made[:, at[name]].shape)  # what the law has no use for
     return made
 
@@ -186,7 +186,7 @@ def test_planar_tension_is_neither_below_nor_above_the_least_that_keeps_the_mini
     for observation in observations("planar", np.random.default_rng(3), 50):
         tensions, torques, _ = law(robot, "planar", observation, minimum=minimum)
         command = law_.predict(observation)[0]
-        # Tensions back from the commands: nothing but T differs from the motor's own share of the torque.
+        # Tensions back from the commands: nothing but T differs from the motor's own fraction of the torque.
         torque = command * STALL["planar"] - STALL["planar"] / FREE_SPEED * motor_speed(PLANAR, observation)
         commanded = tensions + (torque - torques) / RADIUS
         assert commanded.min() == pytest.approx(minimum, abs=1e-9)
@@ -218,17 +218,17 @@ def test_state_is_not_lost_and_observation_is_not_changed(kind):
 
 @each_kind
 def test_command_is_not_clipped_by_the_law(kind):
-    observation = observations(kind, np.random.default_rng(4), 1, told=100.0)[0]
+    observation = observations(kind, np.random.default_rng(4), 1, model_payload=100.0)[0]
     fl = FeedbackLinearization(ROBOTS[kind])
-    assert fl.unclipped is True
+    assert fl.unsaturated_actions is True
     assert np.abs(fl.predict(observation)[0]).max() > 1.5
 
 
-# --- what it is told --------------------------------------------------------------------------------------------------
+# --- payload model ----------------------------------------------------------------------------------------------------
 
 
 @each_kind
-def test_payload_that_is_not_told_does_not_reach_the_command(kind):
+def test_unknown_payload_does_not_reach_the_command(kind):
     commands = []
     for payload in (0.0, 1.5):
         env = gym.make(IDS[kind], payload=payload, payload_known=False)
@@ -241,7 +241,7 @@ def test_payload_that_is_not_told_does_not_reach_the_command(kind):
 
 
 @each_kind
-def test_told_payload_is_not_taken_for_the_total_mass(kind):
+def test_model_payload_is_not_taken_for_the_total_mass(kind):
     env = gym.make(IDS[kind], payload=1.5)
     observation, _ = env.reset(seed=0)
     command = FeedbackLinearization(ROBOTS[kind]).predict(observation)[0]
@@ -272,7 +272,8 @@ def test_observation_of_another_robot_is_not_read_as_if_it_were_this_ones(kind, 
     observation = observations(other, np.random.default_rng(6), 2)
     for wrong in (observation, observation[0]):
         with pytest.raises(
-            ValueError, match=rf"a policy for robot '{kind}' reads \d+ components, not .*build it for the env"
+            ValueError,
+            match=rf"a policy for robot '{kind}' reads observations of \d+ components, not .*build it for the env",
         ):
             FeedbackLinearization(ROBOTS[kind]).predict(wrong)
 
@@ -300,7 +301,7 @@ def test_entry_does_not_name_another_law():
     ("kind", "paper", "tuned"), [("planar", (1.92, 0.66), (1.94, 0.79)), ("spatial", (4.03, 0.39), (3.88, 4.15))]
 )
 def test_tuned_gains_are_not_the_papers(kind, paper, tuned):
-    """Payload told and not told [kg]: told, gains hardly matter."""
+    """Payload known and unknown [kg]: known, gains hardly matter."""
     for entry, payloads in ((FL, paper), (FL_TUNED, tuned)):
         for known, payload in zip((True, False), payloads, strict=True):
             law_ = entry.factory(ROBOTS[kind])
@@ -335,7 +336,7 @@ def test_closed_loop_does_not_leave_the_reference_by_a_millimetre(kind):
 @pytest.mark.parametrize("minimum", [1.0, 5.0, 12.0])
 def test_plant_does_not_give_other_tensions_than_the_law_commands(minimum):
     infos = run(gym.make(IDS["planar"]), FeedbackLinearization(PLANAR, minimum_tension=minimum))
-    least = np.array([info["tensions"].min() for info in infos if np.all(np.abs(info["drive_demand"]) <= 1)])
+    least = np.array([info["tensions"].min() for info in infos if np.all(np.abs(info["commanded_action"]) <= 1)])
     assert len(least) > 450
     np.testing.assert_allclose(least, minimum, rtol=1e-6)
 

@@ -18,11 +18,11 @@ ID = "CableBot-FlexSpatial-v0"
 PERIOD = 1 / 500
 
 
-def robot(stiffness, *, friction=0.0, unclipped=False):
+def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
     """The paper's robot at 11 kg; unclipped motors have a stall torque beyond reach on a line of the same slope."""
     springs = dataclasses.replace(FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction)
     made = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
-    return linearised.unclipped(made) if unclipped else made
+    return linearised.unsaturated_actions(made) if unsaturated_actions else made
 
 
 def peaks(law, plant_robot, **keywords):
@@ -41,20 +41,20 @@ def peaks(law, plant_robot, **keywords):
 
 @pytest.mark.parametrize(("stiffness", "rate"), [(2.0, 9.5), (3.0, 9.7)])
 def test_sampled_loop_is_not_as_stable_as_the_paper_says(stiffness, rate):
-    nominal = robot(stiffness, unclipped=True)
+    nominal = robot(stiffness, unsaturated_actions=True)
     assert growth_rate(PaperFlexible(nominal), nominal) == pytest.approx(rate, rel=0.02)
 
 
 def test_linearisation_does_not_call_every_law_unstable():
-    nominal = robot(3.0, unclipped=True)
+    nominal = robot(3.0, unsaturated_actions=True)
     assert -2 < growth_rate(Composite(nominal), nominal) < -1  # the slow pole of (30, 20): −1.6
-    rubbing = robot(3.0, friction=0.01, unclipped=True)
+    rubbing = robot(3.0, friction=0.01, unsaturated_actions=True)
     assert growth_rate(PaperFlexible(rubbing), rubbing) < -1
 
 
 @pytest.mark.parametrize(("stiffness", "rate"), [(2.0, 9.5), (3.0, 9.7)])
 def test_circle_is_not_tracked_without_friction(stiffness, rate):
-    nominal = robot(stiffness, unclipped=True)
+    nominal = robot(stiffness, unsaturated_actions=True)
     error = peaks(PaperFlexible(nominal), nominal, cable="bilateral")
     assert np.log(error[3] / error[1]) / 0.2 == pytest.approx(rate, rel=0.1)
     assert error[5] == np.inf
@@ -68,7 +68,7 @@ def test_clipped_motors_and_slack_cables_do_not_save_it(stiffness):
 
 @pytest.mark.parametrize("stiffness", [2.0, 3.0])
 def test_measured_motor_acceleration_does_not_last_a_tenth_of_a_second(stiffness):
-    nominal = robot(stiffness, unclipped=True)
+    nominal = robot(stiffness, unsaturated_actions=True)
     law = PaperFlexible(nominal, motor_acceleration="measured")
     continuous = np.cbrt(stiffness / (4e-4 * PERIOD)) / 2  # of s³ + K/(J′ h) = 0
     assert growth_rate(law, nominal) == pytest.approx(continuous, rel=0.05)
@@ -77,11 +77,11 @@ def test_measured_motor_acceleration_does_not_last_a_tenth_of_a_second(stiffness
     assert error[0] > 10 * peaks(PaperFlexible(nominal), nominal, cable="bilateral")[0]
 
 
-@pytest.mark.parametrize(("stiffness", "told", "printed"), [(2.0, 2.4e-3, 7e-3), (3.0, 1.8e-3, 7e-3)])
-def test_motor_friction_is_not_unable_to_stabilise_it(stiffness, told, printed):
-    """Table 4's 0.01 N·m·s/rad in the motors, told to the law and, as printed, not; figures of independent runs."""
+@pytest.mark.parametrize(("stiffness", "modelled", "printed"), [(2.0, 2.4e-3, 7e-3), (3.0, 1.8e-3, 7e-3)])
+def test_motor_friction_is_not_unable_to_stabilise_it(stiffness, modelled, printed):
+    """Table 4's 0.01 N·m·s/rad in the motors, known to the law and, as printed, not; figures of independent runs."""
     rubbing = robot(stiffness, friction=0.01)
-    assert peaks(PaperFlexible(rubbing), rubbing).max() == pytest.approx(told, rel=0.05)
+    assert peaks(PaperFlexible(rubbing), rubbing).max() == pytest.approx(modelled, rel=0.05)
     assert peaks(PaperFlexible(rubbing, as_printed=True), rubbing).max() == pytest.approx(printed, rel=0.05)
 
 
@@ -117,9 +117,9 @@ def test_measured_acceleration_is_not_another_than_the_difference_of_motor_speed
     np.testing.assert_array_equal(action, commanded.predict(first)[0])
     action, state = measured.predict(second, state=state, episode_start=~start)
     speeds = [measured._layout.split(each)["motor_speed"] for each in (first, second)]
-    part = measured._layout.split(second)
+    blocks = measured._layout.split(second)
     winding = textbook.pulley_acceleration(
-        FLEX_SPATIAL, part["pose"], part["velocity"], commanded.outer(part)
+        FLEX_SPATIAL, blocks["pose"], blocks["velocity"], commanded.outer(blocks)
     )  # what the other variant takes in its place
     inertia = FLEX_SPATIAL.transmission.motor_inertia
     expected = torque(commanded, commanded.predict(second)[0], second) - inertia * winding
@@ -155,5 +155,5 @@ def test_unknown_motor_acceleration_is_not_accepted(choice):
 
 
 def test_rigid_robot_is_not_accepted():
-    with pytest.raises(ValueError, match="PaperFlexible needs joint springs, and 'spatial' has none: use fl"):
+    with pytest.raises(ValueError, match=r"PaperFlexible needs joint springs, but robot 'spatial' has none\. Use fl\."):
         PaperFlexible(SPATIAL)

@@ -30,7 +30,7 @@ def with_stiffness(stiffness: float, mass: float) -> Robot:
 def test_payload_is_not_below_what_the_law_reached(law: str, payload: float) -> None:
     result = evaluate_dlcc(law, FLEX_SPATIAL_ID, resolution=0.01)
     assert result.payload == pytest.approx(payload, abs=0.03)
-    assert result.limit.kind == "rotation"
+    assert result.violation.kind == "rotation"
 
 
 @pytest.mark.parametrize("stiffness", [2.0, 3.0])
@@ -52,10 +52,10 @@ def test_error_on_the_papers_circle_at_eleven_kilograms_is_not_beyond_its_bound(
 
 
 def test_fourth_order_error_does_not_follow_other_poles_than_asked_for() -> None:
-    """On a hold, an initial error decays as the fourth-order linear equation says, cable geometry cancelled."""
+    """On a dwell, an initial error decays as the fourth-order linear equation says, cable geometry cancelled."""
     poles = (-8.0, -9.0, -10.0, -11.0)
     error = np.array([2e-3, -1e-3, 1e-3, 2e-3, 1e-3, -2e-3])
-    env = gym.make(FLEX_SPATIAL_ID, trajectory="hold-spatial", initial_error=error, control_frequency=2000.0)
+    env = gym.make(FLEX_SPATIAL_ID, trajectory="dwell-spatial", initial_error=error, control_frequency=2000.0)
     observation, _ = env.reset(seed=0)
     law, steps = FourthOrder(FLEX_SPATIAL, poles=poles), 800
     for _ in range(steps):
@@ -98,10 +98,10 @@ def test_batch_does_not_differ_from_one_observation(law: str) -> None:
     batch, _ = policy.predict(observations)
     for observation, action in zip(observations, batch, strict=True):
         np.testing.assert_allclose(policy.predict(observation)[0], action, rtol=1e-9, atol=1e-9)
-    assert np.ptp(batch, axis=0).max() > 0.01  # and the told payload is used
+    assert np.ptp(batch, axis=0).max() > 0.01  # and the model payload is used
 
 
-def test_untold_payload_is_not_used() -> None:
+def test_unknown_payload_is_not_used() -> None:
     envs = gym.make_vec(FLEX_SPATIAL_ID, num_envs=2, payload=[0.0, 2.0], payload_known=False)
     observations, _ = envs.reset(seed=0)
     observations[1] = observations[0]
@@ -156,7 +156,7 @@ def test_planar_robot_is_not_accepted_by_the_fourth_order_law() -> None:
 
 @pytest.mark.parametrize("poles", [(-1, -2, -3), (-1, -2, -3, 4), (-1 + 1j, -2, -3, -4), (0, -1, -2, -3)])
 def test_poles_that_are_not_four_stable_ones_are_not_accepted(poles: tuple[complex, ...]) -> None:
-    with pytest.raises(ValueError, match="four stable ones"):
+    with pytest.raises(ValueError, match="four stable poles"):
         FourthOrder(FLEX_SPATIAL, poles=poles)
 
 
@@ -166,15 +166,15 @@ def test_planar_motor_pd_does_not_let_go_of_the_minimum_tension() -> None:
 
 
 @pytest.mark.parametrize(
-    ("robot", "env_id", "told", "untold"),
+    ("robot", "env_id", "known_payload", "unknown_payload"),
     [(FLEX_SPATIAL, FLEX_SPATIAL_ID, 4.58, 1.61), (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 2.01, 0.25)],
     ids=lambda value: getattr(value, "name", None),
 )
 def test_tuned_composite_does_not_carry_less_than_it_reached(
-    robot: Robot, env_id: str, told: float, untold: float
+    robot: Robot, env_id: str, known_payload: float, unknown_payload: float
 ) -> None:
     """The paper's gains: 4.54 and 0.39 kg on the spatial robot, nothing on the planar one."""
-    for known, payload in ((True, told), (False, untold)):
+    for known, payload in ((True, known_payload), (False, unknown_payload)):
         result = evaluate_dlcc(COMPOSITE_TUNED.factory(robot), env_id, payload_known=known, resolution=0.01)
         assert result.payload == pytest.approx(payload, abs=0.04)
 

@@ -11,7 +11,7 @@ import yaml
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.features import PREVIEWED
+from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
 from cablebot_baselines.learned.policy import LearnedPolicy
@@ -22,60 +22,60 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.textbook import drive_command
+from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED, find_trajectory
 
 PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 
 
-def made(env_id, way, *, features=("bells",), motions=None, **settings):
+def made(env_id, action_mapping, *, features=("rbf_time",), motions=None, **settings):
     robot = find_robot(env_robot(env_id))
     paper = "paper-planar" if robot.planar else "paper-spatial"
     trajectories = [find_trajectory(name, robot.coordinates) for name in motions or [paper]]
     return GradientTraining(
         robot=robot,
         trajectories=trajectories,
-        way=way,
+        action_mapping=action_mapping,
         features=features,
         settings=GradientSettings(**{"spread": 0.5, **settings}),
     )
 
 
 @pytest.mark.parametrize(
-    ("env_id", "law", "way", "features"),
+    ("env_id", "law", "action_mapping", "features"),
     [
-        (PLANAR, "fl", Shift(hold=0.02, degree=3), ("bells",)),
-        (SPATIAL, "fl", Shift(hold=0.01, degree=2, lead=0.05), PREVIEWED),
-        (FLEX, "motor-pd", Shift(hold=0.04, degree=4, lead=0.02), ("elapsed",)),
+        (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_time",)),
+        (SPATIAL, "fl", Shift(action_period=0.01, degree=2, preview=0.05), REFERENCE_FEATURES),
+        (FLEX, "motor-pd", Shift(action_period=0.04, degree=4, preview=0.02), ("time_since_start",)),
     ],
 )
-def test_what_is_trained_is_what_the_law_is_given(env_id, law, way, features):
+def test_what_is_trained_is_what_the_law_is_given(env_id, law, action_mapping, features):
     """Anchors, past control points, ramps, features or squashing that differ between training and use."""
-    training = made(env_id, way, features=features, instants=2)
+    training = made(env_id, action_mapping, features=features, instants=2)
     trained, (trajectory,) = training.motion().detach().numpy()[0], training.trajectories
-    steering = Steering(training.robot, base=Base(law=law), way=way, features=features)
+    steering = Steering(training.robot, base=Base(law=law), action_mapping=action_mapping, features=features)
     network, memory = training.network, None
     m = training.robot.cables
     worst = 0.0
     for step in range(200):
         time = np.array([step / 500])
-        part = {
+        blocks = {
             name: value[0]
             for name, value in observed_reference(trajectory, time, to_snap=training.robot.flexible).items()
         }
-        part |= {"pose": part["reference_pose"], "velocity": part["reference_velocity"]}
-        part |= {"told_payload": np.zeros(1), "payload_known": np.ones(1)}
-        part |= {"motor_angle": np.zeros(m), "motor_speed": np.zeros(m)}
-        memory = steering.remembered(part, memory, False)
-        action = network(steering.seen(part, memory))
+        blocks |= {"pose": blocks["reference_pose"], "velocity": blocks["reference_velocity"]}
+        blocks |= {"model_payload": np.zeros(1), "payload_known": np.ones(1)}
+        blocks |= {"motor_angle": np.zeros(m), "motor_speed": np.zeros(m)}
+        memory = steering.reset_memory(blocks, memory, False)
+        action = network(steering.observe(blocks, memory))
         given = {}
         original = steering.law.respond
         steering.law.respond = lambda shifted, *rest, keep=given, call=original: (
             keep.update(shifted),
             call(shifted, *rest),
         )[1]
-        _, memory = steering.respond(part, action, memory, False)
+        _, memory = steering.respond(blocks, action, memory, False)
         steering.law.respond = original
         if step % steering.periods == 0:
             decision = trained[step // steering.periods, 0]
@@ -92,14 +92,14 @@ def test_what_is_trained_is_what_the_law_is_given(env_id, law, way, features):
 
 def test_limits_are_those_of_the_plant_with_the_payload_and_without():
     """Demands of another mass, or a limit that is looked at on one side alone."""
-    training = made(SPATIAL, Shift(hold=0.04, degree=3), demand=0.5, tension=20.0)
+    training = made(SPATIAL, Shift(action_period=0.04, degree=3), action_limit=0.5, tension=20.0)
     motion = training.motion().detach().numpy()[training._motions.inside.numpy()]
     broken = [value.detach().numpy() for value in training._violations()]
     robot = training.robot
     demands, tensions = [], []
     for mass in (robot.mass, robot.mass + training.payloads[0]):
         needed = inverse_dynamics(robot, mass, *(motion[:, order] for order in range(3)))
-        demands.append(drive_command(robot, needed.torques, needed.speeds))
+        demands.append(normalised_action(robot, needed.torques, needed.speeds))
         tensions.append(needed.tensions)
     assert broken[0] == pytest.approx(np.maximum(np.abs(demands) - 0.5, 0).ravel(), abs=1e-9)
     assert broken[1] == pytest.approx(np.maximum(20.0 - np.array(tensions), 0).ravel() / 20.0, abs=1e-9)
@@ -108,8 +108,8 @@ def test_limits_are_those_of_the_plant_with_the_payload_and_without():
 
 
 def test_a_feature_of_what_the_policy_does_is_refused():
-    with pytest.raises(ValueError, match="'shift' says more"):
-        made(PLANAR, Shift(), features=("bells", "shift"))
+    with pytest.raises(ValueError, match="remove 'shift'"):
+        made(PLANAR, Shift(), features=("rbf_time", "shift"))
 
 
 def test_kinks_of_the_least_tensions_do_not_end_the_search():
@@ -118,8 +118,8 @@ def test_kinks_of_the_least_tensions_do_not_end_the_search():
     for softness in ((), (20.0, 3.0)):
         training = made(
             "CableBot-FlexPlanar-v0",
-            Shift(hold=0.02, share=0.9, degree=4),
-            features=("reference_acceleration", "elapsed"),
+            Shift(action_period=0.02, fraction=0.9, degree=4),
+            features=("reference_acceleration", "time_since_start"),
             motions=[{"name": "loop-planar", "seed": seed} for seed in (0, 5)],
             spread=0.01,
             rounds=(30.0, 300.0),
@@ -134,14 +134,14 @@ def test_kinks_of_the_least_tensions_do_not_end_the_search():
 
 
 def test_softness_of_spatial_tensions_is_refused():
-    with pytest.raises(ValueError, match="softness is for planar cables, and 'spatial' is spatial"):
+    with pytest.raises(ValueError, match="softness is for planar robots, but 'spatial' is spatial"):
         made(SPATIAL, Shift(), softness=(1.0,) * 5)
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        *({"iterations": 0}, {"instants": 1}, {"demand": 0.0}, {"lighter": 1.0}, {"rounds": ()}),
+        *({"iterations": 0}, {"instants": 1}, {"action_limit": 0.0}, {"lighter": 1.0}, {"rounds": ()}),
         *({"softness": (1.0,)}, {"softness": (1.0, 1.0, 1.0, 1.0, -1.0)}),
     ],
 )
@@ -152,8 +152,8 @@ def test_settings_out_of_range_are_refused(wrong):
 
 SMALL = {
     "base": {"law": "fl", "gains": [2500, 100], "minimum_tension": 2.0},
-    "steering": {"kind": "shift", "hold": 0.02, "share": 0.98, "degree": 3},
-    "features": ["bells"],
+    "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.98, "degree": 3},
+    "features": ["rbf_time"],
     "rounds": [30, 300],
     "iterations": 40,
 }
@@ -217,7 +217,7 @@ def test_a_damaged_checkpoint_and_another_configuration_are_refused_before_anyth
             train_gradient(PLANAR, out=out, resume=True, **asked)
     data = (out / CHECKPOINT).read_bytes()
     (out / CHECKPOINT).write_bytes(data[: len(data) // 2])
-    with pytest.raises(ValueError, match="nothing was changed"):
+    with pytest.raises(ValueError, match="no file was changed"):
         train_gradient(PLANAR, out=out, resume=True)
     assert (out / BEST).read_bytes() == kept
 
@@ -234,7 +234,7 @@ def test_a_damaged_checkpoint_and_another_configuration_are_refused_before_anyth
         ({"motions": {}}, "'paper', {loops: N}"),
         ({"motions": {"named": "paper-planar"}}, "such as"),
         ({"motions": {"named": ["paper-spatial"]}}, "not for 2 coordinates"),
-        ({"motions": {"named": [{"name": "loop-planar", "seed": 10_000}]}}, "seed 10000 is kept for judging"),
+        ({"motions": {"named": [{"name": "loop-planar", "seed": 10_000}]}}, "seed 10000 is reserved for evaluation"),
         ({"features": ["nonsense"]}, "unknown feature"),
     ],
 )
@@ -248,18 +248,18 @@ def test_motions_are_loops_and_named_ones_and_unseen_loops_judge():
     both = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", lines]}})
     assert [one.name for one in both.trajectories] == ["loop-planar", "loop-planar", "paper-planar", "line-planar"]
     assert both.trajectories[-1].duration == 2.0
-    assert [one.seed for one in both.judged] == list(VALIDATION)
+    assert [one.seed for one in both.validation] == list(VALIDATION)
     own = make_gradient_config(PLANAR, SMALL | {"motions": {"named": [lines]}})
-    assert [one.name for one in own.trajectories] == [one.name for one in own.judged] == ["line-planar"]
+    assert [one.name for one in own.trajectories] == [one.name for one in own.validation] == ["line-planar"]
 
 
-@pytest.mark.parametrize("name", ["gradient", "gradient-safe", "gradient-preview"])
+@pytest.mark.parametrize("name", ["gradient", "gradient-margin", "gradient-loops"])
 def test_shipped_configurations_keep_away_from_held_out_motions(name):
     from cablebot_baselines.learned.config import HYPERPARAMS
 
     for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
         config = make_gradient_config(env_id, plain)
-        seeds = {getattr(motion, "seed", 0) for motion in (*config.trajectories, *config.judged)}
+        seeds = {getattr(motion, "seed", 0) for motion in (*config.trajectories, *config.validation)}
         assert max(seeds) < FIRST_HELD_OUT_SEED
         trained = {getattr(motion, "seed", None) for motion in config.trajectories}
         assert not trained & set(VALIDATION)

@@ -14,7 +14,7 @@ import cablebot_baselines.classical
 from cablebot_baselines.classical.law import first_steps
 from cablebot_gym import ENV_IDS
 from cablebot_gym.policies import PolicyEntry, PolicyError
-from cablebot_gym.policies.protocol import begin
+from cablebot_gym.policies.protocol import reset_policy
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL
 
 ENTRIES = [entry for entry in vars(cablebot_baselines.classical).values() if isinstance(entry, PolicyEntry)]
@@ -37,8 +37,8 @@ def robot_of(env_id):
 def test_law_does_not_refuse_its_own_robot_nor_one_of_another_mass(entry, env_id):
     robot = robot_of(env_id)
     law = entry.factory(robot)
-    law.begin(tasks_of(env_id))
-    law.begin(tasks_of(env_id, robot=robot.replace(mass=1.1 * robot.mass, name="heavier")))
+    law.reset(tasks_of(env_id))
+    law.reset(tasks_of(env_id, robot=robot.replace(mass=1.1 * robot.mass, name="heavier")))
 
 
 @each_case
@@ -48,9 +48,9 @@ def test_task_of_another_robot_is_not_begun(entry, env_id):
     for other_id in ENV_IDS:
         if other_id != env_id:
             with pytest.raises(
-                ValueError, match=rf"was built for robot '{robot.name}', but the task's '.*build the law"
+                ValueError, match=rf"was built for robot '{robot.name}', but the task's robot '.*Build the law"
             ):
-                law.begin(tasks_of(other_id))
+                law.reset(tasks_of(other_id))
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_task_of_another_robot_is_not_begun(entry, env_id):
         (
             FLEX_SPATIAL,
             FLEX_SPATIAL.replace(home_pose=(0, 0, 0.15, 0, 0, 0), name="flex-wide"),
-            "another home pose, from which its motor angles are measured",
+            "another home pose, which is the zero of its motor angles",
         ),
         (SPATIAL, SPATIAL.replace(platform_anchors=1.01 * SPATIAL.platform, name="wide"), "other anchors"),
     ],
@@ -73,11 +73,11 @@ def test_refusal_does_not_keep_the_difference_to_itself(robot, other, difference
     law = cablebot_baselines.classical.Composite if robot.flexible else cablebot_baselines.classical.Robust
     env_id = next(env_id for env_id in ENV_IDS if robot_of(env_id).name == other.name.replace("wide", "spatial"))
     task = tasks_of(env_id, robot=other)
-    expected = f"built for robot '{robot.name}', but the task's '{other.name}' has {difference}: build the law from"
+    expected = f"built for robot '{robot.name}', but the task's robot '{other.name}' has {difference}. Build the law"
     with pytest.raises(ValueError, match=expected):
-        law(robot).begin(task)
+        law(robot).reset(task)
     with pytest.raises(PolicyError, match=expected):
-        begin(law(robot), "mine", task)
+        reset_policy(law(robot), "mine", lambda: task)
 
 
 @each_case
@@ -88,7 +88,8 @@ def test_observation_of_another_robot_is_not_read_as_if_it_were_this_ones(entry,
             observation, _ = gym.make_vec(other_id, num_envs=2).reset(seed=0)
             for wrong in (observation, observation[0]):
                 with pytest.raises(
-                    ValueError, match=r"a policy for robot '.*' reads \d+ components, .*build it for the env"
+                    ValueError,
+                    match=r"a policy for robot '.*' reads observations of \d+ components, .*build it for the env",
                 ):
                     law.predict(wrong)
 
@@ -105,10 +106,10 @@ def test_one_observation_does_not_differ_from_its_row_of_a_batch(entry, env_id):
         action, together = law.predict(observation, state=together, episode_start=start, deterministic=True)
         assert action.shape == (3, env.single_action_space.shape[0])
         np.testing.assert_array_equal(observation, before)
-        for lane in range(3):
-            single, alone[lane] = law.predict(observation[lane], state=alone[lane], episode_start=start[lane])
-            assert single.shape == action[lane].shape
-            np.testing.assert_allclose(single, action[lane], rtol=1e-9, atol=1e-9)
+        for index in range(3):
+            single, alone[index] = law.predict(observation[index], state=alone[index], episode_start=start[index])
+            assert single.shape == action[index].shape
+            np.testing.assert_allclose(single, action[index], rtol=1e-9, atol=1e-9)
         observation, *_ = env.step(action)
         start = np.zeros(3, np.bool_)
 
@@ -136,7 +137,7 @@ def test_start_of_one_observation_is_not_refused_in_an_array_of_one(start):
 
 
 def test_starts_of_another_batch_are_not_taken():
-    with pytest.raises(ValueError, match=r"one boolean or have shape \(3,\), not \(2,\)"):
+    with pytest.raises(ValueError, match=r"one boolean or have shape \(3,\), not shape \(2,\)"):
         first_steps("a state", [True, False], (3,))
     assert first_steps("a state", [True, False, True], (3,)).tolist() == [True, False, True]
     assert first_steps(None, None, (2,)).tolist() == [True, True]

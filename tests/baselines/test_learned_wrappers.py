@@ -18,10 +18,10 @@ import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_baselines.learned.base import find_base
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.features import PREVIEWED
+from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.steering import Shift, Steering, find_way
+from cablebot_baselines.learned.steering import Shift, Steering, find_action_mapping
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
 from cablebot_baselines.learned.wrappers import (
     PayloadCurriculum,
@@ -35,12 +35,12 @@ from cablebot_baselines.learned.wrappers import (
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.evaluation.constraints import Judge
 from cablebot_gym.robots import PLANAR, SPATIAL
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 DISABLED = AutoresetMode.DISABLED
 
-SEEN = ("pose", "velocity", "error", "actions", "elapsed", "bells", "ending", "told_payload")
+SEEN = ("pose", "velocity", "error", "actions", "time_since_start", "rbf_time", "time_to_go_decays", "model_payload")
 SHIFTED = (*SEEN, "shift", "shift_velocity")
 
 # What a law does under random actions: some episodes fail, others last until a limit that falls within an action.
@@ -49,17 +49,17 @@ CASES: dict[str, dict[str, Any]] = {
         "env_id": PLANAR_ID,
         "heaviest": 4.0,
         "steered": {
-            "base": {"law": "fl", "weighs": True},
-            "steering": {"kind": "shift", "hold": 0.02, "share": 0.5},
+            "base": {"law": "fl", "estimates_payload": True},
+            "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.5},
             "features": SHIFTED,
         },
     },
-    "lead": {
+    "preview": {
         "env_id": FLEX_ID,
         "heaviest": 9.0,
         "steered": {
             "base": "composite",
-            "steering": {"kind": "shift", "hold": 0.02, "share": 0.3, "degree": 5, "lead": 0.05},
+            "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.3, "degree": 5, "preview": 0.05},
             "features": SHIFTED,
         },
     },
@@ -111,7 +111,7 @@ def check_same_lane(many_info, lane, info):
 
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m.*imum value is -?infinity:UserWarning")
-@pytest.mark.parametrize("case", ["shift", "lead"])
+@pytest.mark.parametrize("case", ["shift", "preview"])
 def test_checkers_find_nothing(case):
     env = single(case)
     check_env(env)
@@ -222,13 +222,13 @@ def test_a_law_is_not_asked_about_a_plant_that_has_ended(monkeypatch):
         SPATIAL_ID,
         2,
         wrappers=[(WithinLimits, {}), (Steered, {"base": "fl", "steering": "residual", "features": ("error",)})],
-        limits={"position": 1e-4},
+        error_bounds={"position": 1e-4},
     )
     respond, largest = env.steering.law.respond, []
 
-    def watched(part, *others):
-        largest.append(np.abs(part["pose"] - part["reference_pose"])[:, :3].max())
-        return respond(part, *others)
+    def watched(blocks, *others):
+        largest.append(np.abs(blocks["pose"] - blocks["reference_pose"])[:, :3].max())
+        return respond(blocks, *others)
 
     monkeypatch.setattr(env.steering.law, "respond", watched)
     env.reset(options={"payload": [25.0, 0.0]})
@@ -241,7 +241,7 @@ def test_a_law_is_not_asked_about_a_plant_that_has_ended(monkeypatch):
 def test_all_arguments_are_plain_data_and_recorded_in_the_spec():
     env = single("shift")
     recorded = [wrapper.kwargs for wrapper in env.spec.additional_wrappers]
-    assert json.loads(json.dumps(recorded))[-1]["base"] == {"law": "fl", "weighs": True}
+    assert json.loads(json.dumps(recorded))[-1]["base"] == {"law": "fl", "estimates_payload": True}
     assert [made.vector for made, _ in stack("shift")] == [WithinLimitsVector, PayloadCurriculumVector, SteeredVector]
     assert isinstance(gym.make(env.spec), Steered)
 
@@ -387,7 +387,7 @@ def test_the_ceiling_falls_where_too_few_heavy_payloads_are_carried_and_never_be
 def test_lanes_share_a_ceiling_that_does_not_rise_where_payloads_are_dropped():
     """What the twin counts is what WithinLimits says, and once only for a lane that is stepped past its end."""
 
-    def run(limits):
+    def run(error_bounds):
         curriculum = {"heaviest": 2.0, "start": 0.4, "step": 0.02, "window": 8, "power": 0.01}
         env = make_steered_vec(
             PLANAR_ID,
@@ -395,7 +395,7 @@ def test_lanes_share_a_ceiling_that_does_not_rise_where_payloads_are_dropped():
             wrappers=[(WithinLimits, {}), (PayloadCurriculum, curriculum), (Steered, CASES["shift"]["steered"])],
             seed=0,
             max_episode_steps=45,
-            limits=limits,
+            error_bounds=error_bounds,
         )
         ends = 0
         for _ in range(10):
@@ -426,8 +426,8 @@ def test_an_episode_ends_where_the_evaluator_says_that_the_payload_fails():
         assert terminated is (payload == heavier)
         assert info["is_success"] is (not terminated)
         assert info["termination_reason"] == ("rotation_error" if terminated else "")
-    assert found.limit.kind == "rotation"
-    assert info["time"] == found.limit.time
+    assert found.violation.kind == "rotation"
+    assert info["time"] == found.violation.time
 
 
 @pytest.mark.parametrize("env_id", [PLANAR_ID, SPATIAL_ID])
@@ -435,12 +435,17 @@ def test_every_kind_of_failure_is_the_judges_at_the_same_instant(env_id):
     """Lanes of all payloads under a law, and lanes whose cables are let go."""
     robot, count, steps = (PLANAR, 24, 300) if env_id == PLANAR_ID else (SPATIAL, 24, 300)
     heaviest = 6.0 if robot.planar else 16.0
-    keywords = {"num_envs": count, "autoreset_mode": DISABLED, "max_episode_steps": steps, "limits": {"rotation": 0.02}}
+    keywords = {
+        "num_envs": count,
+        "autoreset_mode": DISABLED,
+        "max_episode_steps": steps,
+        "error_bounds": {"rotation": 0.02},
+    }
     plain, env = gym.make_vec(env_id, **keywords), WithinLimitsVector(gym.make_vec(env_id, **keywords))
-    law, judge = FeedbackLinearization(robot), Judge("task", Limits(rotation=0.02), robot.cables, count)
+    law, judge = FeedbackLinearization(robot), Judge("task", ErrorBounds(rotation=0.02), robot.cables, count)
     options = {"payload": np.linspace(0.0, heaviest, count)}
     observation, info = plain.reset(seed=0, options=options)
-    judge.begin(info)
+    judge.reset(info)
     _, info = env.reset(seed=0, options=options)
     assert not info["is_success"].any()
     first: dict[int, tuple[str, float]] = {}
@@ -450,13 +455,15 @@ def test_every_kind_of_failure_is_the_judges_at_the_same_instant(env_id):
         observation, _, failed, _, plain_info = plain.step(command, past_end=True)
         judge.observe(plain_info, failed)
         _, reward, terminated, truncated, info = env.step(command, past_end=True)
-        saturated = np.maximum(np.abs(info["drive_demand"]) - 0.97, 0).mean(axis=1)
+        saturated = np.maximum(np.abs(info["commanded_action"]) - 0.97, 0).mean(axis=1)
         np.testing.assert_allclose(reward, 0.02 - terminated - 0.02 * saturated, atol=1e-15)
         for lane in np.flatnonzero(terminated):
             first.setdefault(int(lane), (str(info["termination_reason"][lane]), info["time"][lane]))
-    limits = {lane: judge.verdict(lane, complete=True).limit for lane in range(count)}
+    error_bounds = {lane: judge.verdict(lane, complete=True).violation for lane in range(count)}
     kinds = {"position": "tracking_error", "rotation": "rotation_error", "slack": "slack"}
-    assert first == {lane: (kinds[limit.kind], limit.time) for lane, limit in limits.items() if limit}
+    assert first == {
+        lane: (kinds[violation.kind], violation.time) for lane, violation in error_bounds.items() if violation
+    }
     assert {reason for reason, _ in first.values()} >= {"slack", "tracking_error"} | (
         set() if robot.planar else {"rotation_error"}
     )
@@ -467,11 +474,13 @@ def test_every_kind_of_failure_is_the_judges_at_the_same_instant(env_id):
 
 @pytest.mark.parametrize(("name", "bound"), [("tracking_error", "position"), ("rotation_error", "rotation")])
 def test_an_error_between_two_control_instants_counts(name, bound):
-    law, keywords = FeedbackLinearization(SPATIAL), {"control_frequency": 50.0, "trajectory": "hold-spatial"}
+    law, keywords = FeedbackLinearization(SPATIAL), {"control_frequency": 50.0, "trajectory": "dwell-spatial"}
     push = np.array([0.1, 0.02, 0.1, 0.0, 0.1, 0.0])  # once; it comes back
 
-    def run(limits):
-        env = WithinLimits(gym.make(SPATIAL_ID, limits={"position": 9.0, "rotation": 9.0} | limits, **keywords))
+    def run(error_bounds):
+        env = WithinLimits(
+            gym.make(SPATIAL_ID, error_bounds={"position": 9.0, "rotation": 9.0} | error_bounds, **keywords)
+        )
         observation, _ = env.reset()
         infos, terminated = [], False
         while len(infos) < 60 and not terminated:
@@ -486,7 +495,7 @@ def test_an_error_between_two_control_instants_counts(name, bound):
 
 
 def test_what_happens_after_the_motion_is_not_judged_as_the_monitor_does_not():
-    short = {"name": "hold-planar", "duration": 0.1}
+    short = {"name": "dwell-planar", "duration": 0.1}
     env = WithinLimits(DLCCMonitor(gym.make(PLANAR_ID, trajectory=short, slack_time=9.0, termination_radius=9.0)))
     twin = WithinLimitsVector(
         gym.make_vec(PLANAR_ID, num_envs=1, autoreset_mode=DISABLED, slack_time=9.0, termination_radius=9.0)
@@ -508,7 +517,7 @@ def test_what_happens_after_the_motion_is_not_judged_as_the_monitor_does_not():
 def test_limits_given_as_an_option_hold_for_the_episode():
     env = WithinLimits(gym.make(PLANAR_ID))
     twin = WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=DISABLED))
-    tight = {"limits": {"position": 1e-9}}
+    tight = {"error_bounds": {"position": 1e-9}}
     env.reset(seed=0, options=tight)
     assert env.step(np.full(3, 0.2))[4]["termination_reason"] == "tracking_error"
     env.reset()
@@ -519,7 +528,7 @@ def test_limits_given_as_an_option_hold_for_the_episode():
 
 
 def test_the_environments_own_end_is_an_end_and_keeps_its_name():
-    env = WithinLimits(gym.make(PLANAR_ID, termination_radius=9.0, slack_time=9.0, limits={"position": 9.0}))
+    env = WithinLimits(gym.make(PLANAR_ID, termination_radius=9.0, slack_time=9.0, error_bounds={"position": 9.0}))
     env.reset(options={"initial_error": [0.3, 0.0]})
     steps = [env.step([0.9, 0.1, 0.1]) for _ in range(300)]
     ends = [(info["termination_reason"], reward) for _, reward, terminated, _, info in steps if terminated]
@@ -550,7 +559,7 @@ class Rounding(Network):
         return super().__call__(np.asarray(values, np.float32).astype(float))
 
 
-@pytest.mark.parametrize("case", ["shift", "lead", "residual"])
+@pytest.mark.parametrize("case", ["shift", "preview", "residual"])
 def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training(case):
     """To the last bit, with a network that reads what the learner reads, in single precision."""
     env = single(case)
@@ -566,7 +575,7 @@ def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training
     bundle = Bundle(
         env_id=chosen["env_id"],
         base=find_base(steered["base"]),
-        way=find_way(steered["steering"]),
+        action_mapping=find_action_mapping(steered["steering"]),
         features=tuple(steered["features"]),
         network=network,
     )
@@ -575,7 +584,7 @@ def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training
     options = {"payload": 0.4}
     seen, _ = env.reset(seed=0, options=options)
     observation, _ = plain.reset(seed=0, options=options)
-    policy.begin([plain.unwrapped.task])
+    policy.reset([plain.unwrapped.task])
     state, holds = None, 0
     for _ in range(8):
         seen, _, terminated, truncated, info = env.step(network(seen))
@@ -584,7 +593,7 @@ def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training
             command, state = policy.predict(observation, state)
             observation, _, _, _, plain_info = plain.step(command)
         np.testing.assert_array_equal(env.unwrapped.pose, plain.unwrapped.pose)
-        for name in ("drive_demand", "tensions", "time"):
+        for name in ("commanded_action", "tensions", "time"):
             np.testing.assert_array_equal(info[name], plain_info[name], err_msg=name)
         if terminated or truncated:
             break
@@ -592,13 +601,16 @@ def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training
     assert holds >= 6
 
 
-@pytest.mark.parametrize("lead", [0.0, 0.05])
-def test_the_shift_that_is_seen_is_the_one_that_the_law_gets_then(lead):
+@pytest.mark.parametrize("preview", [0.0, 0.05])
+def test_the_shift_that_is_seen_is_the_one_that_the_law_gets_then(preview):
     steering = Steering(
-        PLANAR, base=find_base("fl"), way=Shift(hold=0.02, lead=lead), features=("shift", "shift_velocity", "error")
+        PLANAR,
+        base=find_base("fl"),
+        action_mapping=Shift(action_period=0.02, preview=preview),
+        features=("shift", "shift_velocity", "error"),
     )
     env = gym.make(PLANAR_ID)
-    part = steering.split(env.reset()[0])
+    blocks = steering.split(env.reset()[0])
     given: dict[str, Any] = {}
 
     def law(moved, *others):
@@ -606,22 +618,22 @@ def test_the_shift_that_is_seen_is_the_one_that_the_law_gets_then(lead):
         return type(steering.law).respond(steering.law, moved, *others)
 
     steering.law.respond = law
-    memory, differences = steering.remembered(part, None, None), []
+    memory, differences = steering.reset_memory(blocks, None, None), []
     for step in range(60):
-        seen = steering.seen(part, memory)
+        seen = steering.observe(blocks, memory)
         action = actions_of(env, 6)[step // 10, :2]
-        command, memory = steering.respond(part, action, memory)
+        command, memory = steering.respond(blocks, action, memory)
         for order, bounds in (("pose", 0.0095), ("velocity", 0.0095 / 0.02)):
-            shift = given[f"reference_{order}"] - part[f"reference_{order}"]
+            shift = given[f"reference_{order}"] - blocks[f"reference_{order}"]
             differences.append(shift / bounds - seen[:2] if order == "pose" else shift / bounds - seen[2:4])
-        differences.append(given["reference_pose"] - part["pose"] - seen[4:])
-        part = steering.split(env.step(command)[0])
+        differences.append(given["reference_pose"] - blocks["pose"] - seen[4:])
+        blocks = steering.split(env.step(command)[0])
     assert np.abs(differences).max() < 1e-9
 
 
 @pytest.mark.parametrize("made", ["single", "twin"])
 def test_the_hold_and_the_tube_are_those_of_the_environments_frequency_and_limits(made):
-    keywords = {"control_frequency": 100.0, "limits": {"position": 0.02}, "trajectory": "hold-planar"}
+    keywords = {"control_frequency": 100.0, "error_bounds": {"position": 0.02}, "trajectory": "dwell-planar"}
     steered = CASES["shift"]["steered"]
     if made == "single":
         env = Steered(gym.make(PLANAR_ID, **keywords), **steered)
@@ -646,8 +658,8 @@ def test_a_step_before_a_reset_and_after_an_end_says_what_to_do():
     with pytest.raises(ResetNeeded, match=r"reset\(\)"):
         env.step(np.zeros(2))
     batch.reset()
-    with pytest.raises(ValueError, match=r"limits.*where the environments are made"):
-        batch.reset(options={"limits": {"position": 0.02}})
+    with pytest.raises(ValueError, match=r"error_bounds.*when the environments are made"):
+        batch.reset(options={"error_bounds": {"position": 0.02}})
 
 
 BAD_ACTIONS = {
@@ -680,16 +692,28 @@ def test_a_bad_action_is_refused_in_words_and_changes_nothing(name):
 STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
 
 BAD_STACKS: dict[str, tuple[Any, str]] = {
-    "nothing": ([], "must be Steered: there is nothing"),
-    "Steered within": ([(Steered, STEERED), (WithinLimits, {})], "must be Steered: there is Steered, WithinLimits"),
-    "steered twice": ([(Steered, STEERED), (Steered, STEERED)], "order is WithinLimits, PayloadCurriculum, Steered"),
+    "nothing": ([], "must be Steered, but wrappers is empty"),
+    "Steered within": (
+        [(Steered, STEERED), (WithinLimits, {})],
+        "must be Steered, but wrappers is Steered, WithinLimits",
+    ),
+    "steered twice": (
+        [(Steered, STEERED), (Steered, STEERED)],
+        r"order is WithinLimits \(innermost\), PayloadCurriculum, Steered",
+    ),
     "limits around the curriculum": (
         [(PayloadCurriculum, {"heaviest": 1.0}), (WithinLimits, {}), (Steered, STEERED)],
-        "PayloadCurriculum has to hear: the order is WithinLimits",
+        "counts the episodes that it ends. The order is WithinLimits",
     ),
-    "unknown argument": ([(Steered, STEERED | {"hold": 1})], "Steered has no argument 'hold'; it takes base, steering"),
-    "missing argument": ([(PayloadCurriculum, {}), (Steered, STEERED)], "PayloadCurriculum needs heaviest"),
-    "no twin": ([(DLCCMonitor, {}), (Steered, STEERED)], "DLCCMonitor has no twin.*WithinLimits, PayloadCurriculum"),
+    "unknown argument": (
+        [(Steered, STEERED | {"action_period": 1})],
+        "Steered has no argument 'action_period'; it takes base, steering",
+    ),
+    "missing argument": ([(PayloadCurriculum, {}), (Steered, STEERED)], "PayloadCurriculum requires heaviest"),
+    "no twin": (
+        [(DLCCMonitor, {}), (Steered, STEERED)],
+        "DLCCMonitor has no vector form.*WithinLimits, PayloadCurriculum",
+    ),
     "negative reward": ([(WithinLimits, {"alive": -1.0}), (Steered, STEERED)], "alive must be a number of at least 0"),
     "endless failure": ([(WithinLimits, {"failure": np.inf}), (Steered, STEERED)], "failure must be a number"),
     "unknown law": ([(Steered, STEERED | {"base": "lqr"})], "unknown base law 'lqr'.*fl, composite"),
@@ -763,15 +787,15 @@ def test_a_seed_repeats_a_batch_and_keywords_reach_the_environment():
 def test_twins_exist_for_every_id():
     for env_id in cablebot_gym.ENV_IDS:
         base = "composite" if "Flex" in env_id else "fl"
-        steered = {"base": base, "steering": "shift", "features": PREVIEWED}
+        steered = {"base": base, "steering": "shift", "features": REFERENCE_FEATURES}
         env = make_steered_vec(env_id, 2, wrappers=[(Steered, steered)], seed=0)
         observation, *_ = env.step(np.zeros(env.action_space.shape))
         assert env.observation_space.contains(observation)
 
 
 def test_a_law_that_would_weigh_the_residual_for_payload_is_refused():
-    with pytest.raises(ValueError, match="takes a residual for mass"):
-        Steered(gym.make(SPATIAL_ID), base={"law": "fl", "weighs": True}, steering="residual", features=SEEN)
+    with pytest.raises(ValueError, match="bias the payload estimate"):
+        Steered(gym.make(SPATIAL_ID), base={"law": "fl", "estimates_payload": True}, steering="residual", features=SEEN)
 
 
 def test_effort_costs_the_mean_square_of_what_counts_of_an_action_in_both_twins():

@@ -12,13 +12,13 @@ import pytest
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, NoPlan
-from cablebot_baselines.optimal.nmpc import EVERY, NMPC, TUNING, NonlinearMPC
+from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, PlanningError
+from cablebot_baselines.optimal.nmpc import NMPC, STEPS_PER_PLAN, TUNING, NonlinearMPC
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 ROBOTS = {PLANAR_ID: PLANAR, SPATIAL_ID: SPATIAL}
@@ -33,7 +33,7 @@ def policies():
 def rollout(policy, env, *, steps=None, seed=0):
     """Whether each episode kept its limits, all commands, and the last state."""
     observation, _ = env.reset(seed=seed)
-    policy.begin(env.unwrapped.tasks)
+    policy.reset(env.unwrapped.tasks)
     state, start, actions = None, np.ones(env.num_envs, np.bool_), []
     kept = np.ones(env.num_envs, np.bool_)
     for _ in range(steps or env.unwrapped.tasks[0].steps):
@@ -55,7 +55,7 @@ def vector(env_id, count, **keywords):
 
 @pytest.mark.parametrize(("env_id", "payload"), [(PLANAR_ID, 2.7), (SPATIAL_ID, 6.4)])
 @pytest.mark.parametrize("known", [True, False])
-def test_payload_far_beyond_adaptive_is_carried_told_or_not(policies, env_id, payload, known):
+def test_payload_far_beyond_adaptive_is_carried_known_or_not(policies, env_id, payload, known):
     """``adaptive`` carries 1.9 kg and 5.0 kg; an ignored mass estimate, or a plan that no law follows, less."""
     env = vector(env_id, 2, payload=np.array([0.0, payload]), payload_known=known)
     kept, actions, _ = rollout(policies[env_id], env)
@@ -78,24 +78,24 @@ def test_same_episode_is_not_driven_differently_the_second_time(policies):
 def test_batch_is_not_driven_otherwise_than_each_observation_alone(policies, env_id):
     policy, env = policies[env_id], vector(env_id, 3, payload=np.array([0.0, 1.0, 2.0]))
     observation, _ = env.reset(seed=0)
-    policy.begin(env.unwrapped.tasks)
+    policy.reset(env.unwrapped.tasks)
     together, alone = None, [None] * 3
-    for _ in range(2 * EVERY + 1):
+    for _ in range(2 * STEPS_PER_PLAN + 1):
         action, together = policy.predict(observation, state=together)
-        for lane in range(3):
-            single, alone[lane] = policy.predict(observation[lane], state=alone[lane])
+        for index in range(3):
+            single, alone[index] = policy.predict(observation[index], state=alone[index])
             assert single.shape == (policy.robot.cables,)
-            np.testing.assert_allclose(single, action[lane], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(single, action[index], rtol=0, atol=1e-12)
         observation, *_ = env.step(action)
 
 
 def test_episode_that_starts_does_not_inherit_a_plan(policies):
-    """A lane that starts anew beside one that goes on does what a new policy does, and the other is not disturbed."""
+    """An environment that starts anew acts like a new policy, and does not disturb the environment beside it."""
     policy, env = policies[PLANAR_ID], vector(PLANAR_ID, 2, payload=2.0)
     first, _ = env.reset(seed=0)
-    policy.begin(env.unwrapped.tasks)
+    policy.reset(env.unwrapped.tasks)
     observation, state = first, None
-    for _ in range(EVERY + 2):
+    for _ in range(STEPS_PER_PLAN + 2):
         action, state = policy.predict(observation, state=state)
         observation, *_ = env.step(action)
     mixed = np.stack([first[0], observation[1]])
@@ -110,7 +110,7 @@ def test_state_passed_in_is_not_written_to(policies):
     policy, env = policies[PLANAR_ID], vector(PLANAR_ID, 1)
     observation, _ = env.reset(seed=0)
     _, state = policy.predict(observation)
-    for _ in range(EVERY - 1):
+    for _ in range(STEPS_PER_PLAN - 1):
         _, state = policy.predict(observation, state=state)
     again = [policy.predict(observation, state=state)[0] for _ in range(2)]
     np.testing.assert_array_equal(*again)
@@ -125,21 +125,21 @@ def test_plans_are_not_solved_more_often_than_every_fifth_step(monkeypatch):
 
 
 def test_trajectory_is_not_read_from_the_task(policies):
-    """Without ``begin`` the commands are the same: the observation tells it all."""
+    """Without ``reset`` the commands are the same: the observation tells it all."""
     env = vector(PLANAR_ID, 1, payload=2.5)
-    _, told, _ = rollout(policies[PLANAR_ID], env, steps=30)
+    _, expected, _ = rollout(policies[PLANAR_ID], env, steps=30)
     silent = NMPC.factory(PLANAR)
-    silent.begin = lambda tasks: None
-    np.testing.assert_array_equal(rollout(silent, env, steps=30)[1], told)
+    silent.reset = lambda tasks: None
+    np.testing.assert_array_equal(rollout(silent, env, steps=30)[1], expected)
 
 
 def test_limits_of_the_task_are_not_ignored():
     """Within 2 mm the platform may not go as far as within 10 mm."""
     policy, worst = NMPC.factory(PLANAR), []
     for radius in (0.002, 0.01):
-        env = vector(PLANAR_ID, 1, payload=1.5, limits={"position": radius})
+        env = vector(PLANAR_ID, 1, payload=1.5, error_bounds={"position": radius})
         observation, _ = env.reset(seed=0)
-        policy.begin(env.unwrapped.tasks)
+        policy.reset(env.unwrapped.tasks)
         state, peak = None, 0.0
         for _ in range(300):
             action, state = policy.predict(observation, state=state)
@@ -162,7 +162,7 @@ def test_preview_is_not_off_the_reference_across_its_jump(policies, env_id, star
     ahead, state, errors = np.linspace(0.0, HORIZON, 41), None, []
     for step in range(task.steps):
         action, state = policy.predict(observation, state=state)
-        if step % EVERY == 0:
+        if step % STEPS_PER_PLAN == 0:
             seen = policy.preview(policy.split(observation), state, 0)(ahead)
             true = task.trajectory(step / task.control_frequency + ahead).position
             errors.append(np.abs(seen - true).max())
@@ -179,8 +179,8 @@ def test_reference_does_not_move_on_after_its_end(policies):
         action, state = policy.predict(observation, state=state)
         observation, _, _, _, info = env.step(action)
     assert info["tracking_error_peak"][0] < 0.01
-    part = policy.split(observation)
-    np.testing.assert_allclose(policy.preview(part, state, 0)(HORIZON), part["reference_pose"][0], atol=1e-9)
+    blocks = policy.split(observation)
+    np.testing.assert_allclose(policy.preview(blocks, state, 0)(HORIZON), blocks["reference_pose"][0], atol=1e-9)
 
 
 # --- the program ------------------------------------------------------------------------------------------------------
@@ -198,15 +198,22 @@ def test_planned_motion_keeps_tube_and_motors(robot):
     shift = 0.02 * np.sin(2 * np.pi * program.instants / HORIZON) ** 2  # asks for far too much
     reference = home + shift[:, None] * direction
     plan = program.plan(
-        reference, home, np.zeros(n), reference, np.zeros(n), mass=mass, limits=Limits(position=0.03), rounds=8
+        reference,
+        home,
+        np.zeros(n),
+        reference,
+        np.zeros(n),
+        mass=mass,
+        error_bounds=ErrorBounds(position=0.03),
+        iterations=8,
     )
     fine = np.linspace(0.0, HORIZON, 201)
     pose, velocity, acceleration = program.basis(fine) @ plan
     needed = textbook.inverse_dynamics(
         robot, mass, pose, velocity, acceleration, minimum=tuning.margins.tension, strict=False
     )
-    demand = (needed.torques + robot.speed_slope * needed.speeds) / robot.stall_torque
-    assert np.abs(demand).max() < 1.02
+    action = (needed.torques + robot.speed_slope * needed.speeds) / robot.stall_torque
+    assert np.abs(action).max() < 1.02
     wanted = home + 0.02 * np.sin(2 * np.pi * fine / HORIZON)[:, None] ** 2 * direction
     assert np.linalg.norm((pose - wanted)[:, :3], axis=1).max() < 0.03
     np.testing.assert_allclose(pose[0], home, atol=1e-12)
@@ -222,7 +229,7 @@ def failing_from(policy, monkeypatch, first, last=10**9):
 
     def sometimes(*args, **keywords):
         if first <= next(number) <= last:
-            raise NoPlan("told to fail")
+            raise PlanningError("made to fail")
         return plan(*args, **keywords)
 
     monkeypatch.setattr(policy.program, "plan", sometimes)
@@ -237,8 +244,8 @@ def test_solver_that_never_works_is_neither_silent_nor_the_end(monkeypatch, capl
     assert kept.all()
     assert policy.fallbacks == 2 * 100
     assert len(caplog.records) == 1
-    assert "told to fail" in caplog.text
-    policy.begin(vector(PLANAR_ID, 2).unwrapped.tasks)
+    assert "made to fail" in caplog.text
+    policy.reset(vector(PLANAR_ID, 2).unwrapped.tasks)
     assert policy.fallbacks == 0
 
 
@@ -256,8 +263,8 @@ def test_old_plan_is_not_followed_beyond_its_end(monkeypatch):
     failing_from(policy, monkeypatch, 1)
     _, _, state = rollout(policy, vector(PLANAR_ID, 1), steps=110)
     assert state.plans == (None,)
-    part = policy.split(vector(PLANAR_ID, 1).reset(seed=0)[0])
-    np.testing.assert_array_equal(policy._followed(part, state)["reference_pose"], part["reference_pose"])
+    blocks = policy.split(vector(PLANAR_ID, 1).reset(seed=0)[0])
+    np.testing.assert_array_equal(policy._planned_blocks(blocks, state)["reference_pose"], blocks["reference_pose"])
 
 
 def test_casadi_that_raises_does_not_end_the_episode(monkeypatch):
@@ -278,7 +285,9 @@ def test_state_from_which_no_limit_can_be_kept_is_no_failure(robot):
     program, n = HorizonProgram(robot, TUNING["planar" if robot.planar else "spatial"]), robot.coordinates
     home, away = np.array(robot.home), np.eye(n)[min(n, 3) - 1]
     still = np.tile(home, (len(program.instants), 1))
-    plan = program.plan(still, home - 0.015 * away, -2.0 * away, still, np.zeros(n), mass=20.0, limits=Limits())
+    plan = program.plan(
+        still, home - 0.015 * away, -2.0 * away, still, np.zeros(n), mass=20.0, error_bounds=ErrorBounds()
+    )
     assert np.isfinite(plan).all()
 
 
@@ -289,10 +298,10 @@ def test_platform_far_away_is_not_planned_for_and_counts_once(env_id, monkeypatc
     monkeypatch.setattr(policy.program, "plan", lambda *a, **k: solved.append(1) or plan(*a, **k))
     env = vector(env_id, 1)
     observation, _ = env.reset(seed=0)
-    policy.begin(env.unwrapped.tasks)
+    policy.reset(env.unwrapped.tasks)
     observation[:, observation_layout(policy.robot).slices()["pose"].start] += 0.05
     state = None
-    for _ in range(3 * EVERY):
+    for _ in range(3 * STEPS_PER_PLAN):
         action, state = policy.predict(observation, state=state)
         assert np.isfinite(action).all()
     assert not solved
@@ -307,8 +316,8 @@ def test_pose_without_equations_is_no_exception(policies):
     anchor = np.array(PLANAR.base[0])
     assert cable_lengths(PLANAR.base, PLANAR.platform, anchor).min() == 0.0
     still = np.tile(anchor, (len(program.instants), 1))
-    with pytest.raises(NoPlan):
-        program.plan(still, anchor, np.zeros(2), still, np.zeros(2), mass=1.0, limits=Limits())
+    with pytest.raises(PlanningError):
+        program.plan(still, anchor, np.zeros(2), still, np.zeros(2), mass=1.0, error_bounds=ErrorBounds())
 
 
 def test_missing_casadi_is_named_with_its_command(monkeypatch):
@@ -326,7 +335,7 @@ def test_missing_casadi_is_named_with_its_command(monkeypatch):
 
 def test_other_robot_is_refused(policies):
     with pytest.raises(ValueError, match="built for robot"):
-        policies[PLANAR_ID].begin(vector(SPATIAL_ID, 1).unwrapped.tasks)
+        policies[PLANAR_ID].reset(vector(SPATIAL_ID, 1).unwrapped.tasks)
 
 
 def test_springs_are_not_planned_for_as_if_rigid():
@@ -336,7 +345,7 @@ def test_springs_are_not_planned_for_as_if_rigid():
 
 def test_tuning_is_not_ignored():
     """A plan that weighs errors alone stays on the reference."""
-    tuning = replace(TUNING["planar"], error=1e4)
+    tuning = replace(TUNING["planar"], error_weight=1e4)
     policy = NonlinearMPC(PLANAR, tuning=tuning)
     env = vector(PLANAR_ID, 1, payload=1.0)
     observation, _ = env.reset(seed=0)

@@ -31,11 +31,11 @@ def errors_under(outer_loop, mass_factor=1.1, trajectory="paper-spatial", initia
     observation, _ = env.reset(seed=0)
     layout, record = observation_layout(SPATIAL), []
     for _ in range(500):
-        part = layout.split(observation)
-        distance = np.linalg.norm((part["reference_pose"] - part["pose"])[:3])
+        blocks = layout.split(observation)
+        distance = np.linalg.norm((blocks["reference_pose"] - blocks["pose"])[:3])
         values = (0.0, 0.0)
         if isinstance(outer_loop, RobustPD):
-            values = (outer_loop.lyapunov_value(part), np.linalg.norm(outer_loop.switching(part)))
+            values = (outer_loop.lyapunov_value(blocks), np.linalg.norm(outer_loop.switching(blocks)))
         record.append((distance, *values))
         observation, _, terminated, _, _ = env.step(law.predict(observation)[0])
         assert not terminated
@@ -45,9 +45,9 @@ def errors_under(outer_loop, mass_factor=1.1, trajectory="paper-spatial", initia
 class WrongSign(RobustPD):
     """The paper's printed minus sign, which belongs to e = z − z_d."""
 
-    def __call__(self, part):
-        plain = PD(gains=self.gains)(part)
-        return 2 * plain - super().__call__(part)
+    def __call__(self, blocks):
+        plain = PD(gains=self.gains)(blocks)
+        return 2 * plain - super().__call__(blocks)
 
 
 @pytest.mark.parametrize("gains", [GAINS, (2000.0, 10.0), (1.0, 1e-3)])
@@ -67,22 +67,22 @@ def test_term_is_not_another_than_the_corrected_equations(layer):
     rng = np.random.default_rng(0)
     pose, velocity, acceleration = (rng.normal(size=6) for _ in range(3))
     zero = np.zeros(6)
-    part = {"reference_pose": pose, "pose": zero, "reference_velocity": velocity, "velocity": zero}
-    part["reference_acceleration"] = acceleration
+    blocks = {"reference_pose": pose, "pose": zero, "reference_velocity": velocity, "velocity": zero}
+    blocks["reference_acceleration"] = acceleration
     loop = RobustPD(gains=GAINS, boundary_layer=layer, zeta=0.3, phi=2.0, q=[[3.0, 0.2], [0.2, 1.0]])
     e = np.stack([pose, velocity], axis=1).ravel()
     a = np.kron(np.eye(6), [[0.0, 1.0], [-30.0, -20.0]])
     s = np.kron(np.eye(6), [[0.0, 1.0]]) @ np.kron(np.eye(6), loop.lyapunov) @ e
     rho = (0.3 * (np.linalg.norm(acceleration) + np.linalg.norm(a @ e)) + 2.0) / (1 - 0.3)
     expected = acceleration + 20 * velocity + 30 * pose + rho * s / max(np.linalg.norm(s), layer)
-    np.testing.assert_allclose(loop(part), expected, rtol=1e-12)
-    np.testing.assert_allclose(loop.switching(part), s, rtol=1e-12)
-    assert loop.lyapunov_value(part) == pytest.approx(e @ np.kron(np.eye(6), loop.lyapunov) @ e)
-    batch = {name: np.stack([value, 0.1 * value]) for name, value in part.items()}
+    np.testing.assert_allclose(loop(blocks), expected, rtol=1e-12)
+    np.testing.assert_allclose(loop.switching(blocks), s, rtol=1e-12)
+    assert loop.lyapunov_value(blocks) == pytest.approx(e @ np.kron(np.eye(6), loop.lyapunov) @ e)
+    batch = {name: np.stack([value, 0.1 * value]) for name, value in blocks.items()}
     np.testing.assert_allclose(loop(batch)[0], expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("trajectory", ["hold-spatial", "paper-spatial"])
+@pytest.mark.parametrize("trajectory", ["dwell-spatial", "paper-spatial"])
 @pytest.mark.parametrize("mass_factor", [0.9, 1.1])
 def test_lyapunov_function_does_not_rise_before_the_boundary_layer_is_reached(trajectory, mass_factor):
     error = np.array([0.02, -0.01, 0.02, 0.05, -0.03, 0.05])
@@ -148,8 +148,8 @@ def test_parameter_is_not_ignored(law, keyword, value):
         ("boundary_layer", np.nan, "boundary_layer must be greater than 0"),
         ("zeta", 1.0, "zeta must be at least 0 and below 1"),
         ("zeta", -0.1, "zeta must be at least 0 and below 1"),
-        ("phi", -1.0, "phi must be an acceleration of at least 0"),
-        ("phi", np.inf, "phi must be an acceleration of at least 0"),
+        ("phi", -1.0, "phi must be a finite acceleration of at least 0"),
+        ("phi", np.inf, "phi must be a finite acceleration of at least 0"),
         ("q", 0.0, "symmetric and positive definite"),
         ("q", [[1.0, 0.5], [0.2, 1.0]], "symmetric and positive definite"),
         ("q", [[1.0, 2.0], [2.0, 1.0]], "symmetric and positive definite"),
@@ -164,7 +164,7 @@ def test_parameter_out_of_its_range_is_not_accepted(law, keyword, value, message
         law(SPATIAL if law is Robust else FLEX_SPATIAL, **{keyword: value})
 
 
-def test_payload_that_is_not_told_is_not_less_than_independent_runs_carried():
+def test_unknown_payload_is_not_less_than_independent_runs_carried():
     """2.85 and 4.58 kg, where fl carries 0.39 kg."""
     plain, middle, tuned = (
         evaluate_dlcc(law, ID, payload_known=False, resolution=0.01).payload
@@ -177,7 +177,7 @@ def test_payload_that_is_not_told_is_not_less_than_independent_runs_carried():
 
 @pytest.mark.parametrize(("law", "robot"), [(Robust, SPATIAL), (RobustComposite, FLEX_SPATIAL)])
 def test_papers_uncertainty_does_not_leave_more_than_two_fifths_of_the_error(law, robot):
-    """Table 6 at 1 kg told, 200 draws: the paper's "more than 60 %" less, at ε = 1e-3."""
+    """Table 6 at a known payload of 1 kg, 200 draws: the paper's "more than 60 %" less, at ε = 1e-3."""
     env_id = "CableBot-FlexSpatial-v0" if robot.flexible else ID
     plain = Composite(robot) if robot.flexible else FeedbackLinearization(robot)
     policies = [plain, law(robot)]

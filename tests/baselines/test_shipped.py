@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cards import LEAST_SEEDS, card_markdown, read_bests, read_cards, typical, with_bests
+from cards import LEAST_SEEDS, card_markdown, median_seed, read_best_known, read_cards, with_best_known
 from shipping import CURVE, PLANAR_ID, ROOT, SPATIAL_ID, save_run, script, ship
 from stable_baselines3 import PPO
 
@@ -76,7 +76,7 @@ def test_failed_evaluation_ends_it(runs, monkeypatch, tmp_path):
         return Record(cell=cell, source=cell.source, versions={}, result={"error": "it raised"}, seconds=0.0)
 
     monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", fail)
-    with pytest.raises(RuntimeError, match="could not be judged on CableBot-Planar-v0: it raised"):
+    with pytest.raises(RuntimeError, match="on CableBot-Planar-v0 failed: it raised"):
         ship(runs, tmp_path / "weights")
     assert not list((tmp_path / "weights").glob("*"))
 
@@ -86,8 +86,8 @@ def test_failed_evaluation_ends_it(runs, monkeypatch, tmp_path):
     [({"seed": 3}, "another seed"), ({"config": {"motions": {"loops": 2}}}, "another config")],
 )
 def test_finished_run_of_something_else_is_refused(runs, computed, tmp_path, changes, words):
-    save_run(runs / "curve-planar-2", **{"seed": 2, **changes})
-    with pytest.raises(ValueError, match=f"{words} than curve has now: remove the folder"):
+    save_run(runs / "apg-circle-planar-2", **{"seed": 2, **changes})
+    with pytest.raises(ValueError, match=f"{words} than the present apg-circle: remove the folder"):
         ship(runs, tmp_path / "weights")
     assert not computed
 
@@ -108,17 +108,17 @@ def test_too_few_of_something_is_refused_before_the_work(tmp_path, keywords, wor
 
 
 def test_what_is_wanted_has_to_ship():
-    assert script.wanted(list(SHIPPED.values()), SPATIAL_ID) == [(one, SPATIAL_ID) for one in SHIPPED.values()]
-    with pytest.raises(ValueError, match="ppo for CableBot-Spatial-v0"):
-        script.wanted([SHIPPED["ppo"]], PLANAR_ID)
+    assert script.select_pairs(list(SHIPPED.values()), SPATIAL_ID) == [(one, SPATIAL_ID) for one in SHIPPED.values()]
+    with pytest.raises(ValueError, match="ppo-circle for CableBot-Spatial-v0"):
+        script.select_pairs([SHIPPED["ppo-circle"]], PLANAR_ID)
 
 
 def test_only_what_is_not_finished_is_trained(runs, monkeypatch):
-    (runs / "curve-planar-1" / LAST).unlink()
+    (runs / "apg-circle-planar-1" / LAST).unlink()
     started = []
     monkeypatch.setattr(script, "_train", lambda *arguments: started.append(arguments[3].name) or "done")
     script.train_missing([(CURVE, PLANAR_ID)], seeds=7, runs=runs, jobs=1)
-    assert started == ["curve-planar-1", "curve-planar-5", "curve-planar-6"]
+    assert started == ["apg-circle-planar-1", "apg-circle-planar-5", "apg-circle-planar-6"]
 
 
 def test_sb3_model_has_the_actor_of_the_bundle_and_nothing_of_the_machine(tmp_path):
@@ -139,7 +139,7 @@ default:
     - cablebot_baselines.learned.wrappers.Steered:
         base: {law: fl, gains: [900, 60]}
         steering: {kind: shift}
-        features: [elapsed, actions, error, told_payload]
+        features: [time_since_start, actions, error, model_payload]
 """,
         encoding="utf-8",
     )
@@ -168,12 +168,12 @@ default:
 def test_page_and_figure_are_written_with_the_best_found_of_now(runs, computed, tmp_path):
     weights, docs = tmp_path / "weights", tmp_path / "docs"
     card = ship(runs, weights)
-    replace(card, best_found=9.0).save(weights)
+    replace(card, best_known=9.0).save(weights)
     script.write_page(weights, docs)
     assert read_cards(weights) == [card]
     assert (docs / "learned.md").read_text(encoding="utf-8") == card_markdown([card])
     assert (docs / "learned.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ValueError, match="there is no card in docs: make one"):
+    with pytest.raises(ValueError, match=r"folder docs contains no card\. Make one"):
         script.write_page(docs, docs)
 
 
@@ -195,7 +195,8 @@ def test_entry_points_name_the_table():
 
 def test_listing_and_reading_needs_no_torch():
     code = (
-        "import sys; import cablebot_baselines.learned.shipped, cards as cards; cards.read_cards(); "
+        "import sys; sys.path.insert(0, 'scripts'); "
+        "import cablebot_baselines.learned.shipped, cards; cards.read_cards(); "
         "assert not {'torch', 'stable_baselines3', 'matplotlib'} & set(sys.modules), sorted(sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
@@ -207,34 +208,35 @@ def test_listing_and_reading_needs_no_torch():
 def test_kind_of_robot_chooses_the_weights(tmp_path, robot, env_id):
     for one in ENV_IDS:
         save_run(tmp_path / one, env_id=one)
-        (tmp_path / one / BEST).rename(tmp_path / f"{stem('preview', one)}.zip")
+        (tmp_path / one / BEST).rename(tmp_path / f"{stem('apg-loops', one)}.zip")
     own = robot.replace(name="own", mass=1.1 * robot.mass)
     assert env_id_of(own) == env_id
-    assert load_shipped("preview", own, tmp_path).bundle.env_id == env_id
+    assert load_shipped("apg-loops", own, tmp_path).bundle.env_id == env_id
     if robot is FLEX_PLANAR:
         anchors = (*robot.base_anchors, (0.0, -0.6))
         with pytest.raises(ValueError, match="evaluate it on the environment that it was trained on"):
-            load_shipped("preview", robot.replace(name="four", base_anchors=anchors), tmp_path)
+            load_shipped("apg-loops", robot.replace(name="four", base_anchors=anchors), tmp_path)
 
 
 def test_what_is_missing_is_said_in_words(tmp_path):
-    with pytest.raises(ValueError, match=r"curve-planar.zip is missing \(there: none\)"):
-        load_shipped("curve", PLANAR, tmp_path)
+    with pytest.raises(ValueError, match=r"apg-circle-planar.zip is missing \(present: none\)"):
+        load_shipped("apg-circle", PLANAR, tmp_path)
     save_run(tmp_path)
-    (tmp_path / BEST).rename(tmp_path / "curve-planar.zip")
+    (tmp_path / BEST).rename(tmp_path / "apg-circle-planar.zip")
+    words = r"apg-circle-spatial.zip is missing \(present: apg-circle-planar.zip\). Reinstall .* --policy apg-circle"
+    with pytest.raises(ValueError, match=words):
+        load_shipped("apg-circle", SPATIAL, tmp_path)
     words = (
-        r"curve-spatial.zip is missing \(there: curve-planar.zip\); install .* --policy curve --id CableBot-Spatial-v0"
+        r"'ppo-circle' has weights for CableBot-Spatial-v0, not for CableBot-Planar-v0\. "
+        "Choose apg-circle, apg-loops, or train it"
     )
     with pytest.raises(ValueError, match=words):
-        load_shipped("curve", SPATIAL, tmp_path)
-    words = "'ppo' ships for CableBot-Spatial-v0, not for CableBot-Planar-v0: choose curve, preview, or train it"
-    with pytest.raises(ValueError, match=words):
-        load_shipped("ppo", PLANAR, tmp_path)
-    with pytest.raises(ValueError, match="choose one of ppo, curve, curve-safe, preview"):
-        load_shipped("tube", PLANAR, tmp_path)
-    (tmp_path / "curve-planar.zip").write_bytes(b"PK")
-    with pytest.raises(ValueError, match=r"curve-planar.zip' cannot be used"):
-        load_shipped("curve", PLANAR, tmp_path)
+        load_shipped("ppo-circle", PLANAR, tmp_path)
+    with pytest.raises(ValueError, match="choose one of ppo-circle, apg-circle, apg-circle-margin, apg-loops"):
+        load_shipped("trajopt", PLANAR, tmp_path)
+    (tmp_path / "apg-circle-planar.zip").write_bytes(b"PK")
+    with pytest.raises(ValueError, match=r"apg-circle-planar.zip' cannot be used"):
+        load_shipped("apg-circle", PLANAR, tmp_path)
 
 
 # ---------------------------------------------------------------------------------------------------- held-out motions
@@ -245,8 +247,8 @@ def seeds_in(value):
     if isinstance(value, dict):
         yield from (number for name, number in value.items() if name == "seed")
     if isinstance(value, (dict, list, tuple)):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from seeds_in(part)
+        for blocks in value.values() if isinstance(value, dict) else value:
+            yield from seeds_in(blocks)
 
 
 def check_apart(env_id, algorithm, config):
@@ -254,7 +256,9 @@ def check_apart(env_id, algorithm, config):
     assert all(seed in TRAINING_SEEDS for seed in seeds_in(config))
     if algorithm == ALGORITHM:
         made = make_gradient_config(env_id, config)
-        trained, judged = ({getattr(one, "seed", None) for one in some} for some in (made.trajectories, made.judged))
+        trained, judged = (
+            {getattr(one, "seed", None) for one in some} for some in (made.trajectories, made.validation)
+        )
         assert all(seed is None or seed < FIRST_HELD_OUT_SEED for seed in trained | judged)
         assert trained == judged == {None} or not trained & judged
 
@@ -262,7 +266,7 @@ def check_apart(env_id, algorithm, config):
 def test_training_and_validation_seeds_are_apart_from_the_held_out_ones():
     assert max(TRAINING_SEEDS) < FIRST_HELD_OUT_SEED
     assert {*VALIDATION} <= {*TRAINING_SEEDS}
-    plain = {"base": "fl", "steering": "shift", "features": ["bells"]}
+    plain = {"base": "fl", "steering": "shift", "features": ["rbf_time"]}
     with pytest.raises(ValueError, match="loops must be"):
         make_gradient_config(PLANAR_ID, {**plain, "motions": {"loops": VALIDATION[0] + 1}})
 
@@ -286,10 +290,10 @@ def test_all_or_nothing_ships():
 
 
 def test_page_is_that_of_the_cards():
-    path, bests = ROOT / "docs" / "learned.md", read_bests(RESULTS)
+    path, bests = ROOT / "docs" / "learned.md", read_best_known(RESULTS)
     page = path.read_text(encoding="utf-8") if path.exists() else ""
     assert page == (card_markdown(list(CARDS.values())) if CARDS else ""), AGAIN
-    assert [with_bests(card, bests) for card in CARDS.values()] == list(CARDS.values()), AGAIN
+    assert [with_best_known(card, bests) for card in CARDS.values()] == list(CARDS.values()), AGAIN
 
 
 def test_weights_are_small_and_load_without_torch_or_unpickling():
@@ -320,7 +324,7 @@ def test_cards_are_those_of_their_weights():
         assert (WEIGHTS / f"{name}.json").read_text(encoding="utf-8") == card.to_json(), AGAIN
         assert card.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
         assert len(card.seeds) >= LEAST_SEEDS
-        assert card.shipped_seed == typical({run.seed: run.in_training for run in card.seeds})
+        assert card.shipped_seed == median_seed({run.seed: run.in_training for run in card.seeds})
         assert (card.algorithm, card.config, card.conditions) == (shipped.algorithm, shipped.config, shipped.conditions)
         assert (bundle.env_id, bundle.card["seed"]) == (card.env_id, card.shipped_seed)
         assert bundle.card["planner_output_used"] == card.planner_output_used
@@ -331,5 +335,7 @@ def test_cards_are_those_of_their_weights():
 
 def test_payloads_of_the_planar_cards_still_hold():
     for card in (card for name, card in CARDS.items() if name.endswith("-planar")):
-        made = evaluate_dlcc(load_shipped(card.policy, PLANAR), PLANAR_ID, payload_known=card.conditions[0].told)
+        made = evaluate_dlcc(
+            load_shipped(card.policy, PLANAR), PLANAR_ID, payload_known=card.conditions[0].payload_known
+        )
         assert made.payload == pytest.approx(card.shipped.payloads[0], abs=2 * made.resolution)

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.textbook import drive_command
+from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("torch")
-from cablebot_baselines.learned.features import PREVIEWED, feature_symmetry  # needs torch
+from cablebot_baselines.learned.features import REFERENCE_FEATURES, feature_symmetry  # needs torch
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import symmetries
 
-FEATURES = (*PREVIEWED, "reference_jerk", "reference_snap")
+FEATURES = (*REFERENCE_FEATURES, "reference_jerk", "reference_snap")
 LOOP = {"name": "loop-planar", "seed": 3}
 
 
@@ -24,7 +24,7 @@ def training(**settings):
     return GradientTraining(
         robot=FLEX_PLANAR,
         trajectories=[find_trajectory(LOOP, 2)],
-        way=Shift(hold=0.02, degree=4),
+        action_mapping=Shift(action_period=0.02, degree=4),
         features=FEATURES,
         settings=GradientSettings(symmetric=True, spread=0.5, **settings),
     )
@@ -39,9 +39,9 @@ def test_what_a_moved_motion_asks_of_the_motors_is_what_the_motion_asks_of_other
     motion = find_trajectory(LOOP, 2)(np.linspace(0.1, 1.0, 20))
 
     def demands(move):
-        parts = (part @ move.T for part in (motion.position, motion.velocity, motion.acceleration))
+        parts = (blocks @ move.T for blocks in (motion.position, motion.velocity, motion.acceleration))
         needed = inverse_dynamics(robot, 3.0, *parts, minimum=5.0)
-        return drive_command(robot, needed.torques, needed.speeds)
+        return normalised_action(robot, needed.torques, needed.speeds)
 
     orders = set()
     for move in moves:
@@ -97,7 +97,7 @@ def test_training_keeps_the_symmetry_and_changes_the_weights():
 
 
 def test_spatial_robots_and_features_that_nobody_turned_are_refused():
-    with pytest.raises(ValueError, match="planar robots, and 'spatial' is spatial: leave symmetric out"):
+    with pytest.raises(ValueError, match="planar robots, but 'spatial' is spatial: remove symmetric"):
         symmetries(SPATIAL)
-    with pytest.raises(ValueError, match="not known how feature 'motor_angle' turns"):
+    with pytest.raises(ValueError, match="feature 'motor_angle' is invalid with symmetric"):
         feature_symmetry(["motor_angle"], FLEX_PLANAR, np.eye(2))

@@ -51,8 +51,8 @@ WRAPPERS = """
     - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3, power: 0.6, start: 1, window: 5}
     - cablebot_baselines.learned.wrappers.Steered:
         base: {law: fl, gains: [900, 60]}
-        steering: {kind: shift, hold: 0.04, degree: 2}
-        features: [elapsed, actions, error, told_payload]
+        steering: {kind: shift, action_period: 0.04, degree: 2}
+        features: [time_since_start, actions, error, model_payload]
 """
 COMMON = """
   n_timesteps: 640
@@ -125,7 +125,7 @@ def rows(path):
 def test_no_configuration_that_ships_is_invalid(env_id, algorithm):
     made = make_config(env_id, algorithm, read_config(env_id, algorithm))
     assert [wrapper.__name__ for wrapper, _ in made.wrappers] == ["WithinLimits", "PayloadCurriculum", "Steered"]
-    assert made.way.hold == 0.04
+    assert made.action_mapping.action_period == 0.04
     assert (HYPERPARAMS / f"{algorithm}.yaml").is_file()
 
 
@@ -139,13 +139,13 @@ def test_no_configuration_that_ships_is_invalid(env_id, algorithm):
         ({"n_timesteps": ...}, "n_timesteps must be a whole number"),
         ({"n_envs": 1.5}, "n_envs must be a whole number"),
         ({"policy": "CnnPolicy"}, "policy must be 'MlpPolicy'"),
-        ({"learning_rate": "1e-3"}, "learning_rate must be a number above 0, such as 1.0e-3, or fall linearly"),
+        ({"learning_rate": "1e-3"}, "learning_rate must be a number above 0, such as 1.0e-3, or a linear schedule"),
         ({"learning_rate": "lin_fast"}, "'lin_1e-3', not 'lin_fast'"),
         ({"clip_range": -0.2}, "clip_range must be a number above 0"),
         ({"gamma": "9e-1"}, "gamma must be a number, not the text '9e-1'"),
         ({"n_epochs": [2]}, r"n_epochs must be a number, not \[2\]"),
         ({"normalize": False}, "normalize must be true"),
-        ({"normalize": {"norm_obs": False}}, "the exported network normalises"),
+        ({"normalize": {"norm_obs": False}}, "normalize must be true, or a mapping with norm_obs: true"),
         ({"normalize": {"clip_obs": 5.0}}, "clip_obs is 10 in an exported network"),
         ({"normalize": "dict(norm_rewards=True)"}, "unknown key 'norm_rewards'; it takes norm_obs, norm_reward"),
         ({"policy_kwargs": "dict(net_arch=[64], features_extractor_class=1)"}, "cannot be exported to a bundle"),
@@ -154,8 +154,8 @@ def test_no_configuration_that_ships_is_invalid(env_id, algorithm):
         ({"policy_kwargs": "dict(activation_fn=nn.GELU)"}, "policy_kwargs must be a mapping or text such as"),
         ({"policy_kwargs": {"activation_fn": "relu"}}, "activation_fn must be nn.Tanh or nn.ReLU"),
         ({"policy_kwargs": [64, 64]}, "policy_kwargs must be a mapping"),
-        ({"env_wrapper": ...}, f"env_wrapper has to name {STEERED} once"),
-        ({"env_wrapper": [{STEERED: {"base": "fl", "steering": "shift"}}]}, "give features too"),
+        ({"env_wrapper": ...}, f"env_wrapper must contain {STEERED} exactly once"),
+        ({"env_wrapper": [{STEERED: {"base": "fl", "steering": "shift"}}]}, "features must be given explicitly"),
         (
             {"env_wrapper": [{STEERED: {"base": "fl", "steering": "push", "features": ["error"]}}]},
             "unknown kind 'push'",
@@ -175,13 +175,15 @@ def test_unknown_algorithm_or_environment_is_not_trained():
         read_config(PLANAR, "dqn")
     with pytest.raises(ValueError, match="unknown environment 'CartPole-v1'; choose one of CableBot"):
         make_config("CartPole-v1", "ppo", plain())
-    with pytest.raises(ValueError, match=r"ppo.yaml says nothing of CartPole-v1; it has CableBot-Planar-v0"):
+    with pytest.raises(
+        ValueError, match=r"ppo.yaml has no key CartPole-v1 and no key default; it has CableBot-Planar-v0"
+    ):
         read_config("CartPole-v1", "ppo")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [(None, "cannot read"), ("a: [", "no valid YAML"), ("- 1", "by environment"), ("other: {}", "says nothing of")],
+    [(None, "cannot read"), ("a: [", "not valid YAML"), ("- 1", "must map environments"), ("other: {}", "has no key")],
 )
 def test_file_that_is_no_configuration_is_not_read(tmp_path, text, message):
     path = tmp_path / "file.yaml"
@@ -244,7 +246,7 @@ def test_what_a_network_cannot_be_is_not_exported():
         network_from_sb3(made("MlpPolicy", normalize, policy_kwargs={"activation_fn": nn.ELU}, **keywords), normalize)
     model = made("MlpPolicy", normalize, **keywords)
     normalize.clip_obs = 5.0
-    with pytest.raises(ValueError, match="clip_obs = 10"):
+    with pytest.raises(ValueError, match="clip_obs=10"):
         network_from_sb3(model, normalize)
     normalize.close()
 
@@ -397,8 +399,8 @@ def damaged(stopped, folder, how):
         else:
             parts["state.json"] = json.dumps(json.loads(parts["state.json"]) | {"format": 99}).encode()
         with zipfile.ZipFile(folder / "checkpoint.zip", "w") as file:
-            for name, part in parts.items():
-                file.writestr(name, part)
+            for name, blocks in parts.items():
+                file.writestr(name, blocks)
     (folder / "progress.csv").write_text("kept", encoding="utf-8")
     return folder
 
@@ -407,7 +409,7 @@ def damaged(stopped, folder, how):
 def test_damaged_checkpoint_is_not_resumed_and_nothing_is_overwritten(stopped, tmp_path, how):
     folder = damaged(stopped, tmp_path / "run", how)
     before = contents(folder)
-    with pytest.raises(ValueError, match=r"checkpoint .* cannot be resumed .*nothing was changed"):
+    with pytest.raises(ValueError, match=r"checkpoint .* cannot be resumed .*no file was changed"):
         training.train(PLANAR, out=folder, resume=True)
     assert contents(folder) == before
 
@@ -416,7 +418,7 @@ def test_checkpoint_of_other_code_is_not_resumed(stopped, tmp_path, monkeypatch)
     folder = damaged(stopped, tmp_path / "run", "kept")
     before = contents(folder)
     monkeypatch.delattr("cablebot_baselines.learned.wrappers.steered.SteeredVector")
-    with pytest.raises(ValueError, match="of other versions of the packages"):
+    with pytest.raises(ValueError, match="with these versions of the packages"):
         training.train(PLANAR, out=folder, resume=True)
     assert contents(folder) == before
 
@@ -424,7 +426,7 @@ def test_checkpoint_of_other_code_is_not_resumed(stopped, tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"algorithm": "sac"}, "was started with --algo ppo, not sac: leave that out"),
+        ({"algorithm": "sac"}, "was started with --algo ppo, not sac: omit it"),
         ({"seed": 4}, "was started with --seed 0, not 4"),
         ({"eval_every": 3}, "was started with --eval-every 320, not 3"),
         ({"config": HYPERPARAMS / "ppo.yaml"}, "was started with another --config"),
@@ -443,11 +445,11 @@ def test_run_does_not_go_on_with_other_settings(stopped, changes, message):
 def test_folder_with_a_run_is_not_written_to(config, stopped, tmp_path):
     before = contents(stopped)
     with pytest.raises(
-        ValueError, match=r"already holds a run .*: add --resume to go on with it, or choose another --out"
+        ValueError, match=r"already contains a run .*: add --resume to resume it, or choose another --out"
     ):
         run(config, stopped)
     assert contents(stopped) == before
-    with pytest.raises(ValueError, match=r"there is no run to resume.*leave --resume out"):
+    with pytest.raises(ValueError, match=r"there is no run to resume.*Omit --resume"):
         training.train(PLANAR, out=tmp_path / "none", resume=True)
     assert not (tmp_path / "none").exists()
 
@@ -471,7 +473,7 @@ def test_bad_argument_does_not_leave_a_file(config, tmp_path, changes, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"policy_kwargs": {"net_arc": [8]}}, "ppo refuses the hyperparameters .*net_arc"),
+        ({"policy_kwargs": {"net_arc": [8]}}, "ppo rejects the hyperparameters .*net_arc"),
         ({"env_kwargs": {"mass": 2}}, "mass"),
     ],
 )
@@ -530,7 +532,7 @@ def test_interrupted_command_does_not_lack_a_checkpoint(config, tmp_path, monkey
     process.send_signal(number)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    assert f"to go on: cablebot train {PLANAR} --out {out} --resume" in said
+    assert f"to resume: cablebot train {PLANAR} --out {out} --resume" in said
     with zipfile.ZipFile(out / "checkpoint.zip") as file:
         done = json.loads(file.read("state.json"))["timesteps"]
     assert f"stopped after {done} timesteps" in said
@@ -546,8 +548,8 @@ def test_interrupted_command_does_not_lack_a_checkpoint(config, tmp_path, monkey
     ("arguments", "message"),
     [
         (["--algo", "dqn"], "unknown algorithm 'dqn'; choose one of ppo, sac, tqc, gradient"),
-        (["--evaluation", "{"], "--evaluation is no valid JSON"),
-        (["--evaluation", "[1]"], "--evaluation has to be a JSON object"),
+        (["--evaluation", "{"], "--evaluation is not valid JSON"),
+        (["--evaluation", "[1]"], "--evaluation must be a JSON object"),
         (["--config", "none.yaml"], "--config: cannot read 'none.yaml'"),
     ],
 )

@@ -214,14 +214,14 @@ def test_payload_range_draws_a_payload_for_each_and_no_seed_draws_others():
 
 @pytest.mark.parametrize(("limit", "first_end"), [({}, 500), ({"max_episode_steps": 20}, 20)])
 def test_the_time_limit_is_the_ids_or_ones_own(limit, first_end):
-    env = make_sb3_vec_env(PLANAR_ID, trajectory="hold-planar", **limit)
+    env = make_sb3_vec_env(PLANAR_ID, trajectory="dwell-planar", **limit)
     env.reset()
     steps = [env.step(np.full((1, 3), 0.2))[2].item() for _ in range(first_end + 1)]
     assert np.flatnonzero(steps).tolist() == [first_end - 1]
 
 
 def test_without_a_time_limit_episodes_go_on():
-    env = make_sb3_vec_env(PLANAR_ID, trajectory="hold-planar", max_episode_steps=None)
+    env = make_sb3_vec_env(PLANAR_ID, trajectory="dwell-planar", max_episode_steps=None)
     env.reset()
     assert not any(env.step(np.full((1, 3), 0.2))[2].item() for _ in range(501))
 
@@ -266,9 +266,9 @@ def test_one_dict_may_hold_a_value_for_each():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([{"payload": 1.0}] * 2, "5, one for each environment, not 2"),
-        ({"reset_mask": np.ones(COUNT, bool)}, "all environments: leave reset_mask out"),
-        ([{}] * 4 + [{"reset_mask": np.ones(COUNT, bool)}], "leave reset_mask out"),
+        ([{"payload": 1.0}] * 2, "a list of 5 dicts, not of 2"),
+        ({"reset_mask": np.ones(COUNT, bool)}, "all environments: remove reset_mask"),
+        ([{}] * 4 + [{"reset_mask": np.ones(COUNT, bool)}], "remove reset_mask"),
     ],
 )
 def test_options_that_no_reset_can_take_are_refused_at_once(options, words):
@@ -330,7 +330,9 @@ def test_attributes_are_those_of_the_single_environments(env_id):
     for mine, its in zip(env.get_attr("truth"), twin.get_attr("truth"), strict=True):
         assert mine.keys() == its.keys()
         np.testing.assert_equal(mine, its)
-    told, expected = ([task.told_payload for task in tasks] for tasks in (env.get_attr("tasks"), twin.get_attr("task")))
+    told, expected = (
+        [task.model_payload for task in tasks] for tasks in (env.get_attr("tasks"), twin.get_attr("task"))
+    )
     assert told == expected
     assert [spec.id for spec in env.get_attr("spec")] == [env_id] * COUNT
     assert env.get_attr("layout") == [env.env.unwrapped.layout] * COUNT
@@ -381,7 +383,7 @@ def test_methods_that_would_move_all_environments_unseen_are_refused(name):
 
 def test_a_method_cannot_be_called_for_some():
     env = CableBotVecEnv(Staged(ours().env))
-    with pytest.raises(NotImplementedError, match="'advance' acts on all environments at once: leave indices out"):
+    with pytest.raises(NotImplementedError, match="'advance' acts on all environments at once: omit indices"):
         env.env_method("advance", 1, indices=[0, 1])
     assert env.get_attr("stage") == [1] * COUNT
 
@@ -482,7 +484,7 @@ def test_ppo_learns_the_same_on_the_batch_as_on_single_environments():
 def test_another_autoreset_mode_is_refused_with_the_one_that_does(mode):
     """SB3 would learn from steps that no action took, or wait for episodes that have ended."""
     env = gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=mode)
-    with pytest.raises(ValueError, match=f"has {mode.name}: make it by .*autoreset_mode=AutoresetMode.SAME_STEP"):
+    with pytest.raises(ValueError, match=f"has {mode.name}: use .*autoreset_mode=AutoresetMode.SAME_STEP"):
         CableBotVecEnv(env)
 
 
@@ -496,7 +498,7 @@ def test_info_keys_that_are_a_string_or_unknown_are_refused():
         ours(info_keys="payload")
     env = ours(info_keys=("time", "paylaod"))
     env.reset()
-    with pytest.raises(ValueError, match=r"'paylaod'; choose of .*payload.*torque_margin"):
+    with pytest.raises(ValueError, match=r"'paylaod'; choose from .*payload.*torque_margin"):
         env.step(np.zeros((COUNT, 3)))
 
 

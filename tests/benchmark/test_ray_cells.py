@@ -20,9 +20,9 @@ from cablebot_gym.utils.workers import WorkerDied
 
 CIRCLE = {"name": "paper-planar", "duration": 0.8}
 CELLS = [
-    PolicyCell(env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, information=information)
+    PolicyCell(env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, **model)
     for policy in ("fl", "fl-tuned")
-    for information in ("told", "untold", "told-0.9")
+    for model in ({}, {"payload_known": False}, {"model_payload_factor": 0.9})
 ]
 
 
@@ -111,7 +111,7 @@ def test_what_a_worker_cannot_import_is_named(address, monkeypatch):
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nonsense", "host:port"])
 def test_address_without_a_cluster_is_one_sentence_at_once(address):
-    with pytest.raises(ValueError, match=rf"{address}' is no address|no Ray cluster at '{address}"):
+    with pytest.raises(ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"):
         on_ray(address)
 
 

@@ -9,7 +9,7 @@ import shutil
 import pytest
 
 from cablebot_gym.benchmark import cells
-from cablebot_gym.benchmark.cells import PolicyCell, Record, failed
+from cablebot_gym.benchmark.cells import PolicyCell, Record, failed_record
 from cablebot_gym.benchmark.engine import run_cells
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
@@ -21,7 +21,7 @@ CELL, OTHER = (
 
 
 def record(cell=CELL, source=None, payload=1.0 / 3.0):
-    result = {"payload": payload, "feasible": [[0.0, payload]], "limit": {"kind": "torque"}}
+    result = {"payload": payload, "feasible": [[0.0, payload]], "violation": {"kind": "torque"}}
     return Record(cell=cell, source=source or cell.source, versions={"python": "3"}, result=result, seconds=0.1234)
 
 
@@ -48,7 +48,7 @@ def test_record_that_is_read_is_not_another(store, said, tmp_path):
     assert found.seconds == 0.123
     assert store.find(OTHER) is None
     assert said == []
-    assert only_file(tmp_path).name.startswith("planar-fl-told-task-paper-planar-")
+    assert only_file(tmp_path).name.startswith("planar-fl-payload-known-task-paper-planar-")
 
 
 def truncated(path):
@@ -91,7 +91,7 @@ def test_broken_file_is_reported_and_made_anew(store, said, tmp_path, damage):
     assert store.find(CELL) is None
     assert len(said) == 1
     assert str(path) in said[0]
-    assert said[0].endswith("its cell is computed anew")
+    assert said[0].endswith("its cell is computed again")
     store.add(record())
     assert store.find(CELL) is not None
 
@@ -103,7 +103,7 @@ def test_file_of_another_cell_is_not_taken_for_ones_own(store, said, tmp_path):
     (other,) = (one for one in (tmp_path / "cells").iterdir() if one != path)
     shutil.copy(other, path)
     assert store.find(CELL) is None
-    assert "holds another cell than its name says" in said[0]
+    assert "contains a different cell than its name says" in said[0]
     assert store.find(OTHER).result["payload"] == 7.0
 
 
@@ -123,7 +123,7 @@ def test_results_of_other_code_are_kept_but_not_used_unless_asked_for(store, sai
 
 
 def test_record_that_is_not_final_is_not_kept(store, tmp_path):
-    store.add(failed(CELL, "no memory"))
+    store.add(failed_record(CELL, "no memory"))
     assert store.find(CELL) is None
     assert not (tmp_path / "cells").exists()
 
@@ -182,13 +182,13 @@ def test_cell_whose_worker_died_costs_itself_and_is_tried_again(store):
 
 def test_what_other_code_computed_is_refused(store):
     (bad, good), _ = run(store, {"fl": record(source="f" * 16)})
-    assert "other code" in bad.error
+    assert "different code" in bad.error
     assert good.error is None
     assert run(store)[1] == ["fl"]
 
 
 def test_cells_that_take_long_come_first(store):
-    best = cells.BestCell(env_id="CableBot-Planar-v0", trajectory={"name": "paper-planar"})
+    best = cells.BestKnownCell(env_id="CableBot-Planar-v0", trajectory={"name": "paper-planar"})
     drawn = PolicyCell(**{**vars(CELL), "policy": "adaptive", "uncertainty": "table6", "draws": 9})
     order = []
 

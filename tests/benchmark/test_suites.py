@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from cablebot_gym import ENV_IDS
-from cablebot_gym.benchmark.cells import BestCell, PolicyCell, canonical
-from cablebot_gym.benchmark.maps import AXES, unusual
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, canonical
+from cablebot_gym.benchmark.maps import AXES, varied_axes
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
@@ -27,9 +27,9 @@ def cells(name, names=()):
 
 
 @pytest.mark.parametrize("name", SUITES)
-def test_every_cell_can_be_asked_and_has_a_best_found(name):
+def test_every_cell_can_be_asked_and_has_a_best_known_payload(name):
     some = cells(name)
-    best = {motion_key(cell) for cell in some if isinstance(cell, BestCell)}
+    best = {motion_key(cell) for cell in some if isinstance(cell, BestKnownCell)}
     assert best == {motion_key(cell) for cell in some if isinstance(cell, PolicyCell)}
     motions = {canonical([cell.env_id, dict(cell.trajectory)]): cell for cell in some}
     for cell in motions.values():
@@ -51,18 +51,18 @@ def test_no_policy_environment_or_condition_is_missing(name):
     }
     for env_id in ENV_IDS:
         asked = {
-            (cell.information, cell.uncertainty, cell.criterion, str(cell.trajectory["name"]).startswith("paper-"))
+            (cell.payload_model, cell.uncertainty, cell.criterion, str(cell.trajectory["name"]).startswith("paper-"))
             for cell in some
             if cell.env_id == env_id
         }
-        for information in ("told", "untold"):
+        for payload_model in ("payload known", "payload unknown"):
             for uncertainty, circle in ((None, True), (None, False), ("table6", True)):
-                assert (information, uncertainty, "task", circle) in asked
-        assert ("untold", "sensors", "task", True) in asked
+                assert (payload_model, uncertainty, "task", circle) in asked
+        assert ("payload unknown", "sensors", "task", True) in asked
         assert {
-            ("told", None, "paper", True),
-            ("told-0.9", None, "task", True),
-            ("told-1.1", None, "task", True),
+            ("payload known", None, "paper", True),
+            ("payload model × 0.9", None, "task", True),
+            ("payload model × 1.1", None, "task", True),
         } < asked
     seeds = {cell.trajectory["seed"] for cell in some if "seed" in cell.trajectory}
     assert seeds == set(held_out_seeds(len(seeds)))
@@ -73,9 +73,9 @@ def test_policy_that_takes_minutes_a_cell_is_not_asked_everywhere(monkeypatch):
     slow = {name: replace(entry, slow=name == "fl") for name, entry in policy_entries().items()}
     monkeypatch.setattr("cablebot_gym.benchmark.suites.policy_entries", lambda: slow)
     fl = [cell for cell in cells("standard", ["fl"]) if isinstance(cell, PolicyCell)]
-    assert {(cell.information, cell.uncertainty, cell.trajectory["name"][:5]) for cell in fl} == {
-        ("told", None, "paper"),
-        ("untold", None, "paper"),
+    assert {(cell.payload_model, cell.uncertainty, cell.trajectory["name"][:5]) for cell in fl} == {
+        ("payload known", None, "paper"),
+        ("payload unknown", None, "paper"),
     }
     monkeypatch.undo()
     assert len(cells("standard", ["fl"])) > len(fl) + 16
@@ -111,9 +111,9 @@ def test_factory_that_is_for_some_robots_takes_part_and_one_for_none_is_refused(
     ("names", "ids", "message"),
     [
         (["nobody"], [], "unknown policy 'nobody'; choose one of"),
-        (["fl4"], [PLANAR], "policy 'fl4' is made for CableBot-FlexSpatial-v0, not for CableBot-Planar-v0"),
+        (["fl4"], [PLANAR], "policy 'fl4' supports CableBot-FlexSpatial-v0, not for CableBot-Planar-v0"),
         ([], ["CableBot-Round-v0"], "unknown environment 'CableBot-Round-v0'"),
-        ([], [SPATIAL], "suite 'smoke' does not have CableBot-Spatial-v0; its ids are CableBot-Planar-v0"),
+        ([], [SPATIAL], "suite 'smoke' does not contain CableBot-Spatial-v0; it contains CableBot-Planar-v0"),
     ],
 )
 def test_bad_choice_is_one_sentence(names, ids, message):
@@ -124,18 +124,19 @@ def test_bad_choice_is_one_sentence(names, ids, message):
 def test_maps_vary_one_number_at_a_time_around_the_usual_task():
     some = [cell for cell in cells("maps") if isinstance(cell, PolicyCell)]
     for env_id in ENV_IDS:
-        own = [cell for cell in some if cell.env_id == env_id and cell.policy == "preview"]
+        own = [cell for cell in some if cell.env_id == env_id and cell.policy == "apg-loops"]
         asked = {
-            axis.name: {axis.of(cell) for cell in own if unusual(cell) in ((), (name,))} for name, axis in AXES.items()
+            axis.name: {axis.value(cell) for cell in own if varied_axes(cell) in ((), (name,))}
+            for name, axis in AXES.items()
         }
         springs = set(AXES["stiffness"].values) if "Flex" in env_id else {float("inf")}
         assert asked == {name: set(axis.values) for name, axis in AXES.items()} | {"stiffness": springs}
-    assert all(len(unusual(cell)) <= 1 for cell in some)
+    assert all(len(varied_axes(cell)) <= 1 for cell in some)
 
 
 def test_usual_number_of_a_map_is_the_very_cell_of_the_other_suites():
     shared = {cell.key for cell in cells("maps")} & {cell.key for cell in cells("standard")}
-    assert len({cell_key for cell_key in shared if '"policy":"preview"' in cell_key}) == len(ENV_IDS)
+    assert len({cell_key for cell_key in shared if '"policy":"apg-loops"' in cell_key}) == len(ENV_IDS)
 
 
 def test_unknown_suite_names_the_known_ones():

@@ -19,7 +19,7 @@ from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Motors, Robot, Transmission
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Reference, find_trajectory
 
 BEST_KNOWN = 3.894
@@ -28,7 +28,7 @@ BEST_KNOWN = 3.894
 
 @cache
 def certificate(name: str = "paper-planar", position: float = 0.01, passes: int = 1) -> Certificate:
-    return planar_certificate(PLANAR, find_trajectory(name, 2), Limits(position=position), passes=passes)
+    return planar_certificate(PLANAR, find_trajectory(name, 2), ErrorBounds(position=position), passes=passes)
 
 
 @cache
@@ -55,8 +55,10 @@ def test_certificate_of_the_papers_circle_is_neither_below_the_best_motion_known
 @pytest.mark.parametrize("policy", ["fl", "fl-tuned", "robust-tuned", "adaptive"])
 @pytest.mark.parametrize("position", [0.005, 0.02])
 def test_no_policy_carries_more_than_the_certificate(policy: str, position: float) -> None:
-    limits = Limits(position=position)
-    carried = evaluate_dlcc(policy, "CableBot-Planar-v0", limits=limits, payload_known=True, resolution=0.05)
+    error_bounds = ErrorBounds(position=position)
+    carried = evaluate_dlcc(
+        policy, "CableBot-Planar-v0", error_bounds=error_bounds, payload_known=True, resolution=0.05
+    )
     assert 0 < carried.payload < certificate(position=position).payload
 
 
@@ -71,7 +73,7 @@ def test_certificate_does_not_fall_with_a_wider_tube() -> None:
 
 
 def test_a_tube_of_no_width_does_not_leave_more_than_exact_tracking() -> None:
-    found = planar_certificate(PLANAR, find_trajectory("circle-planar", 2), Limits(position=1e-4), passes=2)
+    found = planar_certificate(PLANAR, find_trajectory("circle-planar", 2), ErrorBounds(position=1e-4), passes=2)
     exact = exact_payload(PLANAR, find_trajectory("circle-planar", 2)).total_mass
     assert exact < found.total_mass < 1.04 * exact
 
@@ -129,7 +131,7 @@ def test_one_dimension_is_not_off_from_the_hand_calculation(inertia: float, free
         return way - (motion.rate * end**2 / 2 - tube)
 
     largest = brentq(lag, 1.0, 1e4)
-    found = planar_certificate(robot, motion, Limits(position=tube), passes=1)
+    found = planar_certificate(robot, motion, ErrorBounds(position=tube), passes=1)
     assert largest < found.total_mass < 1.03 * largest
 
 
@@ -243,17 +245,17 @@ def test_the_proved_mass_is_not_off_from_the_zero_of_h_by_quadrature() -> None:
 def test_heavier_motors_do_not_prove_another_mass_than_in_proportion() -> None:
     motors = Motors(stall_torque=15.0, free_speed=PLANAR.motors.free_speed)
     stronger = with_transmission(PLANAR.replace(motors=motors), pulley_inertia=3 * 8e-4)
-    limits, motion = Limits(position=0.01), find_trajectory("paper-planar", 2)
-    tripled = proved_mass(stronger, motion, limits, proof())
+    error_bounds, motion = ErrorBounds(position=0.01), find_trajectory("paper-planar", 2)
+    tripled = proved_mass(stronger, motion, error_bounds, proof())
     assert tripled == pytest.approx(3 * certificate(passes=2).total_mass, rel=1e-9)
 
 
 def test_friction_does_not_count_otherwise_than_a_steeper_line() -> None:
-    limits, motion = Limits(position=0.01), find_trajectory("paper-planar", 2)
+    error_bounds, motion = ErrorBounds(position=0.01), find_trajectory("paper-planar", 2)
     damped = with_transmission(PLANAR, damping=0.01)
     slope = float(PLANAR.speed_slope[0]) + 0.01
     steeper = PLANAR.replace(motors=Motors(stall_torque=5.0, free_speed=5.0 / slope))
-    masses = [proved_mass(robot, motion, limits, proof()) for robot in (damped, steeper)]
+    masses = [proved_mass(robot, motion, error_bounds, proof()) for robot in (damped, steeper)]
     assert masses[0] == pytest.approx(masses[1], rel=1e-9)
     assert masses[0] != pytest.approx(certificate(passes=2).total_mass, rel=1e-3)
 
@@ -269,14 +271,14 @@ def test_a_multiplier_that_proves_nothing_is_not_taken_for_a_proof(breach: str) 
     else:
         tension[-1 if breach == "at the end" else 0] = 1e-3
     broken = dataclasses.replace(multiplier, force=force, tension=tension)
-    assert proved_mass(PLANAR, find_trajectory("paper-planar", 2), Limits(position=0.01), broken) == math.inf
+    assert proved_mass(PLANAR, find_trajectory("paper-planar", 2), ErrorBounds(position=0.01), broken) == math.inf
 
 
 # --- what it says, and bad input --------------------------------------------------------------------------------------
 
 
 def test_standing_still_is_not_given_a_bound() -> None:
-    found = certificate("hold-planar")
+    found = certificate("dwell-planar")
     assert (found.total_mass, found.multiplier) == (math.inf, None)
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["payload"] is None
 
@@ -284,7 +286,7 @@ def test_standing_still_is_not_given_a_bound() -> None:
 def test_dict_does_not_lose_mass_limits_or_conditions() -> None:
     data = json.loads(json.dumps(certificate().to_dict(), allow_nan=False))
     assert data["payload"] == certificate().payload
-    assert data["limits"] == {"position": 0.01}
+    assert data["error_bounds"] == {"position": 0.01}
     assert "nominal" in data["conditions"]
     assert "duality" in data["method"]
 
@@ -292,14 +294,14 @@ def test_dict_does_not_lose_mass_limits_or_conditions() -> None:
 @pytest.mark.parametrize(
     ("robot", "arguments", "message"),
     [
-        (SPATIAL, {}, "which is spatial"),
-        (FLEX_PLANAR, {}, "which has flexible joints"),
+        (SPATIAL, {}, "is spatial: a certificate"),
+        (FLEX_PLANAR, {}, "is flexible: a certificate"),
         (PLANAR, {"trajectory": find_trajectory("paper-spatial", 6)}, "has 6 coordinates"),
-        (PLANAR, {"limits": {"position": 0.0}}, "position must be a number greater than 0"),
-        (PLANAR, {"limits": {"speed": 1.0}}, "keys out of position, rotation"),
-        (PLANAR, {"limits": {"position": 0.5}}, "reaches the anchor of cable"),
-        (PLANAR, {"passes": 0}, "passes must be a whole number of at least 1"),
-        (PLANAR, {"passes": 1.5}, "passes must be a whole number of at least 1"),
+        (PLANAR, {"error_bounds": {"position": 0.0}}, "position must be a number greater than 0"),
+        (PLANAR, {"error_bounds": {"speed": 1.0}}, "with the keys position, rotation"),
+        (PLANAR, {"error_bounds": {"position": 0.5}}, "reaches the anchor of cable"),
+        (PLANAR, {"passes": 0}, "passes must be an integer of at least 1"),
+        (PLANAR, {"passes": 1.5}, "passes must be an integer of at least 1"),
     ],
 )
 def test_bad_input_is_not_answered_with_a_number(robot: Robot, arguments: dict[str, Any], message: str) -> None:
@@ -311,5 +313,5 @@ def test_bad_input_is_not_answered_with_a_number(robot: Robot, arguments: dict[s
 @pytest.mark.parametrize(("start", "end"), [(-0.1, 0.5), (0.5, 1.1), (0.5, 0.5), (math.nan, 1.0)])
 def test_knots_outside_the_motion_are_not_taken(start: float, end: float) -> None:
     outside = dataclasses.replace(proof(), start=start, end=end)
-    with pytest.raises(ValueError, match="knots must lie in the motion's"):
+    with pytest.raises(ValueError, match="knots of the multiplier must lie within the motion"):
         proved_mass(PLANAR, find_trajectory("paper-planar", 2), None, outside)

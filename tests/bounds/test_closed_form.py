@@ -17,7 +17,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
 from cablebot_gym.trajectories import (
     TRAJECTORIES,
-    Hold,
+    Dwell,
     Lemniscate,
     PaperCircle,
     Reference,
@@ -43,7 +43,7 @@ def with_motors(robot: Robot, **changes: Any) -> Robot:
 
 
 def test_static_hang_does_not_differ_from_the_vertical_capacity_of_six_cables() -> None:
-    result = exact_payload(SPATIAL, find_trajectory("hold-spatial", 6))
+    result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6))
     assert result.payload == pytest.approx(6 * (10 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
     assert result.total_mass == pytest.approx(result.payload + 10)
     assert (result.time, result.kind, result.line) == (0.0, "torque", "upper")
@@ -53,33 +53,33 @@ def test_static_hang_does_not_differ_from_the_vertical_capacity_of_six_cables() 
 @pytest.mark.parametrize("motor", range(1, 7))
 def test_motor_is_not_counted_from_zero_and_its_own_limit_is_used(motor: int) -> None:
     torques = tuple(3.0 if i + 1 == motor else 10.0 for i in range(6))
-    result = exact_payload(with_motors(SPATIAL, stall_torque=torques), find_trajectory("hold-spatial", 6))
+    result = exact_payload(with_motors(SPATIAL, stall_torque=torques), find_trajectory("dwell-spatial", 6))
     assert result.motor == motor
     assert result.payload == pytest.approx(6 * (3 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
 
 
 @pytest.mark.parametrize("minimum", [5.0, 40.0, 70.0])
 def test_ballast_that_a_minimum_tension_needs_is_not_ignored(minimum: float) -> None:
-    result = exact_payload(SPATIAL, find_trajectory("hold-spatial", 6), minimum_tension=minimum)
+    result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6), minimum_tension=minimum)
     assert result.lowest == pytest.approx(6 * minimum * HOME_RISE / 9.81 - 10, rel=1e-12)
 
 
 def test_conflict_of_ballast_and_torque_is_not_reported_as_a_payload() -> None:
-    result = exact_payload(SPATIAL, find_trajectory("hold-spatial", 6), minimum_tension=200.1)  # τ_s / r is 200 N
+    result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6), minimum_tension=200.1)  # τ_s / r is 200 N
     assert (result.payload, result.lowest) == (-math.inf, math.inf)
     assert (result.kind, result.line) == ("torque", "upper")
 
 
 @pytest.mark.parametrize("minimum", [0.0, 5.0, 40.0])
 def test_planar_hold_has_no_invented_limit(minimum: float) -> None:
-    result = exact_payload(PLANAR, find_trajectory("hold-planar", 2), minimum_tension=minimum)
+    result = exact_payload(PLANAR, find_trajectory("dwell-planar", 2), minimum_tension=minimum)
     assert result.payload == result.total_mass == math.inf
     assert (result.motor, result.time, result.kind, result.line) == (None, None, None, None)
     assert result.lowest == -1
 
 
 def test_planar_hold_with_a_minimum_tension_beyond_the_motors_is_not_unlimited() -> None:
-    result = exact_payload(PLANAR, find_trajectory("hold-planar", 2), minimum_tension=100.1)  # τ_s / r is 100 N
+    result = exact_payload(PLANAR, find_trajectory("dwell-planar", 2), minimum_tension=100.1)  # τ_s / r is 100 N
     assert (result.payload, result.kind, result.line) == (-math.inf, "torque", "upper")
 
 
@@ -98,7 +98,7 @@ class Jolted:
         return len(self.pose)
 
     def __call__(self, times: Any) -> Reference:
-        reference = Hold(pose=self.pose, duration=self.duration)(times)
+        reference = Dwell(pose=self.pose, duration=self.duration)(times)
         reference.acceleration[np.isclose(times, self.at, rtol=0, atol=1e-9), 0] = self.acceleration
         return reference
 
@@ -231,7 +231,7 @@ def test_spatial_torque_has_no_kink_in_the_payload(name: str) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(
-    name=st.sampled_from([name for name in TRAJECTORIES if not name.startswith("hold-planar")]),
+    name=st.sampled_from([name for name in TRAJECTORIES if not name.startswith("dwell-planar")]),
     minimum=st.sampled_from([0.0, 5.0]),
     factor=st.floats(1.0, 4.0),
 )
@@ -316,8 +316,8 @@ def feasible(robot: Robot, trajectory: Trajectory, minimum: float, total_masses:
     tension = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
     torque = textbook.required_torques(robot, tension, *motion)
     free_speed = np.broadcast_to(robot.motors.free_speed, robot.cables)
-    demand = torque / robot.stall_torque + textbook.pulley_speed(robot, *motion[:2]) / free_speed
-    return np.all((np.abs(demand) <= 1) & (tension >= minimum), axis=(1, 2))
+    action = torque / robot.stall_torque + textbook.pulley_speed(robot, *motion[:2]) / free_speed
+    return np.all((np.abs(action) <= 1) & (tension >= minimum), axis=(1, 2))
 
 
 def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[float, float]:

@@ -31,13 +31,13 @@ def raises(robot):
 
 def deadly(robot):
     class Deadly(FeedbackLinearization):
-        def begin(self, tasks):
+        def reset(self, tasks):
             os.kill(os.getpid(), signal.SIGKILL)
     return Deadly(robot)
 
 def interrupted(robot):
     class Interrupted(FeedbackLinearization):
-        def begin(self, tasks):
+        def reset(self, tasks):
             if not tasks[0].payload_known:
                 os.kill(os.getpid(), signal.SIGINT)
     return Interrupted(robot)
@@ -49,12 +49,12 @@ def best(monkeypatch):
     """Stands for the search, which has tests of its own; counts how often it is asked."""
     asked = []
 
-    def best_found(env_id, *, trajectory, limits, control_frequency):
+    def find_best_known(env_id, *, trajectory, error_bounds, control_frequency):
         asked.append(trajectory)
         found = {"payload": 2.4, "total_mass": 3.4, "verified": True, "upper": {"payload": 3.3, "total_mass": 4.3}}
         return SimpleNamespace(to_dict=lambda: found)
 
-    monkeypatch.setitem(sys.modules, "cablebot_gym.bounds.best_known", SimpleNamespace(best_found=best_found))
+    monkeypatch.setitem(sys.modules, "cablebot_gym.bounds.best_known", SimpleNamespace(find_best_known=find_best_known))
     return asked
 
 
@@ -90,17 +90,19 @@ def is_alive(group):
 
 def scores(ended):
     cells = json.loads((ended.folder / "results.json").read_text(encoding="utf-8"))["cells"]
-    return {(cell["cell"]["policy"], cell["cell"]["information"]): cell["score"] for cell in cells if "score" in cell}
+    return {
+        (cell["cell"]["policy"], cell["cell"].get("payload_known")): cell["score"] for cell in cells if "score" in cell
+    }
 
 
 def test_files_and_table_have_the_same_numbers(benchmark, best):
     ended = benchmark()
     assert ended.status == 0
-    told, untold = scores(ended)[("fl", "told")], scores(ended)[("fl", "untold")]
-    assert told == pytest.approx(1.92 / 2.4, abs=2e-3)
+    known, unknown = scores(ended)[("fl", True)], scores(ended)[("fl", False)]
+    assert known == pytest.approx(1.92 / 2.4, abs=2e-3)
     for text in (ended.out, (ended.folder / "leaderboard.md").read_text(encoding="utf-8")):
-        assert f"1.92, {told:.0%}" in text
-        assert f"0.66, {untold:.0%}" in text
+        assert f"1.92, {known:.0%}" in text
+        assert f"0.66, {unknown:.0%}" in text
     assert len((ended.folder / "results.csv").read_text(encoding="utf-8").splitlines()) == 3
     assert len(best) == 1
 
@@ -123,7 +125,7 @@ def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, m
 
 def test_broken_cell_is_reported_and_computed_again(benchmark, best):
     first = benchmark()
-    path = next(first.folder.glob("cells/*-fl-told-*"))
+    path = next(first.folder.glob("cells/*-fl-payload-known-*"))
     path.write_text("{")
     again = benchmark()
     assert (again.status, again.out) == (0, first.out)
@@ -136,7 +138,7 @@ def test_other_code_is_said_and_can_be_taken(benchmark, best):
     for path in first.folder.glob("cells/*-fl-*"):
         path.rename(path.with_name(path.name[: -len("0123456789abcdef.json")] + "0" * 16 + ".json"))
     again = benchmark()
-    assert "2 cells were there by other code alone: computed anew" in again.err
+    assert "2 cells exist only with results of different code: they are computed again" in again.err
     assert len(list(first.folder.glob("cells/*"))) == 5
     assert len(best) == 1
 
@@ -144,8 +146,8 @@ def test_other_code_is_said_and_can_be_taken(benchmark, best):
 def test_policy_of_a_third_party_that_fails_costs_its_cells_alone(benchmark, best):
     ended = benchmark(policies="toy_command:raises,fl")
     assert ended.status == 1
-    assert scores(ended)[("toy_command:raises", "told")] is None
-    assert scores(ended)[("fl", "told")] > 0.5
+    assert scores(ended)[("toy_command:raises", True)] is None
+    assert scores(ended)[("fl", True)] > 0.5
     assert "raised RuntimeError" in ended.out
     assert "failed" in ended.out
 
@@ -156,16 +158,16 @@ def test_policy_of_a_third_party_that_kills_its_process_costs_its_cells_alone(be
     assert ended.status == 1
     assert "its process died 2 times" in ended.out
     assert "1.92" in ended.out
-    assert len(list(ended.folder.glob("cells/*fl-*told*"))) == 2
+    assert len(list(ended.folder.glob("cells/*fl-*known*"))) == 2
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_keeps_what_is_done_and_says_how_to_go_on(benchmark, best):
     ended = benchmark(policies="toy_command:interrupted")
     assert ended.status == cli.INTERRUPTED
-    assert "2 of 3 cells are in" in ended.err
+    assert "2 of 3 cells are finished and stored in" in ended.err
     assert (
-        f"go on with: cablebot benchmark --suite tiny --policies toy_command:interrupted --out {ended.folder}"
+        f"Resume with: cablebot benchmark --suite tiny --policies toy_command:interrupted --out {ended.folder}"
         in ended.err
     )
     assert not (ended.folder / "results.json").exists()
@@ -179,7 +181,7 @@ def test_interrupt_before_anything_is_done_does_not_name_a_folder_that_is_not_th
     monkeypatch.setattr("cablebot_gym.benchmark.engine.compute", stopped)
     ended = benchmark()
     assert ended.status == cli.INTERRUPTED
-    assert "no cell was finished yet; start again with: cablebot benchmark --suite tiny" in ended.err
+    assert "No cell is finished yet. Start again with: cablebot benchmark --suite tiny" in ended.err
     assert not ended.folder.exists()
 
 
@@ -203,7 +205,7 @@ def test_interrupt_of_a_run_with_workers_leaves_no_process(tmp_path):
     _, err = process.communicate(timeout=60)
     assert process.returncode == cli.INTERRUPTED, err
     assert "Traceback" not in err
-    assert "go on with: cablebot benchmark --suite standard" in err
+    assert "Resume with: cablebot benchmark --suite standard" in err
     while is_alive(process.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not is_alive(process.pid)

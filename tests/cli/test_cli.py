@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import itertools
 import json
 import os
 import re
@@ -14,20 +15,31 @@ import time
 
 import numpy as np
 import pytest
+import typer
 
 import cablebot_gym.evaluation
 import cablebot_gym.evaluation.comparison
 import cablebot_gym.evaluation.rollout
+from cablebot_baselines.paper.interpretation import choices_of
 from cablebot_baselines.paper.published import PUBLISHED
-from cablebot_baselines.paper.readings import choices_of
 from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
+from cablebot_gym.cli import listing
+from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.trajectories import trajectory_names
-from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
+from cablebot_gym.robots import find_robot
+from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
+from cablebot_gym.uncertainty import (
+    PARAMETERS,
+    UNCERTAINTIES,
+    ExternalWrench,
+    ParameterDistribution,
+    SensorNoise,
+    find_uncertainty,
+)
 
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
-HANG = '{"name": "hold-spatial", "duration": 0.05}'
+HANG = '{"name": "dwell-spatial", "duration": 0.05}'
 """A static hang, as short as a hang can be judged."""
 QUICK = (SPATIAL, "--policy", "fl", "--trajectory", HANG, "--payload-max", "16", "--resolution", "0.5")
 """Arguments of an evaluation that takes no time."""
@@ -156,11 +168,58 @@ def test_list_does_not_print_anything_but_json(cablebot):
 def test_list_for_people_does_not_leave_a_name_out(cablebot):
     ended = cablebot("list")
     assert ended.status == 0
-    printed = " ".join(ended.out.split())
-    for names_ in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS):
-        assert ", ".join(names_) in printed
-    for name in policy_entries():
-        assert f" {name} (" in printed
+    printed = ended.out.split()
+    for names_ in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries()):
+        assert set(names_) <= set(printed)
+
+
+def test_list_fits_80_columns_and_shows_every_field(cablebot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = cablebot("list").out
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
+    sections = text.split("\n\n")
+    trajectories = next(section for section in sections if section.startswith("Trajectories"))
+    rows = [line.split() for line in trajectories.splitlines()[3:]]
+    for name, make in TRAJECTORIES.items():
+        start = next(place for place, row in enumerate(rows) if row[0] == name)
+        block = [rows[start][1:], *itertools.takewhile(lambda row: row[0] not in TRAJECTORIES, rows[start + 1 :])]
+        expected = {field.name for field in dataclasses.fields(make())} - {"name"}
+        assert expected <= {row[0] for row in block}
+    fields = next(section for section in sections if section.startswith("Fields of an uncertainty"))
+    for kind in (ParameterDistribution, ExternalWrench, SensorNoise):
+        assert {field.name for field in dataclasses.fields(kind)} <= set(fields.split())
+    for path in ("parameters.platform_mass", "parameters.stiffness", "wrench.force_std", "sensors.motor_speed"):
+        assert path in text.split()
+    for unit in listing._PARAMETER_UNITS.values():
+        assert unit in text.split()
+
+
+def test_every_field_and_parameter_has_a_unit():
+    names_ = {field.name for make in TRAJECTORIES.values() for field in dataclasses.fields(make())}
+    assert names_ - {"name"} == set(listing._TRAJECTORY_UNITS)
+    assert set(listing._PARAMETER_UNITS) == set(PARAMETERS)
+
+
+def test_listed_defaults_make_the_named_trajectory(cablebot):
+    data = loads(cablebot("list", "--json").out)
+    for name, entries in data["trajectory_fields"].items():
+        given = {key: entry["default"] for key, entry in entries.items()}
+        coordinates = TRAJECTORIES[name]().coordinates
+        assert find_trajectory({"name": name, **given}, coordinates) == TRAJECTORIES[name]()
+
+
+def test_listed_uncertainty_fields_make_the_named_uncertainty(cablebot):
+    data = loads(cablebot("list", "--json").out)
+    for name, entries in data["uncertainty_fields"].items():
+        for env_id in ENV_IDS:
+            given = {}
+            for path, entry in entries.items():
+                if env_id in entry["env_ids"]:
+                    group, _, key = path.partition(".")
+                    given.setdefault(group, {})[key] = entry["value"]
+            robot = find_robot(env_robot(env_id))
+            assert find_uncertainty(given, robot) == find_uncertainty(name, robot)
 
 
 COMMANDS = sorted(cli.command_points())
@@ -183,6 +242,18 @@ def test_help_does_not_fail(cablebot):
     assert all(command in ended.out for command in COMMANDS)
 
 
+def test_help_at_80_columns_has_the_full_first_sentence_of_every_command(cablebot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = cablebot("--help").out
+    assert max(map(len, text.splitlines())) <= 80
+    assert "..." not in text.partition("\n")[2]  # the first line is the usage, with [ARGS]...
+    commands = typer.main.get_command(cli.app).commands
+    printed = " ".join(text.split())
+    for name, command in commands.items():
+        sentence = re.match(r".+?\.(?=\s|$)", " ".join(command.help.split()))[0]
+        assert f" {name} {sentence}" in printed
+
+
 def test_command_is_not_missing_from_the_installation():
     ended = subprocess.run(
         [sys.executable, "-m", "cablebot_gym.cli.app", "list", "--json"], capture_output=True, text=True, check=False
@@ -203,7 +274,7 @@ def test_table_does_not_lack_payload_motor_or_time(cablebot):
         assert part in paper
     assert "4.03" in task
     assert "rotation at t = 0.4" in task
-    for part in (SPATIAL, "fl", "paper-spatial", "payload told", "10 mm", "10 mrad"):
+    for part in (SPATIAL, "fl", "paper-spatial", "payload known", "10 mm", "10 mrad"):
         assert part in ended.out
 
 
@@ -216,11 +287,12 @@ def test_json_is_not_mixed_with_anything_else(cablebot):
     for result in results:
         assert (result["env_id"], result["policy"]) == (SPATIAL, "fl")
         assert result["total_mass"] == result["payload"] + 10
-        assert set(result["limit"]) >= {"kind", "index", "time"}
-        assert set(result) >= {"limits", "versions"}
+        assert set(result) >= {"error_bounds", "versions"}
     task, paper = results
-    assert (task["payload"], task["limit"]["kind"]) == (16, "scan_end")  # the motors clip, and it falls slowly enough
-    assert (14 < paper["payload"] < 15, paper["limit"]["kind"], paper["limit"]["time"]) == (True, "torque", 0.0)
+    assert set(paper["violation"]) >= {"kind", "index", "time"}
+    # The motors saturate, and the platform falls slowly enough.
+    assert (task["payload"], task["violation"], task["scan_ended"]) == (16, None, True)
+    assert (14 < paper["payload"] < 15, paper["violation"]["kind"], paper["violation"]["time"]) == (True, "torque", 0.0)
     assert 0 < paper["resolution"] <= 0.5
 
 
@@ -235,8 +307,9 @@ def test_criterion_that_is_not_asked_for_is_not_evaluated(cablebot, criterion):
     [
         (("--payload-unknown",), ("payload_known",), False),
         (("--payload-known",), ("payload_known",), True),
-        (("--position-bound", "0.02"), ("limits", "position"), 0.02),
-        (("--rotation-bound", "0.03"), ("limits", "rotation"), 0.03),
+        (("--model-payload-factor", "0.9"), ("model_payload_factor",), 0.9),
+        (("--position-bound", "0.02"), ("error_bounds", "position"), 0.02),
+        (("--rotation-bound", "0.03"), ("error_bounds", "rotation"), 0.03),
         (("--payload-max", "3.5"), ("payload_max",), 3.5),
         (("--control-frequency", "400"), ("environment", "control_frequency"), 400),
         (("--seed", "7"), ("seed",), 7),
@@ -269,18 +342,18 @@ def test_paper_criterion_is_not_printed_for_a_policy_that_clips_itself(cablebot,
     assert "n/a" in next(line for line in table.out.splitlines() if " paper " in line)
     assert [result["criterion"] for result in loads(cablebot("dlcc", *arguments, "--json").out)] == ["task"]
     line = one_line(cablebot("dlcc", *arguments, "--criterion", "paper"), 2)
-    assert "does not declare unclipped" in line
+    assert "does not declare unsaturated_actions" in line
 
 
 def test_policy_that_fails_at_zero_is_not_given_zero_kilograms_in_silence(cablebot, toys):
-    arguments = (SPATIAL, "--policy", toys("limp"), "--trajectory", '{"name": "hold-spatial", "duration": 0.3}')
+    arguments = (SPATIAL, "--policy", toys("limp"), "--trajectory", '{"name": "dwell-spatial", "duration": 0.3}')
     table = cablebot("dlcc", *arguments)
     row = next(line for line in table.out.splitlines() if " task " in line)
-    assert "none" in row
+    assert "fails unloaded" in row
     assert "position at t = 0.0" in row
     result = loads(cablebot("dlcc", *arguments, "--json").out)[0]
     assert (result["payload"], result["total_mass"], result["feasible"]) == (None, None, [])
-    assert result["limit"]["kind"] == "position"
+    assert result["violation"]["kind"] == "position"
 
 
 # --- dlcc --out -------------------------------------------------------------------------------------------------------
@@ -373,9 +446,9 @@ def test_table_over_draws_does_not_lack_draws_probability_or_bound(cablebot):
     assert (ended.status, ended.err) == (0, "")
     text = " ".join(ended.out.split())
     for part in (
-        f"{SPATIAL}, fl, hold-spatial, payload told, table6, 4 draws",
-        "carried in at least 50% of the draws",
-        "assured with 90% confidence",
+        f"{SPATIAL}, fl, dwell-spatial, payload known, table6, 4 draws",
+        "required success rate: 50% of the draws",
+        "(90%/50% lower tolerance bound)",
     ):
         assert part in text
 
@@ -427,7 +500,7 @@ def test_policy_for_other_robots_does_not_run_without_a_word(cablebot):
     ended = cablebot(*flexible, "--payload-max", "1", "--resolution", "1")
     assert ended.status == 0
     assert ended.err.splitlines() == [
-        "note: fl is made for CableBot-Planar-v0, CableBot-Spatial-v0, not for CableBot-FlexSpatial-v0"
+        "note: fl is designed for CableBot-Planar-v0, CableBot-Spatial-v0, not for CableBot-FlexSpatial-v0"
     ]
 
 
@@ -441,7 +514,7 @@ def test_comparison_does_not_lack_a_policy_or_the_reduction(cablebot, toys):
     ended = cablebot(*PAIR, f"fl,{toys('limp')}", "--payload", "1.5", "--payload-unknown")
     assert (ended.status, ended.err) == (0, "")
     lines = ended.out.splitlines()
-    assert lines[0].strip() == f"{SPATIAL}, payload 1.5 kg, not told, 3 draws of table6"
+    assert lines[0].strip() == f"{SPATIAL}, payload 1.5 kg, payload unknown, 3 draws of table6"
     assert sum(line.startswith(("│ fl ", "│ cli_toys:limp ")) for line in lines) == 2
     assert any(line.startswith("cli_toys:limp against fl: mean error +") for line in lines)
 
@@ -459,11 +532,12 @@ def test_comparison_as_json_is_not_mixed_with_anything_else(cablebot, toys):
     [
         (("--payload", "2.5"), ("payload",), 2.5),
         (("--payload-unknown",), ("payload_known",), False),
+        (("--model-payload-factor", "0.9"), ("model_payload_factor",), 0.9),
         (("--uncertainty", "sensors"), ("uncertainty",), "sensors"),
         (("--draws", "2"), ("draws",), 2),
         (("--seed", "9"), ("seed",), 9),
-        (("--position-bound", "0.02"), ("limits", "position"), 0.02),
-        (("--rotation-bound", "0.03"), ("limits", "rotation"), 0.03),
+        (("--position-bound", "0.02"), ("error_bounds", "position"), 0.02),
+        (("--rotation-bound", "0.03"), ("error_bounds", "rotation"), 0.03),
         (("--control-frequency", "400"), ("environment", "control_frequency"), 400),
         (
             ("--trajectory", '{"name": "line-spatial", "duration": 0.05}'),
@@ -641,7 +715,7 @@ def test_ctrl_c_does_not_end_with_another_status_than_130(toys, tmp_path, comman
     ("name", "message"),
     [
         ("raises", f"raised RuntimeError at t = 0.020 s with payloads of 0 to 10 kg: lost (cli_toys.py, line {LOST})"),
-        ("short", "returned shape (64, 2) at t = 0.020 s with payloads of 0 to 10 kg; needed: (64, 3)"),
+        ("short", "returned shape (64, 2) at t = 0.020 s with payloads of 0 to 10 kg; expected (64, 3)"),
         ("nan", "returned NaN or infinity at t = 0.020 s with a payload of 0 kg"),
     ],
 )
@@ -676,12 +750,12 @@ BAD = [
     (("dlcc", SPATIAL, "--policy", "lqr"), "unknown policy 'lqr'; choose one of "),
     (("dlcc", SPATIAL, "--policy", "nowhere.zip"), "'nowhere.zip' does not exist"),
     (("dlcc", SPATIAL, "--policy", "nowhere:make"), "cannot import 'nowhere'"),
-    (("dlcc", SPATIAL, "--policy", "nowhere.py:make"), "a module is named without .py: nowhere:make"),
-    (("dlcc", SPATIAL, "--policy", "json:make"), "'json' has no 'make'"),
+    (("dlcc", SPATIAL, "--policy", "nowhere.py:make"), "write the module name without .py: nowhere:make"),
+    (("dlcc", SPATIAL, "--policy", "json:make"), "'json' has no attribute 'make'"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", "spiral"), "unknown trajectory 'spiral'; choose one of paper"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", "paper-planar"), "paper-spatial, circle-spatial"),
     (("dlcc", PLANAR, "--policy", "fl", "--trajectory", "paper-spatial"), "paper-planar, circle-planar"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"name": '), "--trajectory is no valid JSON"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"name": '), "--trajectory is not valid JSON"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"name": "spiral"}'), "choose one of paper-spatial"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"duration": 1.0}'), "name"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"name": "circle-spatial", "speed": 2}'), "speed"),
@@ -690,8 +764,14 @@ BAD = [
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"name": "circle-spatial", "duration": "1"}'), "duration"),
     (("dlcc", SPATIAL, "--policy", "fl", "--trajectory", '{"name": ["circle-spatial"]}'), "circle-spatial"),
     (("dlcc", SPATIAL, "--policy", "fl", "--criterion", "papers"), "'task', 'paper', 'both'"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--position-bound", "0"), "position must be a number greater than 0"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--rotation-bound", "nan"), "rotation must be a number greater than 0"),
+    (
+        ("dlcc", SPATIAL, "--policy", "fl", "--position-bound", "0"),
+        "cablebot: --position-bound must be a number greater than 0",
+    ),
+    (
+        ("dlcc", SPATIAL, "--policy", "fl", "--rotation-bound", "nan"),
+        "cablebot: --rotation-bound must be a number greater than 0",
+    ),
     (("dlcc", SPATIAL, "--policy", "fl", "--resolution", "-1"), "resolution must be greater than 0 kg"),
     (("dlcc", SPATIAL, "--policy", "fl", "--resolution", "fine"), "--resolution"),
     (("dlcc", SPATIAL, "--policy", "fl", "--payload-max", "0"), "cablebot: --payload-max must be greater than 0 kg"),
@@ -705,27 +785,42 @@ BAD = [
         ("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table5"),
         "unknown uncertainty 'table5'; choose one of none",
     ),
-    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6+table6"), "gives parameters twice: leave one"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"delay": '), "--uncertainty is no valid JSON"),
+    (
+        ("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6+table6"),
+        "defines parameters twice; leave one name out",
+    ),
+    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"delay": '), "--uncertainty is not valid JSON"),
     (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"noise": 1}'), "unknown field 'noise' of an uncertainty"),
     (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", '{"delay": -1}'), "delay must be 0 to "),
-    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "0"), "draws must be a whole number"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "-4"), "draws must be a whole number"),
+    (
+        ("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "0"),
+        "--draws must be an integer of at least 1",
+    ),
+    (
+        ("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "-4"),
+        "--draws must be an integer of at least 1",
+    ),
     (("dlcc", SPATIAL, "--policy", "fl", "--uncertainty", "table6", "--draws", "2.5"), "--draws"),
-    (("dlcc", SPATIAL, "--policy", "fl", "--draws", "4"), "4 draws would all be the same: give an uncertainty"),
+    (("dlcc", SPATIAL, "--policy", "fl", "--draws", "4"), "all 4 draws would be equal: choose a random uncertainty"),
     (("dlcc", SPATIAL, "--policy", "fl", "--probability", "1"), "probability must lie between 0 and 1"),
     (("dlcc", SPATIAL, "--policy", "fl", "--probability", "95"), "probability must lie between 0 and 1"),
     (("dlcc", SPATIAL, "--policy", "fl", "--confidence", "0"), "confidence must lie between 0.5 and 1"),
     (("compare", SPATIAL, "--policies", "fl,lqr"), "unknown policy 'lqr'; choose one of "),
-    (("compare", SPATIAL, "--policies", "fl, fl"), "policies need one name each, all different, not fl, fl"),
-    (("compare", SPATIAL, "--policies", " , "), "nothing to compare: name at least one policy"),
+    (("compare", SPATIAL, "--policies", "fl, fl"), "every policy needs its own name, but the names are fl, fl"),
+    (("compare", SPATIAL, "--policies", " , "), "there is no policy to compare: give at least one policy"),
     (("compare", SPATIAL), "--policies"),
     (("compare", "CableBot-Cubic-v0", "--policies", "fl"), "choose one of CableBot-Planar-v0, CableBot-Spatial-v0"),
-    (("compare", SPATIAL, "--policies", "fl", "--payload", "-1"), "payload must be at least 0 kg"),
-    (("compare", SPATIAL, "--policies", "fl", "--draws", "0"), "draws must be a whole number"),
-    (("compare", SPATIAL, "--policies", "fl", "--draws", "4"), "4 draws would all be the same: give an uncertainty"),
+    (("compare", SPATIAL, "--policies", "fl", "--payload", "-1"), "--payload must be a finite number of at least 0 kg"),
+    (("compare", SPATIAL, "--policies", "fl", "--draws", "0"), "--draws must be an integer of at least 1"),
+    (
+        ("compare", SPATIAL, "--policies", "fl", "--draws", "4"),
+        "all 4 draws would be equal: choose a random uncertainty",
+    ),
     (("compare", SPATIAL, "--policies", "fl", "--uncertainty", "table5"), "unknown uncertainty 'table5'"),
-    (("compare", SPATIAL, "--policies", "fl", "--position-bound", "0"), "position must be a number greater than 0"),
+    (
+        ("compare", SPATIAL, "--policies", "fl", "--position-bound", "0"),
+        "cablebot: --position-bound must be a number greater than 0",
+    ),
     (("compare", SPATIAL, "--policies", "fl", "--trajectory", "spiral"), "unknown trajectory 'spiral'"),
     (("compare", SPATIAL, "--policies", "fl", "--probability", "0.5"), "--probability"),
     (("list", "--yaml"), "--yaml"),
@@ -736,7 +831,7 @@ BAD = [
 @pytest.mark.parametrize(
     ("arguments", "message"), BAD, ids=lambda value: " ".join(value) if isinstance(value, tuple) else ""
 )
-def test_bad_input_is_not_answered_by_more_or_less_than_one_sentence(cablebot, arguments, message):
+def test_bad_input_is_answered_by_one_line(cablebot, arguments, message):
     assert message in one_line(cablebot(*arguments), 2)
 
 
@@ -746,10 +841,10 @@ def test_bad_input_is_not_answered_by_more_or_less_than_one_sentence(cablebot, a
         (("CableBot-Cubic-v0", "--policy", "fl"), "choose one of CableBot-Planar-v0, CableBot-Spatial-v0"),
         ((PLANAR, "--policy", "lqr"), "unknown policy 'lqr'; choose one of "),
         ((PLANAR, "--policy", "fl", "--trajectory", "spiral"), "unknown trajectory 'spiral'; choose one of paper"),
-        ((PLANAR, "--policy", "fl", "--payload", "-1"), "payload must be at least 0 kg"),
+        ((PLANAR, "--policy", "fl", "--payload", "-1"), "--payload must be finite and at least 0 kg"),
         ((PLANAR, "--policy", "fl", "--uncertainty", "table5"), "unknown uncertainty 'table5'"),
-        ((PLANAR, "--policy", "fl", "--uncertainty", "{"), "--uncertainty is no valid JSON"),
-        ((PLANAR, "--policy", "fl", "--payload", "nan"), "payload must be at least 0 kg"),
+        ((PLANAR, "--policy", "fl", "--uncertainty", "{"), "--uncertainty is not valid JSON"),
+        ((PLANAR, "--policy", "fl", "--payload", "nan"), "--payload must be finite and at least 0 kg"),
         ((PLANAR, "--policy", "fl", "--seed", "-1"), "eed must be "),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
@@ -760,7 +855,7 @@ def test_bad_input_of_a_recording_does_not_change_anything(cablebot, tmp_path, a
     assert names(tmp_path) == []
 
 
-def test_sentence_does_not_come_after_an_empty_line(cablebot):
+def test_message_does_not_come_after_an_empty_line(cablebot):
     ended = cablebot("dlcc", SPATIAL, "--policy", "fl", "--trajectory", "spiral")
     assert ended.err.startswith("cablebot: ")
     assert ended.err.count("\n") == 1
@@ -800,8 +895,8 @@ def test_two_formats_do_not_hold_different_numbers(cablebot, tmp_path, env_id):
     assert list(columns) == header
     np.testing.assert_array_equal(table, np.stack([column.astype(float) for column in columns.values()], axis=1))
     np.testing.assert_array_equal(recorded["payload"], 0.5)
-    np.testing.assert_allclose(recorded["command_time"], np.arange(600) / 400, atol=1e-12)
-    assert {"pose", "velocity", "reference_pose", "tensions", "torques", "drive_demand", "reward"} <= set(recorded)
+    np.testing.assert_allclose(recorded["action_time"], np.arange(600) / 400, atol=1e-12)
+    assert {"pose", "velocity", "reference_pose", "tensions", "torques", "commanded_action", "reward"} <= set(recorded)
     offset = np.linalg.norm((recorded["pose"] - recorded["reference_pose"])[:, :3], axis=1)
     np.testing.assert_allclose(offset, recorded["tracking_error"], atol=1e-12)  # of the same instant
     np.testing.assert_allclose(recorded["time"], np.arange(1, 601) / 400, atol=1e-12)
@@ -814,19 +909,21 @@ def test_recording_does_not_hold_anything_but_its_arrays(cablebot, tmp_path):
     assert set(lengths.values()) == {(25,)}
 
 
-def test_payload_and_what_is_told_are_not_read_and_then_discarded(cablebot, tmp_path):
+def test_payload_and_payload_model_reach_the_recording(cablebot, tmp_path):
     runs = {}
     for name, options in {
         "empty": (),
-        "told": ("--payload", "3"),
-        "untold": ("--payload", "3", "--payload-unknown"),
+        "known": ("--payload", "3"),
+        "unknown": ("--payload", "3", "--payload-unknown"),
+        "scaled": ("--payload", "3", "--model-payload-factor", "0.9"),
     }.items():
         cablebot("rollout", SPATIAL, "--policy", "fl", *options, "--out", tmp_path / f"{name}.npz")
         runs[name] = dict(np.load(tmp_path / f"{name}.npz"))
-    first = {name: run["drive_demand"][0] for name, run in runs.items()}
-    np.testing.assert_array_equal(first["empty"], first["untold"])
-    assert np.all(np.abs(first["told"] - first["empty"]) > 1e-3)
-    assert runs["told"]["tracking_error_peak"].max() < 0.01 < runs["untold"]["tracking_error_peak"].max()
+    first = {name: run["commanded_action"][0] for name, run in runs.items()}
+    np.testing.assert_array_equal(first["empty"], first["unknown"])
+    assert np.all(np.abs(first["known"] - first["empty"]) > 1e-3)
+    assert np.all(np.abs(first["known"] - first["scaled"]) > 1e-4)
+    assert runs["known"]["tracking_error_peak"].max() < 0.01 < runs["unknown"]["tracking_error_peak"].max()
 
 
 def test_uncertainty_of_a_recording_is_not_read_and_then_discarded(cablebot, tmp_path):
@@ -868,7 +965,7 @@ def test_episode_that_the_environment_ends_is_not_recorded_as_whole(cablebot, to
 @pytest.mark.parametrize("name", ["run", "run.json", "run.csv.gz", "run.NPZ"])
 def test_unknown_format_is_not_found_out_after_the_work(cablebot, tmp_path, name):
     line = one_line(cablebot("rollout", PLANAR, "--policy", "fl", "--out", tmp_path / name), 2)
-    assert "has to end in .npz or .csv" in line
+    assert "must end in .npz or .csv" in line
     assert names(tmp_path) == []
 
 
@@ -893,7 +990,7 @@ def test_uncertainty_in_a_file_is_not_taken_for_a_name(cablebot, tmp_path):
     ended = cablebot(*arguments, "--criterion", "task", "--uncertainty", str(path), "--draws", "2", "--json")
     assert (ended.status, ended.err) == (0, "")
     assert loads(ended.out)[0]["environment"]["uncertainty"]["sensors"]["position"] == 1e-4
-    for text, message in (("[1]", "has to hold a JSON object"), (None, "cannot read")):
+    for text, message in (("[1]", "must hold a JSON object"), (None, "cannot read")):
         path.unlink() if text is None else path.write_text(text, encoding="utf-8")
         assert message in one_line(cablebot(*arguments, "--uncertainty", str(path)), 2)
 
@@ -915,17 +1012,17 @@ def test_command_of_another_package_is_not_missing_from_the_help(cablebot):
 def test_reproduction_does_not_lack_a_file(cablebot, tmp_path):
     ended = cablebot("reproduce", "--only", "fig1,fig3", "--out", tmp_path / "out", "--workers", "1")
     assert (ended.status, ended.err) == (0, "")
-    assert "readings: default" in ended.out
+    assert "interpretation: default" in ended.out
     made = {"results.json", "reproduction.md", "reproduction.html"}
     assert set(names(tmp_path / "out")) == made | {f"fig{k}.{suffix}" for k in (1, 3) for suffix in ("png", "svg")}
-    assert "not made: fig2" in ended.out
+    assert "not run: fig2" in ended.out
 
 
 def test_reading_is_not_read_and_then_discarded(cablebot, tmp_path):
     arguments = ("reproduce", "--only", "fig1", "--out", tmp_path, "--workers", "1")
     assert cablebot(*arguments, "--planar-apex", "left", "--minimum-tension", "2").status == 0
-    readings = loads((tmp_path / "results.json").read_text(encoding="utf-8"))["readings"]
-    assert (readings["planar_apex"], readings["minimum_tension"]) == ("left", 2.0)
+    choices = loads((tmp_path / "results.json").read_text(encoding="utf-8"))["interpretation"]
+    assert (choices["planar_apex"], choices["minimum_tension"]) == ("left", 2.0)
 
 
 @pytest.mark.parametrize("name", list(choices_of()))
@@ -944,8 +1041,8 @@ def test_rows_as_json_are_not_mixed_with_anything_else(cablebot, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--only", "fig4"), "there is no part 'fig4'; the parts are fig1, fig2"),
-        (("--only", ""), "there is no part ''"),
+        (("--only", "fig4"), "unknown part 'fig4'; valid parts are fig1, fig2"),
+        (("--only", ""), "unknown part ''"),
         (("--workers", "0"), "workers must be at least 1"),
         (("--minimum-tension", "-1"), "--minimum-tension must be at least 0 N"),
     ],
@@ -955,7 +1052,7 @@ def test_bad_input_of_a_reproduction_does_not_leave_a_file(cablebot, tmp_path, a
     assert names(tmp_path) == []
 
 
-SAID = re.compile("compiling|robot …|what is done|--only")
+SAID = re.compile("compiling|robot …|finished parts|--only")
 """What the command says before it ends."""
 
 

@@ -22,16 +22,16 @@ def findings():
 
 def test_nothing_is_wrong_here():
     found = findings()
-    assert all(finding.good for finding in found.values())
+    assert all(finding.ok for finding in found.values())
     assert [name for name in found if name.startswith("self-test")] == [f"self-test {env_id}" for env_id in ENV_IDS]
-    assert re.search(r"numba \d.*numpy 2", found["needs"].words)
-    assert "torch 2" in found["extra sb3"].words
+    assert re.search(r"numba \d.*numpy 2", found["requirements"].text)
+    assert "torch 2" in found["extra sb3"].text
     assert not {"extra all", "extra docs", "extra test"} & set(found)
 
 
 def test_every_installed_policy_is_loaded():
     names = sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))
-    assert findings()["policies"].words == f"{len(names)} load: {', '.join(names)}"
+    assert findings()["policies"].text == f"{len(names)} load: {', '.join(names)}"
 
 
 def test_policy_that_fails_to_load_is_a_fault(monkeypatch):
@@ -39,9 +39,9 @@ def test_policy_that_fails_to_load_is_a_fault(monkeypatch):
     listed = doctor.entry_points
     monkeypatch.setattr(doctor, "entry_points", lambda *, group: [*listed(group=group), broken])
     found = findings()
-    assert found["policy broken"].good is False
-    assert "No module named 'cablebot_baselines.nowhere'" in found["policy broken"].words
-    assert found["policies"].good
+    assert found["policy broken"].ok is False
+    assert "No module named 'cablebot_baselines.nowhere'" in found["policy broken"].text
+    assert found["policies"].ok
 
 
 def test_folder_that_hides_the_baselines_is_named(tmp_path):
@@ -59,27 +59,27 @@ def test_missing_extra_is_no_fault_and_comes_with_its_command(monkeypatch):
     version = doctor._version
     monkeypatch.setattr(doctor, "_version", lambda name: None if name == "casadi" else version(name))
     finding = findings()["extra optimal"]
-    assert finding.good is None
-    assert finding.words == "casadi not installed: pip install 'cablebot-gym[optimal]'"
+    assert finding.ok is None
+    assert finding.text == "casadi not installed. To install: pip install 'cablebot-gym[optimal]'"
 
 
 def test_package_that_is_always_needed_is_a_fault(monkeypatch):
     version = doctor._version
     monkeypatch.setattr(doctor, "_version", lambda name: None if name == "scipy" else version(name))
-    assert findings()["needs"] == Finding(
-        name="needs", good=False, words="scipy not installed: pip install cablebot-gym"
+    assert findings()["requirements"] == Finding(
+        name="requirements", ok=False, text="scipy not installed. To install: pip install cablebot-gym"
     )
 
 
 def test_plant_that_does_not_obey_statics_is_a_fault(monkeypatch):
     statics = doctor.static_torque
     monkeypatch.setattr(doctor, "static_torque", lambda *given, **more: 1.000001 * statics(*given, **more))
-    wrong = [finding for finding in examine() if finding.good is False]
+    wrong = [finding for finding in examine() if finding.ok is False]
     assert [finding.name for finding in wrong if "Spatial" in finding.name] == [
         "self-test CableBot-Spatial-v0",
         "self-test CableBot-FlexSpatial-v0",
     ]
-    assert all("moves by" in finding.words for finding in wrong)
+    assert all("moves by" in finding.text for finding in wrong)
 
 
 def test_plant_that_cannot_be_run_is_a_fault_and_the_others_are_looked_at(monkeypatch):
@@ -92,22 +92,22 @@ def test_plant_that_cannot_be_run_is_a_fault_and_the_others_are_looked_at(monkey
 
     monkeypatch.setattr(doctor.gym, "make", broken)
     found = findings()
-    assert found[f"self-test {ENV_IDS[0]}"].words == "RuntimeError: no kernel"
-    assert [found[f"self-test {env_id}"].good for env_id in ENV_IDS] == [False, True, True, True]
+    assert found[f"self-test {ENV_IDS[0]}"].text == "RuntimeError: no kernel"
+    assert [found[f"self-test {env_id}"].ok for env_id in ENV_IDS] == [False, True, True, True]
 
 
 def test_cache_that_cannot_be_written_is_a_fault(monkeypatch, tmp_path):
     monkeypatch.setenv("CABLEBOT_CACHE", str(tmp_path / "kept"))
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: path != tmp_path)
-    finding = findings()["plans and best payloads"]
-    assert finding.good is False
-    assert str(tmp_path / "kept") in finding.words
+    finding = findings()["plans and best known payloads"]
+    assert finding.ok is False
+    assert str(tmp_path / "kept") in finding.text
 
 
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])
 def test_exit_status_tells_faults_alone(monkeypatch, capsys, good, status):
     monkeypatch.setattr("sys.argv", ["cablebot", "doctor"])
-    monkeypatch.setattr(doctor, "examine", lambda: [Finding(name="a thing", good=good, words="as it is")])
+    monkeypatch.setattr(doctor, "examine", lambda: [Finding(name="a thing", ok=good, text="as it is")])
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert (ended.value.code or 0) == status
@@ -116,8 +116,8 @@ def test_exit_status_tells_faults_alone(monkeypatch, capsys, good, status):
 
 def test_each_finding_is_printed_as_it_comes(capsys):
     def slow():
-        yield Finding(name="first", good=True, words="there")
+        yield Finding(name="first", ok=True, text="there")
         assert "first: there" in capsys.readouterr().out
-        yield Finding(name="second", good=False, words="bad")
+        yield Finding(name="second", ok=False, text="bad")
 
     assert not print_findings(slow())

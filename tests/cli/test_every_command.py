@@ -69,7 +69,7 @@ def test_what_the_parser_refuses_comes_with_an_example_of_the_command(cablebot, 
     status, _, said = cablebot(name, "--no-such-option")
     assert status == 2
     assert said.startswith("cablebot: No such option: --no-such-option")
-    assert said.rstrip().partition("; for example: cablebot ")[2] == examples_of(COMMANDS[name].help)[0]
+    assert said.rstrip().partition(". Example: cablebot ")[2] == examples_of(COMMANDS[name].help)[0]
 
 
 def test_readme_has_no_command_that_cannot_be_typed():
@@ -91,8 +91,8 @@ def test_no_option_lacks_a_help(name):
 
 def test_exit_statuses_are_in_the_help(cablebot):
     _, said, _ = cablebot("--help")
-    assert "0 done" in said
-    assert all(f"{status} {words}" in " ".join(said.split()) for status, words in ((1, "ran and failed"), (2, "bad")))
+    statuses = ((0, "success"), (1, "failure"), (2, "invalid input"), (130, "interrupted"))
+    assert all(f" {status} {words}" in " ".join(said.split()) for status, words in statuses)
 
 
 MISTAKES = [
@@ -117,8 +117,8 @@ MISTAKES = [
     ("watch", PLANAR),
     ("watch", PLANAR, *POLICY, "--size", "0x0"),
     ("watch", PLANAR, *POLICY, "--payload", "-1"),
-    ("video", PLANAR, "film.gif", *POLICY, "--size", "100000x100000"),
-    ("video", PLANAR, "file/film.gif", *POLICY),
+    ("video", PLANAR, "video.gif", *POLICY, "--size", "100000x100000"),
+    ("video", PLANAR, "file/video.gif", *POLICY),
     ("benchmark", "--policies", "nosuch"),
     ("benchmark", "--workers", "-1"),
     ("benchmark", "--out", "file/below"),
@@ -135,7 +135,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize("typed", MISTAKES, ids=" ".join)
-def test_mistake_ends_with_status_2_one_sentence_and_no_file(cablebot, tmp_path, typed):
+def test_mistake_ends_with_status_2_one_line_and_no_file(cablebot, tmp_path, typed):
     (tmp_path / "file").write_text("kept", encoding="utf-8")
     status, out, err = cablebot(*typed)
     assert (status, out) == (2, "")
@@ -151,9 +151,9 @@ def test_mistake_ends_with_status_2_one_sentence_and_no_file(cablebot, tmp_path,
         ("matplotlib", "plot", ("compare", PLANAR, "--policies", "fl", "--out", "results")),
         ("matplotlib", "plot", ("reproduce", "--only", "fig1", "--out", "results")),
         ("casadi", "optimal", ("best-known", PLANAR)),
-        ("casadi", "optimal", (*ROLLOUT, "--policy", "tube")),
+        ("casadi", "optimal", (*ROLLOUT, "--policy", "trajopt")),
         ("pygame", "render", ("watch", PLANAR, *POLICY)),
-        ("pygame", "render", ("video", PLANAR, "film.gif", *POLICY)),
+        ("pygame", "render", ("video", PLANAR, "video.gif", *POLICY)),
         ("ray", "ray", ("benchmark", "--policies", "fl", "--ray", "local")),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
@@ -186,7 +186,7 @@ def test_policy_that_fails_in_an_episode_ends_with_status_1(cablebot, tmp_path, 
         (("dlcc", PLANAR, *POLICY), "paper criterion"),
         (("compare", PLANAR, "--policies", "fl"), "comparing"),
         (ROLLOUT, "of 500 steps"),
-        (("video", PLANAR, "film.gif", *POLICY, "--speed", "10"), "pictures"),
+        (("video", PLANAR, "video.gif", *POLICY, "--speed", "10"), "frames"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )

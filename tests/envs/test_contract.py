@@ -31,7 +31,7 @@ from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.trajectories import Reference, find_trajectory
-from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Spread
+from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, SensorNoise
 
 ROBOTS = {
     "CableBot-Planar-v0": PLANAR,
@@ -46,7 +46,7 @@ JSON_KEYWORDS: dict[str, dict[str, Any]] = {
     "CableBot-Planar-v0": {
         "trajectory": {"name": "line-planar", "duration": 1.5, "end": [0.05, 0.1]},
         "robot": json.loads(json.dumps(PLANAR.replace(mass=2.0).to_dict())),
-        "limits": {"position": 0.02},
+        "error_bounds": {"position": 0.02},
         "payload_range": [0.5, 1.5],
         "initial_error": [0.01, 0.0],
         "reward_weights": {"slack": 0.5},
@@ -55,7 +55,7 @@ JSON_KEYWORDS: dict[str, dict[str, Any]] = {
     "CableBot-Spatial-v0": {
         "trajectory": {"name": "circle-spatial", "duration": 1.5, "radius": 0.05},
         "robot": json.loads(json.dumps(SPATIAL.replace(mass=8.0).to_dict())),
-        "limits": {"position": 0.02, "rotation": 0.03},
+        "error_bounds": {"position": 0.02, "rotation": 0.03},
         "payload": 1.5,
         "initial_error_range": [0.001, 0.0, 0.001, 0.0, 0.01, 0.0],
         "cable": "bilateral",
@@ -74,7 +74,7 @@ JSON_KEYWORDS: dict[str, dict[str, Any]] = {
     "CableBot-FlexSpatial-v0": {
         "trajectory": {"name": "line-spatial", "duration": 1.5},
         "robot": json.loads(json.dumps(FLEX_SPATIAL.replace(mass=8.0).to_dict())),
-        "limits": {"position": 0.02},
+        "error_bounds": {"position": 0.02},
         "uncertainty": {
             "parameters": {"stiffness": {"low": -0.2, "high": 0.2, "each": False}},
             "sensors": {"position": 1e-4, "motor_angle": 1e-3},
@@ -106,10 +106,10 @@ def random_rollout(env, steps=20, seed=3, scale=1.0):
 def blown_up(env_id):
     """A single environment and options for its reset under which the state soon ceases to be finite."""
     if ROBOTS[env_id].planar:  # starts on an anchor, so that a cable has no direction
-        env = gym.make(env_id, trajectory="hold-planar").unwrapped
+        env = gym.make(env_id, trajectory="dwell-planar").unwrapped
         return env, {"initial_error": PLANAR.base[0]}
     if ROBOTS[env_id].flexible:  # a platform anchor on its base anchor
-        env = gym.make(env_id, trajectory="hold-spatial").unwrapped
+        env = gym.make(env_id, trajectory="dwell-spatial").unwrapped
         robot = ROBOTS[env_id]
         start = np.append(robot.base[0] - robot.platform[0], np.zeros(3))
         return env, {"initial_error": start - env.settings.trajectory(0.0).position}
@@ -230,7 +230,7 @@ def check_info(info, cables):
 
 
 CONTRACT_INFO = {
-    *("time", "payload", "tracking_error", "rotation_error", "tensions", "torques", "motor_speeds", "drive_demand"),
+    *("time", "payload", "tracking_error", "rotation_error", "tensions", "torques", "motor_speeds", "commanded_action"),
     *("torque_margin", "slack", "termination_reason"),
 }
 
@@ -366,7 +366,7 @@ def test_docstring_names_every_info_key_argument_and_termination(env_id):
     undocumented = [key for key in info if key not in quoted and not key.startswith("reward_")]
     assert undocumented == ["termination_reason"]  # stands under Termination
     assert "termination_reason" in text
-    assert sorted(quoted - set(info)) == ["command_time"] * ("command_time" not in info)
+    assert sorted(quoted - set(info)) == ["action_time"] * ("action_time" not in info)
     rows = re.findall(
         r"^ *\| `(\w+)`\*? \|", text.split("## Arguments")[1].split("## Uncertainty")[0], flags=re.MULTILINE
     )
@@ -377,7 +377,11 @@ def test_docstring_names_every_info_key_argument_and_termination(env_id):
 
 def test_docstring_names_every_field_of_an_uncertainty():
     section = CableBotEnv.__doc__.split("## Uncertainty")[1].split("## Version history")[0]
-    fields = {field.name for kind in (Spread, ExternalWrench, SensorNoise) for field in dataclasses.fields(kind)}
+    fields = {
+        field.name
+        for kind in (ParameterDistribution, ExternalWrench, SensorNoise)
+        for field in dataclasses.fields(kind)
+    }
     assert fields | set(PARAMETERS) <= set(re.findall(r"`(\w+)`", section))
 
 
@@ -415,7 +419,7 @@ def test_reference_blocks_are_the_motion_now_and_ahead_not_one_step_off(env_id, 
         time = k / frequency
         part = env.layout.split(observation)
         now = wanted(time)
-        assert part["time_left"][0] == pytest.approx(max(0.3 - time, 0.0), abs=1e-12)
+        assert part["time_to_go"][0] == pytest.approx(max(0.3 - time, 0.0), abs=1e-12)
         np.testing.assert_allclose(part["reference_pose"], now.position, atol=1e-12)
         np.testing.assert_allclose(part["reference_velocity"], now.velocity, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(part["reference_acceleration"], now.acceleration, rtol=1e-12, atol=1e-10)
@@ -474,7 +478,7 @@ def test_an_episode_starts_on_the_references_pose_and_velocity(env_id):
     np.testing.assert_array_equal(part["pose"], part["reference_pose"])
     assert info["tracking_error"] == info["rotation_error"] == info["time"] == 0.0
     assert not info["slack"].any()
-    for name in ("drive_demand", "torques", "tensions", "motor_speeds"):
+    for name in ("commanded_action", "torques", "tensions", "motor_speeds"):
         assert not info[name].any(), name
 
 
@@ -495,15 +499,15 @@ def test_an_untold_payload_leaves_no_trace_in_observation_or_task(payloads, spat
         observation, info = env.reset(seed=0, options={"payload": payload})
         seen.append(observation)
         assert info["payload"] == payload
-        assert env.task.told_payload == 0.0
+        assert env.task.model_payload == 0.0
         assert env.task.payload_known is False
         part = env.layout.split(observation)
-        assert (part["told_payload"][0], part["payload_known"][0]) == (0.0, 0.0)
+        assert (part["model_payload"][0], part["payload_known"][0]) == (0.0, 0.0)
     np.testing.assert_array_equal(seen[0], seen[1])
     observation, _ = env.reset(options={"payload": payloads[0], "payload_known": True})
     part = env.layout.split(observation)
-    assert (part["told_payload"][0], part["payload_known"][0]) == (payloads[0], 1.0)
-    assert env.task.told_payload == payloads[0]
+    assert (part["model_payload"][0], part["payload_known"][0]) == (payloads[0], 1.0)
+    assert env.task.model_payload == payloads[0]
 
 
 def test_a_drawn_payload_that_is_not_told_stays_out_of_the_observation():
@@ -541,7 +545,7 @@ def test_observation_and_task_tell_the_nominal_payload_and_robot_and_info_the_tr
         observation, _, _, _, later = env.step(np.full(robot.cables, 0.3))
         assert later["payload"] == info["payload"]
         part = env.layout.split(observation)
-        assert part["told_payload"][0] == env.task.told_payload == (2.0 if known else 0.0)
+        assert part["model_payload"][0] == env.task.model_payload == (2.0 if known else 0.0)
         assert part["payload_known"][0] == env.task.payload_known == known
         assert env.task.robot == robot
         for hidden in (info["payload"], env.truth["platform_mass"], env.truth["motor_strength"][0]):
@@ -557,7 +561,7 @@ def test_a_payload_that_would_be_negative_is_zero_and_not_a_lighter_platform():
         one.reset(seed=0)
     info, expected = (one.step(np.full(6, 0.2))[4] for one in (env, empty))
     assert info["payload"] == env.truth["payload"] == 0.0
-    assert env.task.told_payload == 0.5
+    assert env.task.model_payload == 0.5
     np.testing.assert_array_equal(info["tensions"], expected["tensions"])
 
 
@@ -566,7 +570,7 @@ def test_the_public_task_has_no_place_for_the_true_payload_or_a_seed():
     env.reset(seed=12345, options={"payload": 3.25})
     fields = {field.name: getattr(env.task, field.name) for field in dataclasses.fields(env.task)}
     assert set(fields) == {
-        *("robot", "trajectory", "limits", "control_frequency", "cable", "told_payload", "payload_known")
+        *("robot", "trajectory", "error_bounds", "control_frequency", "cable", "model_payload", "payload_known")
     }
     assert fields["robot"].mass == SPATIAL.mass
     assert "3.25" not in repr(env.task)

@@ -14,7 +14,7 @@ import cablebot_gym
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot, Transmission
 from cablebot_gym.trajectories import Reference
-from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Spread, Uncertainty
+from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, SensorNoise, Uncertainty
 
 ROBOTS = {
     "CableBot-Planar-v0": PLANAR,
@@ -92,11 +92,11 @@ def check_same(one, other):
 
 def spread_of(name, low=0.05, high=0.1):
     """A deviation that is never zero; absolute where the paper's value may be zero."""
-    if PARAMETERS[name].place:
-        return Spread(low=0.005, high=0.01, relative=False)
+    if PARAMETERS[name].position:
+        return ParameterDistribution(low=0.005, high=0.01, relative=False)
     if name in ("damping", "motor_damping"):
-        return Spread(low=1e-3, high=2e-3, relative=False)
-    return Spread(low=low, high=high, each=name != "platform_inertia")
+        return ParameterDistribution(low=1e-3, high=2e-3, relative=False)
+    return ParameterDistribution(low=low, high=high, each=name != "platform_inertia")
 
 
 def replaced(robot: Robot, truth) -> Robot:
@@ -157,7 +157,7 @@ def test_all_parameters_together_reach_the_plant(env_id):
 @pytest.mark.parametrize("relative", [True, False])
 def test_a_spread_of_zero_width_is_no_uncertainty_to_the_last_bit(env_id, relative):
     parameters = {
-        name: Spread(low=0, high=0, relative=relative and not PARAMETERS[name].place)
+        name: ParameterDistribution(low=0, high=0, relative=relative and not PARAMETERS[name].position)
         for name in PARAMETERS
         if has(ROBOTS[env_id], name)
     }
@@ -335,7 +335,7 @@ def push(env_id, wrench):
     robot = ROBOTS[env_id]
     env = single(
         env_id,
-        trajectory={"name": f"hold-{kind(env_id)}", "pose": robot.home.tolist()},
+        trajectory={"name": f"dwell-{kind(env_id)}", "pose": robot.home.tolist()},
         cable="bilateral",
         control_frequency=frequency,
         uncertainty=Uncertainty(wrench=wrench),
@@ -484,7 +484,7 @@ def test_commands_arrive_exactly_as_many_steps_late_as_asked(env_id, delay):
     for key in theirs[1]:
         if theirs[1][key].dtype.kind == "f":
             np.testing.assert_allclose(ours[1][key], theirs[1][key], rtol=1e-9, atol=1e-11, err_msg=key)
-    np.testing.assert_array_equal(ours[1]["drive_demand"][delay + 1 :], actions[:-delay])
+    np.testing.assert_array_equal(ours[1]["commanded_action"][delay + 1 :], actions[:-delay])
     assert np.ptp(ours[1]["torques"][delay + 1 :], axis=0).min() > 0.1  # else the comparison says little
 
 
@@ -497,7 +497,7 @@ def test_until_the_first_command_arrives_the_motors_hold_the_true_robot_at_rest(
     env = single(
         env_id,
         payload=2.0,
-        trajectory=f"hold-{kind(env_id)}",
+        trajectory=f"dwell-{kind(env_id)}",
         uncertainty=Uncertainty(parameters=spreads, delay=5),
     )
     env.reset(seed=0)
@@ -511,7 +511,7 @@ def test_until_the_first_command_arrives_the_motors_hold_the_true_robot_at_rest(
     for _ in range(10 if ROBOTS[env_id].flexible else 1):
         info = env.step(zero)[4]  # the first zero has arrived
     if ROBOTS[env_id].planar:
-        assert not info["drive_demand"].any()
+        assert not info["commanded_action"].any()
     else:
         assert info["tracking_error_peak"] > 1e-6
 
@@ -519,7 +519,7 @@ def test_until_the_first_command_arrives_the_motors_hold_the_true_robot_at_rest(
 @each_id
 def test_correct_holding_commands_keep_it_at_rest_over_the_change_of_hands(env_id):
     robot = ROBOTS[env_id]
-    env = single(env_id, payload=2.0, trajectory=f"hold-{kind(env_id)}", uncertainty={"delay": 5})
+    env = single(env_id, payload=2.0, trajectory=f"dwell-{kind(env_id)}", uncertainty={"delay": 5})
     env.reset(seed=0)
     pose = env.task.trajectory.pose
     hold = holding(robot, 2.0, np.array(pose), np.zeros(robot.coordinates))
@@ -533,7 +533,7 @@ def test_correct_holding_commands_keep_it_at_rest_over_the_change_of_hands(env_i
 def test_delays_of_lanes_do_not_disturb_each_other(env_id):
     """Delays 0, 3 and 1 at once; then one lane alone restarts with a longer one, and again without any."""
     robot = ROBOTS[env_id]
-    motion = f"hold-{kind(env_id)}"
+    motion = f"dwell-{kind(env_id)}"
     env = batch(env_id, 3, trajectory=motion)
     env.reset(seed=0, options={"uncertainty": [None, {"delay": 3}, {"delay": 1}]})
     lanes = [single(env_id, trajectory=motion) for _ in range(3)]
@@ -548,18 +548,18 @@ def test_delays_of_lanes_do_not_disturb_each_other(env_id):
         info = env.step(action)[4]
         for place, lane in enumerate(lanes):
             expected = lane.step(action[place])[4]
-            for key in ("drive_demand", "torques", "tensions", "tracking_error_peak"):
+            for key in ("commanded_action", "torques", "tensions", "tracking_error_peak"):
                 np.testing.assert_array_equal(info[key][place], expected[key], err_msg=f"{key} {place} {number}")
-    assert np.array_equal(info["drive_demand"][1], actions[-4, 1])
-    assert np.array_equal(info["drive_demand"][2], actions[-1, 2])
+    assert np.array_equal(info["commanded_action"][1], actions[-4, 1])
+    assert np.array_equal(info["commanded_action"][2], actions[-1, 2])
 
 
 def test_a_restarted_lane_does_not_get_the_last_episodes_late_commands():
     env = single("CableBot-Planar-v0", uncertainty={"delay": 2})
     first = rollout(env, commands("CableBot-Planar-v0", 6, seed=1), seed=0)
     again = rollout(env, commands("CableBot-Planar-v0", 6, seed=2))
-    np.testing.assert_array_equal(first[1]["drive_demand"][1:3], again[1]["drive_demand"][1:3])
-    assert np.any(first[1]["drive_demand"][3] != again[1]["drive_demand"][3])
+    np.testing.assert_array_equal(first[1]["commanded_action"][1:3], again[1]["commanded_action"][1:3])
+    assert np.any(first[1]["commanded_action"][3] != again[1]["commanded_action"][3])
 
 
 def test_the_callers_action_array_is_copied_before_it_waits():
@@ -568,7 +568,7 @@ def test_the_callers_action_array_is_copied_before_it_waits():
     action = np.array([0.1, 0.2, 0.3])
     env.step(action)
     action[:] = 0.9
-    assert env.step(action)[4]["drive_demand"].tolist() == [0.1, 0.2, 0.3]
+    assert env.step(action)[4]["commanded_action"].tolist() == [0.1, 0.2, 0.3]
 
 
 def test_all_ids_are_covered():

@@ -83,7 +83,7 @@ def test_a_motion_without_an_end_does_not_pass_in_silence():
         arrays["velocity"][..., 0] += 0.05
 
     assert told(on_and_on, RIGID) == [
-        "trajectory 'own' moves on after its duration of 1 s: hold its last pose there, at rest"
+        "trajectory 'own' still moves after its duration of 1 s: return its final pose at rest there"
     ]
 
 
@@ -124,11 +124,11 @@ def flat(times, arrays):
     [
         (
             nan_at("acceleration", 0.25),
-            "trajectory 'own' must give finite numbers, and its acceleration at 0.25 s is not",
+            "trajectory 'own' must return finite numbers: its acceleration at 0.25 s is not finite",
         ),
         (nan_at("position", 0.0), "its position at 0 s is not"),
-        (nan_at("position", 1.1), "is not finite after its duration: hold its last pose there, at rest"),
-        (flat, r"must give each velocity as \(..., 2\): at \d+ times \(\d+, 2\), not \(\d+,\)"),
+        (nan_at("position", 1.1), "is not finite after its duration: return its final pose at rest there"),
+        (flat, r"must return a velocity of shape \(..., 2\): \(\d+, 2\) for \d+ times, not \(\d+,\)"),
     ],
     ids=["nan", "nan from the start", "nan afterwards", "one axis short"],
 )

@@ -15,22 +15,22 @@ from scipy import stats
 import cablebot_gym
 from cablebot_gym.envs.streams import BLOCK, NormalRows, Purpose, Streams
 from cablebot_gym.physics import kernel
-from cablebot_gym.uncertainty import ExternalWrench, SensorNoise, Spread, Uncertainty
+from cablebot_gym.uncertainty import ExternalWrench, ParameterDistribution, SensorNoise, Uncertainty
 
 each_id = pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
-MASS = {"platform_mass": Spread(low=-0.2, high=0.2)}
+MASS = {"platform_mass": ParameterDistribution(low=-0.2, high=0.2)}
 FORCES = ExternalWrench(force_std=1.0)
 
 
-def lanes(*which):
-    return np.array(which, np.int64)
+def lanes(*trajectory_index):
+    return np.array(trajectory_index, np.int64)
 
 
 def streams(*seeds):
     """Streams of one lane for each seed, in their first episode."""
     made = Streams(len(seeds))
     made.seed(range(len(seeds)), seeds)
-    made.begin(np.arange(len(seeds)))
+    made.start_episode(np.arange(len(seeds)))
     return made
 
 
@@ -66,7 +66,7 @@ def test_other_seeds_episodes_and_purposes_give_unrelated_uniform_numbers():
         everyone = np.arange(11)
         for _ in range(2):
             rows += list(made.uniform(everyone, purpose, size))
-            made.begin(everyone)
+            made.start_episode(everyone)
     assert len(rows) == 11 * 2 * len(Purpose)
     check_unrelated(rows)
     for row in rows:
@@ -94,7 +94,7 @@ def test_first_numbers_of_neighbouring_seeds_and_episodes_are_uniform_too():
     alone, episodes = streams(7), []
     for _ in range(count):
         episodes.append(alone.uniform(lanes(0), Purpose.PAYLOAD, 2)[0])
-        alone.begin(lanes(0))
+        alone.start_episode(lanes(0))
     for found in (seeds, np.array(episodes)):
         for column in found.T:
             assert stats.kstest(column, "uniform").pvalue > 0.01
@@ -125,7 +125,7 @@ def test_lanes_of_one_seed_share_numbers_and_the_others_do_not():
     np.testing.assert_array_equal(found[0], found[2])
     assert not np.any(found[0] == found[1])
     np.testing.assert_array_equal(made.uniform(lanes(2, 1), Purpose.WRENCH, 6), found[[2, 1]])
-    made.begin(lanes(2))  # of the same seed, in another episode
+    made.start_episode(lanes(2))  # of the same seed, in another episode
     later = made.uniform(lanes(0, 1, 2), Purpose.WRENCH, 6)
     np.testing.assert_array_equal(later[:2], found[:2])
     assert not np.any(later[2] == found[0])
@@ -136,20 +136,20 @@ def test_lanes_of_one_seed_share_numbers_and_the_others_do_not():
 def test_seeding_again_starts_again():
     made = streams(8)
     first = made.uniform(lanes(0), Purpose.START, 3)
-    made.begin(lanes(0))
+    made.start_episode(lanes(0))
     made.seed([0], [8])
-    made.begin(lanes(0))
+    made.start_episode(lanes(0))
     np.testing.assert_array_equal(made.uniform(lanes(0), Purpose.START, 3), first)
 
 
 def test_restored_streams_stand_where_they_stood():
     made, twin = streams(8, 9), streams(8, 9)
-    standing = made.standing()
+    standing = made.state()
     made.seed([1], [99])
-    made.begin(lanes(0, 1))
+    made.start_episode(lanes(0, 1))
     made.restore(standing)
     for one in (made, twin):
-        one.begin(lanes(0, 1))
+        one.start_episode(lanes(0, 1))
     ours, theirs = (one.uniform(lanes(0, 1), Purpose.START, 3) for one in (made, twin))
     np.testing.assert_array_equal(ours, theirs)
 
@@ -167,7 +167,7 @@ def test_rows_are_new_in_every_interval_and_do_not_depend_on_what_was_read():
         np.testing.assert_array_equal(late.at(lanes(0, 1), lanes(first, second)), [found[first, 0], found[second, 1]])
         np.testing.assert_array_equal(late.at(lanes(1), lanes(second)), [found[second, 1]])
     # Another episode has other rows; the lane that goes on keeps its own, even from a block that was read before.
-    made.begin(lanes(0))
+    made.start_episode(lanes(0))
     late.restart(lanes(0))
     again = late.at(lanes(0, 1), lanes(33, 32))
     assert not np.any(again[0] == found[33, 0])
@@ -188,7 +188,7 @@ def drawn(env_id, episodes=4, seed=5, steps=(0,), **keywords):
         for _ in range(max(1, steps[number % len(steps)])):
             env.step(np.full(env.action_space.shape, 0.4))
             force.append(forces(env)[0])
-        found.append((env.task.told_payload, error, mass, force[0]))
+        found.append((env.task.model_payload, error, mass, force[0]))
     return [np.array(column) for column in zip(*found, strict=True)]
 
 
@@ -204,7 +204,11 @@ UNCERTAIN = {
     "delay": {"delay": 3},
     "mass and wrench": Uncertainty(parameters=MASS, wrench=FORCES),
     "all": Uncertainty(
-        parameters=MASS | {"motor_strength": Spread(low=-0.1, high=0.1), "payload": Spread(low=-0.5, high=0.5)},
+        parameters=MASS
+        | {
+            "motor_strength": ParameterDistribution(low=-0.1, high=0.1),
+            "payload": ParameterDistribution(low=-0.5, high=0.5),
+        },
         wrench=FORCES,
         sensors=SensorNoise(position=1e-3),
         delay=2,
@@ -251,7 +255,10 @@ def test_noise_does_not_depend_on_the_wrench_nor_on_parameters(env_id):
 
 @each_id
 def test_another_uncertain_parameter_does_not_change_the_truth_of_the_first(env_id):
-    more = MASS | {"motor_strength": Spread(low=-0.1, high=0.1), "pulley_inertia": Spread(low=-0.1, high=0.1)}
+    more = MASS | {
+        "motor_strength": ParameterDistribution(low=-0.1, high=0.1),
+        "pulley_inertia": ParameterDistribution(low=-0.1, high=0.1),
+    }
     found = []
     for parameters in (MASS, more, dict(reversed(more.items()))):
         env = single(env_id, uncertainty=Uncertainty(parameters=parameters))
@@ -315,7 +322,7 @@ def test_numpy_integers_are_seeds_too():
 
 def test_noise_of_a_long_episode_never_repeats():
     steps = 13 * BLOCK + 5
-    keywords = {"trajectory": "hold-planar", "slack_time": 99.0}
+    keywords = {"trajectory": "dwell-planar", "slack_time": 99.0}
     noisy, exact = (single("CableBot-Planar-v0", uncertainty=form, **keywords) for form in ("sensors", None))
     assert steps > 400
     rows = [noisy.reset(seed=0)[0] - exact.reset(seed=0)[0]]

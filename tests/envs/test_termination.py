@@ -23,7 +23,7 @@ each_kind = pytest.mark.parametrize("kind", list(ROBOTS))
 
 def make(kind, **keywords):
     """A bare environment that holds still unless told otherwise."""
-    return gym.make(IDS[kind], **{"trajectory": f"hold-{kind}"} | keywords).unwrapped
+    return gym.make(IDS[kind], **{"trajectory": f"dwell-{kind}"} | keywords).unwrapped
 
 
 def displaced(kind, x):
@@ -247,7 +247,7 @@ def random_run(kind, steps=150, scale=1.6, seed=0, **keywords):
 def test_drive_demand_is_the_raw_action_and_torques_are_what_the_line_leaves_of_it(kind):
     _, commands, _, _, info = random_run(kind)
     robot = ROBOTS[kind]
-    np.testing.assert_array_equal(info["drive_demand"], commands)
+    np.testing.assert_array_equal(info["commanded_action"], commands)
     assert np.abs(commands).max() > 1.2  # beyond ±1, so that there is something to clip
     drop = robot.speed_slope * info["motor_speeds"]
     upper, lower = robot.stall_torque - drop, -robot.stall_torque - drop
@@ -263,7 +263,7 @@ def test_drive_demand_is_the_raw_action_and_torques_are_what_the_line_leaves_of_
 def test_cable_columns_belong_to_the_start_of_the_period_and_not_to_its_end(kind):
     env, _, observations, _, info = random_run(kind)
     part = env.layout.split(observations)
-    np.testing.assert_allclose(info["command_time"], np.arange(150) / 500, atol=1e-12)
+    np.testing.assert_allclose(info["action_time"], np.arange(150) / 500, atol=1e-12)
     np.testing.assert_allclose(info["time"], np.arange(1, 151) / 500, atol=1e-12)
     robot = ROBOTS[kind]
     for number in range(0, 150, 7):
@@ -343,14 +343,14 @@ def test_peaks_and_slack_are_over_every_physics_step_and_not_one_off(kind):
 @given(
     weights=st.fixed_dictionaries({term: st.floats(-3, 3) for term in REWARD_TERMS}),
     spatial=st.booleans(),
-    limits=st.fixed_dictionaries({"position": st.floats(1e-3, 0.1), "rotation": st.floats(1e-3, 0.1)}),
+    error_bounds=st.fixed_dictionaries({"position": st.floats(1e-3, 0.1), "rotation": st.floats(1e-3, 0.1)}),
 )
-def test_reward_is_the_sum_of_its_weighted_terms(weights, spatial, limits):
+def test_reward_is_the_sum_of_its_weighted_terms(weights, spatial, error_bounds):
     kind = "spatial" if spatial else "planar"
-    _, commands, _, rewards, info = random_run(kind, steps=20, reward_weights=weights, limits=limits)
+    _, commands, _, rewards, info = random_run(kind, steps=20, reward_weights=weights, error_bounds=error_bounds)
     terms = {
-        "position": 1 / (1 + info["tracking_error"] / limits["position"]),
-        "rotation": 1 / (1 + info["rotation_error"] / limits["rotation"]) if spatial else np.zeros(20),
+        "position": 1 / (1 + info["tracking_error"] / error_bounds["position"]),
+        "rotation": 1 / (1 + info["rotation_error"] / error_bounds["rotation"]) if spatial else np.zeros(20),
         "saturation": -np.maximum(np.abs(commands) - 1, 0).mean(axis=1),
         "slack": -info["slack"].mean(axis=1),
         "failure": -(info["termination_reason"] != "").astype(float),
@@ -383,7 +383,7 @@ def test_saturation_counts_only_what_is_beyond_one(kind):
 @each_kind
 def test_the_position_term_still_has_a_slope_at_ten_times_the_bound(kind):
     bound = 0.004
-    env = make(kind, limits={"position": bound})
+    env = make(kind, error_bounds={"position": bound})
     rewards = {}
     for multiple in (9.5, 10.5):
         env.reset(options={"initial_error": displaced(kind, multiple * bound)})

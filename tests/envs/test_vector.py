@@ -152,7 +152,7 @@ def test_per_lane_values_are_those_of_single_environments(env_id):
             np.testing.assert_array_equal(start[0][lane], observation)
             assert start[1]["payload"][lane] == info["payload"] == values["payload"][lane]
             np.testing.assert_array_equal(after[0][lane], single.step(action[lane])[0])
-            assert env.tasks[lane].told_payload == values["payload"][lane] * values["payload_known"][lane]
+            assert env.tasks[lane].model_payload == values["payload"][lane] * values["payload_known"][lane]
     assert not np.array_equal(*(env.reset()[1]["payload"] for env in (made, asked)))  # keywords last, options do not
 
 
@@ -430,7 +430,7 @@ def test_metadata_holds_the_enum_and_the_class_keeps_its_own():
 
 
 def test_no_limit_of_steps_means_none():
-    env = CableBotVectorEnv(robot="planar", num_envs=1, trajectory="hold-planar")
+    env = CableBotVectorEnv(robot="planar", num_envs=1, trajectory="dwell-planar")
     env.reset()
     assert not any(env.step(np.full((1, 3), 0.2))[3].any() for _ in range(600))
 
@@ -488,7 +488,7 @@ BAD_RESETS: dict[str, tuple[dict[str, Any], str]] = {
     "payloads of the wrong length": ({"options": {"payload": [1.0, 2.0]}}, r"payload .*3.*\(2,\)"),
     "one NaN payload": ({"options": {"payload": [1.0, np.nan, 1.0]}}, "payload .*finite"),
     "one negative payload": ({"options": {"payload": [1.0, 2.0, -1.0]}}, "payload .*at least 0"),
-    "unknown option": ({"options": {"paylaod": 1.0}}, "paylaod.*payload_known, trajectory"),
+    "unknown option": ({"options": {"paylaod": 1.0}}, "paylaod.*payload_known, model_payload_factor, trajectory"),
     "start errors of the wrong shape": (
         {"options": {"initial_error": np.zeros((2, 2))}},
         "initial_error .*3 rows of 2",

@@ -15,12 +15,12 @@ from scipy import stats
 
 import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_gym.evaluation import DLCCMonitor, Limits, PolicyError, compare_policies
-from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCED, Estimate
+from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, compare_policies
+from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES, Estimate
 from cablebot_gym.robots import PLANAR, SPATIAL
 
 SPATIAL_ID, PLANAR_ID = "CableBot-Spatial-v0", "CableBot-Planar-v0"
-HANG = {"name": "hold-spatial", "duration": 0.06}
+HANG = {"name": "dwell-spatial", "duration": 0.06}
 MOVE = {"name": "line-spatial", "duration": 0.4}
 UNKNOWN = {
     "parameters": {"platform_mass": {"low": -0.1, "high": 0.1}},
@@ -77,7 +77,7 @@ def compared():
         draws=5,
         seed=3,
         trajectory=MOVE,
-        limits={"position": 0.005},
+        error_bounds={"position": 0.005},
     )
 
 
@@ -85,7 +85,7 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
     """One episode in a single environment, summed up by hand."""
     env = DLCCMonitor(
         gym.make(SPATIAL_ID, payload=payload, trajectory=trajectory, uncertainty=uncertainty, max_episode_steps=-1),
-        limits={"position": position},
+        error_bounds={"position": position},
     )
     observation, _ = env.reset(seed=seed)
     infos, state, terminated = [], None, False
@@ -106,7 +106,7 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
         "max_rotation": series["rotation_error_peak"].max(),
         "rms_torque": math.sqrt((series["torques"] ** 2).mean()),
         "peak_torque": np.abs(series["torques"]).max(),
-        "torque_margin": 1 - np.abs(series["drive_demand"]).max(),
+        "torque_margin": 1 - np.abs(series["commanded_action"]).max(),
         "least_tension": series["tensions"].min(),
         "carried": carried,
         "ended": bool(terminated),
@@ -120,7 +120,7 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
 
 @pytest.mark.parametrize(("place", "factor"), [(0, 1.0), (1, 0.9)])
 def test_no_number_differs_from_single_episodes_with_the_same_seeds(place, factor):
-    measured = compared().measured[place]
+    measured = compared().metrics[place]
     for draw, seed in enumerate(draw_seeds(3, 5)):
         by_hand = episode(Scaled(factor), seed)
         for name, value in by_hand.items():
@@ -131,7 +131,7 @@ def test_no_number_differs_from_single_episodes_with_the_same_seeds(place, facto
 
 
 def test_carried_is_not_the_same_for_every_draw_by_mistake():
-    plain, weak = compared().measured
+    plain, weak = compared().metrics
     assert plain.carried.dtype == bool
     assert plain.carried.sum() > weak.carried.sum() == 0
     np.testing.assert_array_equal(plain.carried, plain.max_error <= 0.005)
@@ -140,8 +140,8 @@ def test_carried_is_not_the_same_for_every_draw_by_mistake():
 def test_draws_do_not_differ_between_policies():
     one = compare_policies([Scaled(1.0)] * 2, SPATIAL_ID, names="ab", uncertainty=UNKNOWN, draws=4, trajectory=HANG)
     for name in (*QUANTITIES, "error", "rotation"):
-        np.testing.assert_array_equal(getattr(one.measured[0], name), getattr(one.measured[1], name))
-    for quantity in REDUCED:
+        np.testing.assert_array_equal(getattr(one.metrics[0], name), getattr(one.metrics[1], name))
+    for quantity in REDUCTION_QUANTITIES:
         assert one.reduction(1, quantity) == Estimate(mean=0.0, low=0.0, high=0.0)
 
 
@@ -153,17 +153,17 @@ def test_one_draw_is_not_another_episode_than_the_environments_own_nor_given_an_
     by_hand = episode(Scaled(1.0), 7, payload=0.0, trajectory=HANG, uncertainty=uncertainty)
     assert comparison.draws == 1
     for name in QUANTITIES:
-        estimate = comparison.measured[0].estimate(name)
+        estimate = comparison.metrics[0].estimate(name)
         assert estimate.mean == pytest.approx(by_hand[name], abs=1e-12)
         assert estimate.low == estimate.mean == estimate.high
-    share = comparison.reduction(1, "mean_error")
-    assert share.low == share.mean == share.high
-    assert share.mean < 0, "the weak one is worse"
+    fraction = comparison.reduction(1, "mean_error")
+    assert fraction.low == fraction.mean == fraction.high
+    assert fraction.mean < 0, "the weak one is worse"
 
 
 @pytest.mark.parametrize("draws", [None, 1, 3])
 def test_episode_that_the_environment_ends_is_not_counted_beyond_its_end(draws):
-    motion = {"name": "hold-spatial", "duration": 0.4}
+    motion = {"name": "dwell-spatial", "duration": 0.4}
     comparison = compare_policies(
         [limp, Scaled(1.0)],
         SPATIAL_ID,
@@ -172,7 +172,7 @@ def test_episode_that_the_environment_ends_is_not_counted_beyond_its_end(draws):
         draws=draws,
         trajectory=motion,
     )
-    fallen, kept = comparison.measured
+    fallen, kept = comparison.metrics
     assert fallen.ended.tolist() == [True] * (draws or 1)
     assert kept.ended.tolist() == [False] * (draws or 1)
     assert len(fallen.error) < 200 == len(kept.error)
@@ -182,10 +182,10 @@ def test_episode_that_the_environment_ends_is_not_counted_beyond_its_end(draws):
 
 
 def test_some_ended_draws_do_not_spoil_the_others():
-    motion = {"name": "hold-spatial", "duration": 0.3}
+    motion = {"name": "dwell-spatial", "duration": 0.3}
     keywords = {"uncertainty": "sensors", "draws": 6, "trajectory": motion, "seed": 2}
     comparison = compare_policies([LetsGo(1.0)], SPATIAL_ID, **keywords)
-    (measured,) = comparison.measured
+    (measured,) = comparison.metrics
     assert 0 < measured.ended.sum() < 6
     for draw, seed in enumerate(draw_seeds(2, 6)):
         by_hand = episode(LetsGo(1.0), seed, payload=0.0, trajectory=motion, uncertainty="sensors", position=0.01)
@@ -201,9 +201,12 @@ def test_some_ended_draws_do_not_spoil_the_others():
 def test_policy_is_not_left_alone_after_a_limit_has_given_way():
     # Beyond the bound it is judged, but still commanded: the error stays where the law puts it.
     comparison = compare_policies(
-        [Scaled(0.9)], SPATIAL_ID, trajectory={"name": "hold-spatial", "duration": 0.5}, limits={"position": 1e-3}
+        [Scaled(0.9)],
+        SPATIAL_ID,
+        trajectory={"name": "dwell-spatial", "duration": 0.5},
+        error_bounds={"position": 1e-3},
     )
-    (measured,) = comparison.measured
+    (measured,) = comparison.metrics
     assert not measured.carried[0]
     assert not measured.ended[0]
     assert measured.max_error[0] < 0.04, "without commands it falls by a metre"
@@ -219,10 +222,10 @@ def test_seed_does_not_give_another_comparison_the_second_time():
 
 def test_planar_robot_does_not_turn():
     comparison = compare_policies(
-        ["fl"], PLANAR_ID, uncertainty="table6", draws=2, trajectory={"name": "hold-planar", "duration": 0.05}
+        ["fl"], PLANAR_ID, uncertainty="table6", draws=2, trajectory={"name": "dwell-planar", "duration": 0.05}
     )
-    assert comparison.measured[0].max_rotation.tolist() == [0, 0]
-    assert comparison.measured[0].peak_torque.min() > 0
+    assert comparison.metrics[0].max_rotation.tolist() == [0, 0]
+    assert comparison.metrics[0].peak_torque.min() > 0
 
 
 # --- intervals --------------------------------------------------------------------------------------------------------
@@ -232,31 +235,31 @@ def made(*mean_errors):
     """A comparison with given mean errors for each policy."""
     measured = []
     for place, errors in enumerate(mean_errors):
-        one = compared().measured[0]
+        one = compared().metrics[0]
         measured.append(dataclasses.replace(one, policy=f"p{place}", mean_error=np.array(errors, float)))
-    return dataclasses.replace(compared(), measured=tuple(measured), draws=len(mean_errors[0]))
+    return dataclasses.replace(compared(), metrics=tuple(measured), draws=len(mean_errors[0]))
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_interval_is_not_another_than_students(quantity):
-    values = getattr(compared().measured[1], quantity)
+    values = getattr(compared().metrics[1], quantity)
     low, high = stats.t.interval(0.95, 4, loc=values.mean(), scale=stats.sem(values))
-    estimate = compared().measured[1].estimate(quantity)
+    estimate = compared().metrics[1].estimate(quantity)
     assert (estimate.mean, estimate.low, estimate.high) == pytest.approx((values.mean(), low, high), rel=1e-12)
     assert estimate.low < estimate.mean < estimate.high
 
 
 def test_reduction_is_not_a_mean_of_ratios():
     # Of (1, 3) against (1, 1): 1 − 2/4. Resampled: none of it, half of it, or 1 − 1/3.
-    share = made((1, 3), (1, 1)).reduction(1, "mean_error")
-    assert (share.mean, share.low, share.high) == pytest.approx((0.5, 0.0, 2 / 3))
+    fraction = made((1, 3), (1, 1)).reduction(1, "mean_error")
+    assert (fraction.mean, fraction.low, fraction.high) == pytest.approx((0.5, 0.0, 2 / 3))
 
 
 def test_draws_of_a_reduction_are_not_resampled_apart_from_each_other():
-    share = made((1, 2, 3, 10), (0.25, 0.5, 0.75, 2.5)).reduction(1, "mean_error")
-    assert (share.mean, share.low, share.high) == pytest.approx((0.75, 0.75, 0.75), abs=1e-12)
-    share = made((1, 2, 3, 10), (2, 4, 6, 20)).reduction(1, "mean_error")
-    assert (share.mean, share.low, share.high) == pytest.approx((-1, -1, -1), abs=1e-12)
+    fraction = made((1, 2, 3, 10), (0.25, 0.5, 0.75, 2.5)).reduction(1, "mean_error")
+    assert (fraction.mean, fraction.low, fraction.high) == pytest.approx((0.75, 0.75, 0.75), abs=1e-12)
+    fraction = made((1, 2, 3, 10), (2, 4, 6, 20)).reduction(1, "mean_error")
+    assert (fraction.mean, fraction.low, fraction.high) == pytest.approx((-1, -1, -1), abs=1e-12)
 
 
 def test_reduction_is_not_against_another_policy_than_the_first():
@@ -268,9 +271,9 @@ def test_interval_of_a_reduction_is_neither_random_nor_of_another_confidence():
     random = np.random.default_rng(0)
     base = random.uniform(1, 2, 40)
     comparison = made(base, base * random.uniform(0.3, 0.7, 40))
-    share = comparison.reduction(1, "mean_error")
-    assert share == comparison.reduction(1, "mean_error")
-    both = (comparison.measured[0].mean_error, comparison.measured[1].mean_error)
+    fraction = comparison.reduction(1, "mean_error")
+    assert fraction == comparison.reduction(1, "mean_error")
+    both = (comparison.metrics[0].mean_error, comparison.metrics[1].mean_error)
     reference = stats.bootstrap(
         both,
         lambda one, other, axis: 1 - other.mean(axis=axis) / one.mean(axis=axis),
@@ -282,8 +285,8 @@ def test_interval_of_a_reduction_is_neither_random_nor_of_another_confidence():
         rng=np.random.default_rng(1),
     ).confidence_interval
     width = reference.high - reference.low
-    assert share.low == pytest.approx(reference.low, abs=0.1 * width)
-    assert share.high == pytest.approx(reference.high, abs=0.1 * width)
+    assert fraction.low == pytest.approx(reference.low, abs=0.1 * width)
+    assert fraction.high == pytest.approx(reference.high, abs=0.1 * width)
 
 
 # --- what it says -----------------------------------------------------------------------------------------------------
@@ -294,33 +297,33 @@ def test_json_is_neither_invalid_nor_without_the_draws_own_values():
     data = json.loads(comparison.to_json(), parse_constant=refuse)
     assert (data["env_id"], data["payload"], data["payload_known"]) == (SPATIAL_ID, 1.5, True)
     assert (data["uncertainty"], data["draws"], data["seed"], data["confidence"]) == ("custom", 5, 3, 0.95)
-    assert data["limits"] == {"position": 0.005, "rotation": 0.01}
+    assert data["error_bounds"] == {"position": 0.005, "rotation": 0.01}
     assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__
     assert data["environment"]["trajectory"]["name"] == "line-spatial"
     assert data["environment"]["uncertainty"]["parameters"]["platform_mass"]["high"] == 0.1
     assert [policy["policy"] for policy in data["policies"]] == ["plain", "weak"]
     for place, policy in enumerate(data["policies"]):
-        measured = comparison.measured[place]
+        measured = comparison.metrics[place]
         assert set(policy["estimates"]) == set(QUANTITIES)
         assert policy["estimates"]["rms_error"] == vars(measured.estimate("rms_error"))
         for name in (*QUANTITIES, "carried", "ended"):
             assert policy["per_draw"][name] == getattr(measured, name).tolist()
     assert data["policies"][0]["reductions"] == {}
-    expected = {name: vars(comparison.reduction(1, name)) for name in REDUCED}
+    expected = {name: vars(comparison.reduction(1, name)) for name in REDUCTION_QUANTITIES}
     assert data["policies"][1]["reductions"] == expected
-    assert set(REDUCED) == {"mean_error", "rms_error", "max_error"}
+    assert set(REDUCTION_QUANTITIES) == {"mean_error", "rms_error", "max_error"}
 
 
 def test_printed_comparison_does_not_keep_the_essentials_to_itself():
     lines = str(compared()).splitlines()
     assert lines[0] == "CableBot-Spatial-v0, 1.5 kg, 5 draws of custom"
-    for line, measured in zip(lines[1:], compared().measured, strict=True):
+    for line, measured in zip(lines[1:], compared().metrics, strict=True):
         mean, most = 1e3 * measured.mean_error.mean(), 1e3 * measured.max_error.mean()
         assert line.startswith(f"{measured.policy}: error {mean:.3g} mm mean, {most:.3g} mm max")
         assert line.endswith(f"; carried in {measured.carried.mean():.0%}")
-    share = 1 - compared().measured[1].mean_error.mean() / compared().measured[0].mean_error.mean()
-    assert share < 0
-    assert f"({-share:.0%} more and " in lines[2]
+    fraction = 1 - compared().metrics[1].mean_error.mean() / compared().metrics[0].mean_error.mean()
+    assert fraction < 0
+    assert f"({-fraction:.0%} more and " in lines[2]
 
 
 def test_progress_does_not_run_backwards_or_stop_before_its_end():
@@ -331,7 +334,7 @@ def test_progress_does_not_run_backwards_or_stop_before_its_end():
         names="ab",
         uncertainty=UNKNOWN,
         draws=2,
-        trajectory={"name": "hold-spatial", "duration": 0.3},
+        trajectory={"name": "dwell-spatial", "duration": 0.3},
         progress=lambda done, expected: seen.append((done, expected)),
     )
     done, expected = zip(*seen, strict=True)
@@ -347,7 +350,7 @@ def test_payload_that_is_not_told_is_not_told():
         for known in (True, False)
     )
     assert (told.payload_known, untold.payload_known) == (True, False)
-    assert untold.measured[0].max_error[0] > 10 * told.measured[0].max_error[0]
+    assert untold.metrics[0].max_error[0] > 10 * told.metrics[0].max_error[0]
 
 
 def test_names_of_the_policies_are_not_lost():
@@ -355,7 +358,7 @@ def test_names_of_the_policies_are_not_lost():
         return np.zeros(6)
 
     keywords = {"trajectory": HANG}
-    found = compare_policies(["fl", Scaled(1.0), own], SPATIAL_ID, **keywords).measured
+    found = compare_policies(["fl", Scaled(1.0), own], SPATIAL_ID, **keywords).metrics
     assert [one.policy for one in found] == ["fl", "Scaled", "own"]
 
 
@@ -365,19 +368,19 @@ def test_names_of_the_policies_are_not_lost():
 @pytest.mark.parametrize(
     ("policies", "arguments", "message"),
     [
-        ([], {}, "nothing to compare: name at least one policy"),
-        (["fl", "fl"], {}, "policies need one name each, all different, not fl, fl"),
-        (["fl", "fl"], {"names": ["a"]}, "policies need one name each"),
-        (["fl"], {"names": ["a", "b"]}, "policies need one name each"),
+        ([], {}, "no policy to compare: give at least one policy"),
+        (["fl", "fl"], {}, "every policy needs its own name, but the names are fl, fl"),
+        (["fl", "fl"], {"names": ["a"]}, "every policy needs its own name"),
+        (["fl"], {"names": ["a", "b"]}, "every policy needs its own name"),
         (["fl", "lqr"], {}, "unknown policy 'lqr'; choose one of"),
-        (["fl"], {"payload": -1.0}, "payload must be at least 0 kg"),
-        (["fl"], {"payload": math.nan}, "payload must be at least 0 kg"),
-        (["fl"], {"draws": 0}, "draws must be a whole number of at least 1, not 0"),
-        (["fl"], {"draws": 2, "uncertainty": None}, "2 draws would all be the same"),
-        (["fl"], {"limits": {"position": 0.0}}, "limits: position must be a number greater than 0"),
-        (["fl"], {"uncertainty": ["table6", "table6"]}, "uncertainty is one for all episodes here"),
+        (["fl"], {"payload": -1.0}, "payload must be a finite number of at least 0 kg"),
+        (["fl"], {"payload": math.nan}, "payload must be a finite number of at least 0 kg"),
+        (["fl"], {"draws": 0}, "draws must be an integer of at least 1, not 0"),
+        (["fl"], {"draws": 2, "uncertainty": None}, "all 2 draws would be equal"),
+        (["fl"], {"error_bounds": {"position": 0.0}}, "error_bounds: position must be a number greater than 0"),
+        (["fl"], {"uncertainty": ["table6", "table6"]}, "uncertainty must be one value for all episodes"),
         (["fl"], {"uncertainty": "table5"}, "unknown uncertainty 'table5'"),
-        (["fl"], {"payload_range": (0, 1)}, "payload_range is set by the evaluation itself"),
+        (["fl"], {"payload_range": (0, 1)}, "payload_range is set by the evaluation"),
         (["fl"], {"trajectory": "spiral"}, "unknown trajectory 'spiral'"),
     ],
     ids=lambda value: str(value)[:40],
@@ -436,16 +439,16 @@ def test_curves_are_not_those_of_another_policy_or_shifted_by_a_step():
     for axes, series in ((over_position, "error"), (over_rotation, "rotation")):
         curves, _ = lines(axes)
         assert len(curves) == 2
-        for curve, measured in zip(curves, comparison.measured, strict=True):
+        for curve, measured in zip(curves, comparison.metrics, strict=True):
             np.testing.assert_allclose(curve.get_xdata(), np.arange(1, 201) / 500)
             np.testing.assert_allclose(curve.get_ydata(), 1e3 * getattr(measured, series).mean(axis=1))
-        for band, measured in zip(axes.collections, comparison.measured, strict=True):
+        for band, measured in zip(axes.collections, comparison.metrics, strict=True):
             values = 1e3 * getattr(measured, series)
             corners = band.get_paths()[0].vertices
             assert corners[:, 1].max() == pytest.approx(np.quantile(values, 0.95, axis=1).max())
     for axes, peak in ((peaks_position, "max_error"), (peaks_rotation, "max_rotation")):
         curves, _ = lines(axes)
-        for curve, measured in zip(curves, comparison.measured, strict=True):
+        for curve, measured in zip(curves, comparison.metrics, strict=True):
             x, y = curve.get_data()
             np.testing.assert_allclose(np.sort(x[1:]), np.sort(1e3 * getattr(measured, peak)))
             assert (y[0], y[-1]) == (0, 1)
@@ -465,28 +468,28 @@ def test_bounds_are_not_others_than_the_comparisons_nor_out_of_sight():
     # The rotation hardly moves: a line at its bound would flatten the curves, but it is named.
     assert lines(axes[2])[1] == lines(axes[3])[1] == []
     assert axes[2].get_ylim()[1] < 10
-    assert axes[2].get_title(loc="right") == "bound 10 mrad: far above"
+    assert axes[2].get_title(loc="right") == "bound 10 mrad: above the plotted range"
 
 
 def test_labels_do_not_hide_what_was_compared():
     figure = draw_comparison(compared())
     title = figure.get_suptitle()
-    for part in (SPATIAL_ID, "payload 1.5 kg, told", "5 draws of custom", "5th to the 95th percentile"):
+    for part in (SPATIAL_ID, "payload 1.5 kg, payload known", "5 draws of custom", "5th to the 95th percentile"):
         assert part in title
     labels = [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes]
     assert labels == [
         ("", "position error [mm]"),
-        ("largest position error [mm]", "share of draws"),
+        ("largest position error [mm]", "fraction of draws"),
         ("time [s]", "rotation error [mrad]"),
-        ("largest rotation error [mrad]", "share of draws"),
+        ("largest rotation error [mrad]", "fraction of draws"),
     ]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["plain", "weak"]
 
 
 def test_planar_robot_does_not_get_a_rotation_row_nor_one_draw_a_band():
-    motion = {"name": "hold-planar", "duration": 0.05}
+    motion = {"name": "dwell-planar", "duration": 0.05}
     figure = draw_comparison(compare_policies([Scaled(0.9, PLANAR)], PLANAR_ID, trajectory=motion))
-    assert [axes.get_ylabel() for axes in figure.axes] == ["position error [mm]", "share of draws"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["position error [mm]", "fraction of draws"]
     assert list(figure.axes[0].collections) == []
     assert "percentile" not in figure.get_suptitle()
     assert "no uncertainty" in figure.get_suptitle()
@@ -495,8 +498,8 @@ def test_planar_robot_does_not_get_a_rotation_row_nor_one_draw_a_band():
 @pytest.mark.parametrize("count", [1, 5, 9])
 def test_many_policies_with_long_names_do_not_push_the_panels_out_or_look_alike(tmp_path, count):
     names = [f"_package.module_{place}:$a_{{$long" + "_name" * 6 * (place % 3) for place in range(count)]
-    measured = [dataclasses.replace(compared().measured[0], policy=name) for name in names]
-    comparison = dataclasses.replace(compared(), measured=tuple(measured))
+    measured = [dataclasses.replace(compared().metrics[0], policy=name) for name in names]
+    comparison = dataclasses.replace(compared(), metrics=tuple(measured))
     figure = draw_comparison(comparison)
     figure.savefig(tmp_path / "figure.png")  # a warning that the panels collapsed would be an error
     (legend,) = figure.legends
@@ -512,9 +515,9 @@ def test_many_policies_with_long_names_do_not_push_the_panels_out_or_look_alike(
 
 @pytest.mark.parametrize("factor", [1.0, 1e-9], ids=["small errors", "hardly any"])
 def test_error_far_below_its_bound_does_not_collapse_the_panels(tmp_path, factor):
-    one = compared().measured[0]
+    one = compared().metrics[0]
     changed = {name: getattr(one, name) * 1e-2 * factor for name in ("error", "max_error", "rotation", "max_rotation")}
-    comparison = dataclasses.replace(compared(), measured=(dataclasses.replace(one, **changed),))
+    comparison = dataclasses.replace(compared(), metrics=(dataclasses.replace(one, **changed),))
     figure = draw_comparison(comparison)
     figure.savefig(tmp_path / "figure.png")
     assert all(axes.get_window_extent().height > 100 for axes in figure.axes)
@@ -529,7 +532,7 @@ def test_draws_that_ended_early_do_not_spoil_the_figure(tmp_path):
         uncertainty="sensors",
         draws=6,
         seed=2,
-        trajectory={"name": "hold-spatial", "duration": 0.3},
+        trajectory={"name": "dwell-spatial", "duration": 0.3},
     )
     figure = draw_comparison(comparison)
     figure.savefig(tmp_path / "figure.png")
@@ -566,4 +569,4 @@ def test_missing_matplotlib_does_not_go_without_the_command_that_installs_it(mon
 def test_comparison_cannot_be_changed():
     with pytest.raises(dataclasses.FrozenInstanceError):
         compared().payload = 9.0
-    assert compared().limits == Limits(position=0.005)
+    assert compared().error_bounds == ErrorBounds(position=0.005)

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_gym.evaluation import DLCCMonitor, Limits, Verdict, evaluate_dlcc
+from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict, evaluate_dlcc
 from cablebot_gym.evaluation.constraints import Judge
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -20,7 +20,7 @@ IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
 STALL = np.array([5.0, 6.0, 7.0])
 """τ_s of the hand-made robot [N·m]: all different, so that no motor's can stand for another's."""
 PERIOD = 0.002
-LIMITS = Limits(position=0.01, rotation=0.02)
+LIMITS = ErrorBounds(position=0.01, rotation=0.02)
 
 each_criterion = pytest.mark.parametrize("criterion", ["task", "paper"])
 
@@ -33,7 +33,7 @@ class Scripted(gym.Env):
         self.observation_space = gym.spaces.Box(-1, 1, (1,), dtype=np.float64)
         self.script, self.start = script, start or {}
         self.task = SimpleNamespace(
-            limits=LIMITS, robot=SimpleNamespace(cables=3), steps=len(script) if steps is None else steps
+            error_bounds=LIMITS, robot=SimpleNamespace(cables=3), steps=len(script) if steps is None else steps
         )
 
     def reset(self, *, seed=None, options=None):
@@ -48,18 +48,18 @@ class Scripted(gym.Env):
         return np.zeros(1), 0.0, terminated, truncated, info_of(self.step_, **change)
 
 
-def info_of(step, *, payload=1.5, position=0.001, rotation=0.001, demand=(0.1, -0.2, 0.3), slack=(), tension=(9, 8, 7)):
+def info_of(step, *, payload=1.5, position=0.001, rotation=0.001, action=(0.1, -0.2, 0.3), slack=(), tension=(9, 8, 7)):
     """One step's info as a single environment gives it."""
     return {
         "time": step * PERIOD,
-        "command_time": max(step - 1, 0) * PERIOD,
+        "action_time": max(step - 1, 0) * PERIOD,
         "payload": payload,
         "tracking_error": position / 2,
         "rotation_error": rotation / 2,
         "tracking_error_peak": position,
         "rotation_error_peak": rotation,
-        "drive_demand": np.array(demand),
-        "torque_margin": STALL * (1 - np.abs(demand)),
+        "commanded_action": np.array(action),
+        "torque_margin": STALL * (1 - np.abs(action)),
         "slack": np.array([cable in slack for cable in (1, 2, 3)]),
         "tensions": np.array(tension, float),
         "termination_reason": "",
@@ -89,9 +89,9 @@ def test_uneventful_motion_does_not_fail(criterion):
     assert verdict == Verdict(
         carried=True,
         complete=True,
-        limit=None,
+        violation=None,
         payload=1.5,
-        peak_demand=(0.1, 0.2, 0.3),
+        peak_action=(0.1, 0.2, 0.3),
         position_peak=0.001,
         rotation_peak=0.001,
         least_tension=7.0,
@@ -99,7 +99,7 @@ def test_uneventful_motion_does_not_fail(criterion):
 
 
 @pytest.mark.parametrize(
-    ("demand", "motor", "excess"),
+    ("action", "motor", "excess"),
     [
         ((1.1, 0.0, 0.0), 1, 0.5),
         ((0.0, -1.1, 0.0), 2, 0.6),
@@ -108,45 +108,45 @@ def test_uneventful_motion_does_not_fail(criterion):
         ((-1.3, 1.1, 1.2), 1, 1.5),
     ],
 )
-def test_motor_beyond_its_line_is_not_another_one_nor_counted_from_0(demand, motor, excess):
-    limit = judged(bad(demand=demand), "paper").limit
-    assert (limit.kind, limit.index) == ("torque", motor)
-    assert limit.excess == pytest.approx(excess)
-    assert limit.time == pytest.approx(2 * PERIOD), "the instant of the command, not the end of its period"
+def test_motor_beyond_its_line_is_not_another_one_nor_counted_from_0(action, motor, excess):
+    violation = judged(bad(action=action), "paper").violation
+    assert (violation.kind, violation.index) == ("torque", motor)
+    assert violation.excess == pytest.approx(excess)
+    assert violation.time == pytest.approx(2 * PERIOD), "the instant of the command, not the end of its period"
 
 
 @each_criterion
 @pytest.mark.parametrize(("slack", "cable"), [((1,), 1), ((2,), 2), ((3,), 3), ((3, 2), 2)])
 def test_slack_cable_is_not_another_one_nor_counted_from_0(criterion, slack, cable):
-    limit = judged(bad(slack=slack), criterion).limit
-    assert (limit.kind, limit.index, limit.excess) == ("slack", cable, None)
-    assert limit.time == pytest.approx(3 * PERIOD)
+    violation = judged(bad(slack=slack), criterion).violation
+    assert (violation.kind, violation.index, violation.excess) == ("slack", cable, None)
+    assert violation.time == pytest.approx(3 * PERIOD)
 
 
 @each_criterion
 def test_position_error_is_not_overlooked(criterion):
-    limit = judged(bad(position=0.013), criterion).limit
-    assert (limit.kind, limit.index) == ("position", None)
-    assert (limit.time, limit.excess) == pytest.approx((3 * PERIOD, 0.003))
+    violation = judged(bad(position=0.013), criterion).violation
+    assert (violation.kind, violation.index) == ("position", None)
+    assert (violation.time, violation.excess) == pytest.approx((3 * PERIOD, 0.003))
 
 
 def test_rotation_error_is_not_overlooked_nor_held_against_the_bound_of_the_position():
-    limit = judged(bad(rotation=0.025), "task").limit
-    assert (limit.kind, limit.index) == ("rotation", None)
-    assert (limit.time, limit.excess) == pytest.approx((3 * PERIOD, 0.005))
+    violation = judged(bad(rotation=0.025), "task").violation
+    assert (violation.kind, violation.index) == ("rotation", None)
+    assert (violation.time, violation.excess) == pytest.approx((3 * PERIOD, 0.005))
     assert judged(bad(rotation=0.015), "task").carried
 
 
 @each_criterion
 def test_termination_does_not_count_as_carried(criterion):
-    limit = judged(bad(terminated=True), criterion).limit
-    assert (limit.kind, limit.index, limit.excess) == ("terminated", None, None)
-    assert limit.time == pytest.approx(3 * PERIOD)
+    violation = judged(bad(terminated=True), criterion).violation
+    assert (violation.kind, violation.index, violation.excess) == ("terminated", None, None)
+    assert violation.time == pytest.approx(3 * PERIOD)
 
 
 @pytest.mark.parametrize(
     ("criterion", "change"),
-    [("task", {"demand": (1.5, -9.0, 0.0)}), ("paper", {"rotation": 3.0}), ("task", {"demand": (1.5, 0, 0)})],
+    [("task", {"action": (1.5, -9.0, 0.0)}), ("paper", {"rotation": 3.0}), ("task", {"action": (1.5, 0, 0)})],
 )
 def test_criterion_does_not_judge_by_a_limit_of_the_other(criterion, change):
     assert judged(bad(**change), criterion).carried
@@ -155,7 +155,7 @@ def test_criterion_does_not_judge_by_a_limit_of_the_other(criterion, change):
 @pytest.mark.parametrize(
     ("criterion", "change"),
     [
-        ("paper", {"demand": (1.0, -1.0, 1.0 + 1e-13)}),
+        ("paper", {"action": (1.0, -1.0, 1.0 + 1e-13)}),
         ("task", {"position": 0.01}),
         ("task", {"rotation": 0.02}),
     ],
@@ -167,7 +167,7 @@ def test_value_on_its_bound_does_not_fail(criterion, change):
 @pytest.mark.parametrize(
     ("criterion", "change", "kind"),
     [
-        ("paper", {"demand": (1.0, -1.0 - 1e-9, 1.0)}, "torque"),
+        ("paper", {"action": (1.0, -1.0 - 1e-9, 1.0)}, "torque"),
         ("paper", {"position": math.nextafter(0.01, 1)}, "position"),
         ("task", {"rotation": math.nextafter(0.02, 1)}, "rotation"),
     ],
@@ -175,11 +175,11 @@ def test_value_on_its_bound_does_not_fail(criterion, change):
 def test_value_just_beyond_its_bound_is_not_carried(criterion, change, kind):
     verdict = judged(bad(**change), criterion)
     assert not verdict.carried
-    assert verdict.limit.kind == kind
+    assert verdict.violation.kind == kind
 
 
 EVERYTHING = {
-    "torque": {"demand": (0.0, 2.0, 0.0)},
+    "torque": {"action": (0.0, 2.0, 0.0)},
     "slack": {"slack": (3,)},
     "position": {"position": 0.05},
     "rotation": {"rotation": 0.05},
@@ -194,33 +194,37 @@ def test_consequence_in_the_same_step_is_not_named_before_its_cause(criterion, p
     together = {key: value for change in list(EVERYTHING.values())[place:] for key, value in change.items()}
     unjudged = {"task": "torque", "paper": "rotation"}[criterion]
     expected = next(kind for kind in list(EVERYTHING)[place:] if kind != unjudged)
-    assert judged(bad(**together), criterion).limit.kind == expected
+    assert judged(bad(**together), criterion).violation.kind == expected
 
 
 @each_criterion
 def test_later_failure_does_not_replace_the_first(criterion):
-    script = [{}, {"terminated": False, "position": 0.02}, {"slack": (1,), "demand": (3.0, 0, 0)}, {"position": 0.09}]
-    limit = judged(script, criterion).limit
-    assert (limit.kind, limit.time, limit.excess) == ("position", pytest.approx(2 * PERIOD), pytest.approx(0.01))
+    script = [{}, {"terminated": False, "position": 0.02}, {"slack": (1,), "action": (3.0, 0, 0)}, {"position": 0.09}]
+    violation = judged(script, criterion).violation
+    assert (violation.kind, violation.time, violation.excess) == (
+        "position",
+        pytest.approx(2 * PERIOD),
+        pytest.approx(0.01),
+    )
 
 
 @each_criterion
 def test_error_at_the_start_is_not_forgotten(criterion):
     verdict = judged([{}] * 4, criterion, start={"position": 0.011})
     assert not verdict.carried
-    assert (verdict.limit.kind, verdict.limit.time) == ("position", 0.0)
-    assert verdict.limit.excess == pytest.approx(0.001)
+    assert (verdict.violation.kind, verdict.violation.time) == ("position", 0.0)
+    assert verdict.violation.excess == pytest.approx(0.001)
 
 
 def test_rotation_at_the_start_is_not_forgotten():
-    limit = judged([{}] * 4, "task", start={"rotation": 0.03}).limit
-    assert (limit.kind, limit.time) == ("rotation", 0.0)
+    violation = judged([{}] * 4, "task", start={"rotation": 0.03}).violation
+    assert (violation.kind, violation.time) == ("rotation", 0.0)
     assert judged([{}] * 4, "paper", start={"rotation": 0.03}).carried
 
 
 def test_tensions_and_demands_of_the_reset_are_not_judged():
     # No control period has passed at reset; an environment gives zeros there.
-    verdict = judged([{}] * 4, "paper", start={"tension": (0, 0, 0), "demand": (0, 0, 0)})
+    verdict = judged([{}] * 4, "paper", start={"tension": (0, 0, 0), "action": (0, 0, 0)})
     assert verdict.carried
     assert verdict.least_tension == 7.0
 
@@ -230,28 +234,28 @@ def test_tensions_and_demands_of_the_reset_are_not_judged():
 
 def test_peaks_do_not_go_on_after_the_failure():
     script = [
-        {"demand": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)},
-        {"position": 0.02, "rotation": 0.004, "demand": (0.1, -0.9, 0.1), "tension": (5, 9, 9)},
-        {"position": 0.09, "rotation": 0.9, "demand": (4.0, 4.0, 4.0), "tension": (0, 0, 0)},
+        {"action": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)},
+        {"position": 0.02, "rotation": 0.004, "action": (0.1, -0.9, 0.1), "tension": (5, 9, 9)},
+        {"position": 0.09, "rotation": 0.9, "action": (4.0, 4.0, 4.0), "tension": (0, 0, 0)},
     ]
     verdict = judged(script)
-    assert verdict.peak_demand == (0.5, 0.9, 0.1)
+    assert verdict.peak_action == (0.5, 0.9, 0.1)
     assert (verdict.position_peak, verdict.rotation_peak, verdict.least_tension) == (0.02, 0.004, 5.0)
 
 
 def test_failure_of_one_lane_does_not_end_the_watch_over_another():
     judge = Judge("task", LIMITS, 3, 3)
-    judge.begin(stacked([info_of(0, payload=p) for p in (1.0, 2.0, 3.0)]))
+    judge.reset(stacked([info_of(0, payload=p) for p in (1.0, 2.0, 3.0)]))
     none = np.zeros(3, np.bool_)
     judge.observe(stacked([info_of(1), info_of(1, position=0.03), info_of(1)]), none)
     judge.observe(stacked([info_of(2, position=0.004), info_of(2, position=0.05), info_of(2, slack=(2,))]), none)
     judge.observe(stacked([info_of(3), info_of(3), info_of(3)]), np.array([False, True, True]))
-    verdicts = [judge.verdict(lane, complete=True) for lane in range(3)]
+    verdicts = [judge.verdict(index, complete=True) for index in range(3)]
     assert judge.failed.tolist() == [False, True, True]
     assert [verdict.payload for verdict in verdicts] == [1.0, 2.0, 3.0]
     assert [verdict.position_peak for verdict in verdicts] == [0.004, 0.03, 0.001]
     assert verdicts[0].carried
-    assert [(v.limit.kind, v.limit.index) for v in verdicts[1:]] == [("position", None), ("slack", 2)]
+    assert [(v.violation.kind, v.violation.index) for v in verdicts[1:]] == [("position", None), ("slack", 2)]
 
 
 def stacked(infos):
@@ -289,15 +293,15 @@ def test_verdict_is_not_that_of_the_episode_before():
     env.reset()
     for _ in range(3):
         env.step(np.zeros(3))
-    assert env.verdict.limit.kind == "slack"
+    assert env.verdict.violation.kind == "slack"
     env.reset()
-    assert env.verdict.limit is None
-    assert (env.verdict.carried, env.verdict.complete, env.verdict.peak_demand) == (False, False, (0, 0, 0))
+    assert env.verdict.violation is None
+    assert (env.verdict.carried, env.verdict.complete, env.verdict.peak_action) == (False, False, (0, 0, 0))
 
 
 def test_verdict_before_the_first_reset_is_not_made_up():
     env = DLCCMonitor(gym.make(IDS["planar"]))
-    with pytest.raises(ResetNeeded, match=r"call reset\(\) first"):
+    with pytest.raises(ResetNeeded, match=r"call reset\(\) before verdict"):
         _ = env.verdict
 
 
@@ -309,8 +313,12 @@ def test_unknown_criterion_is_not_accepted(criterion):
 
 def test_limits_of_the_monitor_are_not_those_of_the_episode_unless_none():
     script = bad(position=0.015)
-    for limits, carried in ((None, False), (Limits(position=0.02), True), (Limits(position=0.0005), False)):
-        env = DLCCMonitor(Scripted(script), limits=limits)
+    for error_bounds, carried in (
+        (None, False),
+        (ErrorBounds(position=0.02), True),
+        (ErrorBounds(position=0.0005), False),
+    ):
+        env = DLCCMonitor(Scripted(script), error_bounds=error_bounds)
         env.reset()
         for _ in script:
             env.step(np.zeros(3))
@@ -318,12 +326,12 @@ def test_limits_of_the_monitor_are_not_those_of_the_episode_unless_none():
 
 
 def test_limits_of_the_option_are_not_those_of_the_constructor():
-    env = DLCCMonitor(gym.make(IDS["planar"], limits={"position": 0.01}))
+    env = DLCCMonitor(gym.make(IDS["planar"], error_bounds={"position": 0.01}))
     fl = FeedbackLinearization(PLANAR)
-    for options, carried in (({}, True), ({"limits": {"position": 1e-5}}, False), ({}, True)):
+    for options, carried in (({}, True), ({"error_bounds": {"position": 1e-5}}, False), ({}, True)):
         verdict = play(env, fl, options)
         assert verdict.carried is carried
-    assert verdict.limit is None
+    assert verdict.violation is None
 
 
 def test_monitor_does_not_change_what_the_loop_sees():
@@ -346,17 +354,17 @@ def test_time_limit_is_not_taken_for_the_end_of_the_motion():
     while not truncated:
         observation, _, terminated, truncated, info = env.step(fl.predict(observation)[0])
         assert not terminated
-    assert (info["dlcc_carried"], env.verdict.complete, env.verdict.limit) == (False, False, None)
+    assert (info["dlcc_carried"], env.verdict.complete, env.verdict.violation) == (False, False, None)
 
 
 def test_initial_error_beyond_the_bound_is_not_forgiven():
     env = DLCCMonitor(gym.make(IDS["planar"]))
     env.reset(options={"initial_error": [0.006, 0.0085]})
-    limit = env.verdict.limit
-    assert (limit.kind, limit.time) == ("position", 0.0)
-    assert limit.excess == pytest.approx(math.hypot(0.006, 0.0085) - 0.01)
+    violation = env.verdict.violation
+    assert (violation.kind, violation.time) == ("position", 0.0)
+    assert violation.excess == pytest.approx(math.hypot(0.006, 0.0085) - 0.01)
     env.reset(options={"initial_error": [0.006, 0.0075]})
-    assert env.verdict.limit is None
+    assert env.verdict.violation is None
 
 
 def play(env, policy, options):
@@ -380,10 +388,10 @@ def test_monitor_does_not_contradict_the_evaluator(kind, criterion):
     above = play(env, fl, {"payload": result.payload + result.resolution})
     assert (below.carried, above.carried) == (True, False)
     assert (below.payload, above.payload) == (result.payload, result.payload + result.resolution)
-    assert (above.limit.kind, above.limit.index, above.limit.time) == (
-        result.limit.kind,
-        result.limit.index,
-        result.limit.time,
+    assert (above.violation.kind, above.violation.index, above.violation.time) == (
+        result.violation.kind,
+        result.violation.index,
+        result.violation.time,
     )
-    assert above.limit.excess == pytest.approx(result.limit.excess, rel=1e-6)
-    assert 1 - max(below.peak_demand) == pytest.approx(result.margins["torque"], abs=1e-12)
+    assert above.violation.excess == pytest.approx(result.violation.excess, rel=1e-6)
+    assert 1 - max(below.peak_action) == pytest.approx(result.margins["torque"], abs=1e-12)

@@ -17,16 +17,16 @@ import cablebot_gym  # registers the ids
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import DLCCMonitor, Limits, PolicyError, Task, evaluate_dlcc
+from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, Task, evaluate_dlcc
 from cablebot_gym.evaluation.evaluator import PAYLOAD_MAX, SCAN_POINTS
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors
-from cablebot_gym.trajectories import Hold, find_trajectory
+from cablebot_gym.trajectories import Dwell, find_trajectory
 
 PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 IDS = {"planar": PLANAR_ID, "spatial": SPATIAL_ID}
 ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
-HANG = {"name": "hold-spatial", "duration": 0.05}
+HANG = {"name": "dwell-spatial", "duration": 0.05}
 """A static hang in the symmetric pose, as short as a hang can be judged."""
 
 
@@ -42,7 +42,7 @@ def scored(kind, criterion, known=True, position=0.01, rotation=0.01):
         IDS[kind],
         criterion=criterion,
         payload_known=known,
-        limits=Limits(position=position, rotation=rotation),
+        error_bounds=ErrorBounds(position=position, rotation=rotation),
     )
 
 
@@ -53,9 +53,9 @@ def test_spatial_fl_under_the_papers_criterion_is_not_off_from_independent_runs(
     result = scored("spatial", "paper")
     assert result.payload == pytest.approx(1.78, abs=0.03)
     assert result.total_mass == result.payload + 10
-    assert (result.limit.kind, result.limit.index) == ("torque", 2)
-    assert result.limit.time == pytest.approx(0.5, abs=0.005)
-    assert result.limit.excess > 0
+    assert (result.violation.kind, result.violation.index) == ("torque", 2)
+    assert result.violation.time == pytest.approx(0.5, abs=0.005)
+    assert result.violation.excess > 0
 
 
 def test_spatial_fl_under_the_task_criterion_is_not_off_from_independent_runs():
@@ -69,10 +69,10 @@ def test_payload_that_is_not_told_is_not_carried_as_if_it_were():
 
 
 def test_rotation_bound_is_not_without_effect():
-    assert scored("spatial", "task").limit.kind == "rotation"
+    assert scored("spatial", "task").violation.kind == "rotation"
     alone = scored("spatial", "task", rotation=10.0)
     assert alone.payload == pytest.approx(4.59, abs=0.1)
-    assert alone.limit.kind == "position"
+    assert alone.violation.kind == "position"
 
 
 @pytest.mark.parametrize(("criterion", "total", "tolerance"), [("paper", 2.05, 0.03), ("task", 2.90, 0.05)])
@@ -88,8 +88,8 @@ def test_bisection_does_not_contradict_the_closed_form(kind):
     exact = exact_payload(robot, find_trajectory(f"paper-{kind}", robot.coordinates), minimum_tension=5.0)
     result = scored(kind, "paper")
     assert result.total_mass == pytest.approx(exact.total_mass, rel=0.02)
-    assert (result.limit.kind, result.limit.index) == (exact.kind, exact.motor)
-    assert result.limit.time == pytest.approx(exact.time, abs=0.005)
+    assert (result.violation.kind, result.violation.index) == (exact.kind, exact.motor)
+    assert result.violation.time == pytest.approx(exact.time, abs=0.005)
 
 
 # --- by hand ----------------------------------------------------------------------------------------------------------
@@ -110,9 +110,9 @@ def test_static_hang_is_not_off_from_the_vertical_capacity_of_the_cables(resolut
     assert 14 < expected < 15
     # At the exact payload every motor stalls; rounding of the numbers there is all that is forgiven.
     assert result.payload - 1e-9 <= expected <= result.payload + resolution + 1e-9
-    assert (result.limit.kind, result.limit.time) == ("torque", 0.0)
-    assert result.limit.index in range(1, 7)
-    assert result.limit.excess < 10 * resolution / expected
+    assert (result.violation.kind, result.violation.time) == ("torque", 0.0)
+    assert result.violation.index in range(1, 7)
+    assert result.violation.excess < 10 * resolution / expected
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.0, 1.7])
@@ -135,7 +135,7 @@ def test_one_weak_motor_is_not_blamed_on_another():
     result = evaluate_dlcc(
         FeedbackLinearization(robot), SPATIAL_ID, criterion="paper", robot=robot, trajectory=HANG, resolution=1e-4
     )
-    assert result.limit.index == 4
+    assert result.violation.index == 4
     assert result.total_mass == pytest.approx(0.9 * hang_capacity(10.0), abs=2e-4)
 
 
@@ -145,12 +145,12 @@ def test_control_frequency_is_not_without_effect(frequency):
     result = evaluate_dlcc(
         lambda observation: steps.append(1) or np.full(3, 0.1),
         PLANAR_ID,
-        trajectory={"name": "hold-planar", "duration": 0.02},
+        trajectory={"name": "dwell-planar", "duration": 0.02},
         control_frequency=frequency,
     )
     assert result.environment["control_frequency"] == frequency
     assert len(steps) == 2 * SCAN_POINTS * round(0.02 * frequency), "one scan, and the episode that is drawn"
-    assert len(result.history["command_time"]) == round(0.02 * frequency)
+    assert len(result.history["action_time"]) == round(0.02 * frequency)
 
 
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
@@ -166,22 +166,22 @@ def test_wide_tube_is_not_cut_short_by_the_termination_of_the_environment():
     def limp(_):
         return np.zeros(6)
 
-    motion = {"name": "hold-spatial", "duration": 0.2}
+    motion = {"name": "dwell-spatial", "duration": 0.2}
     wide = evaluate_dlcc(
-        limp, SPATIAL_ID, trajectory=motion, limits=Limits(position=0.3, rotation=1.0), payload_max=1.0
+        limp, SPATIAL_ID, trajectory=motion, error_bounds=ErrorBounds(position=0.3, rotation=1.0), payload_max=1.0
     )
     fallen = wide.history["tracking_error"].max()
     assert 0.1 < fallen < 0.3, "beyond the environment's own radius"
-    assert (wide.payload, wide.limit.kind) == (1.0, "scan_end")
+    assert (wide.payload, wide.violation, wide.scan_ended) == (1.0, None, True)
     narrow = evaluate_dlcc(
         limp,
         SPATIAL_ID,
         trajectory=motion,
-        limits=Limits(position=0.3, rotation=1.0),
+        error_bounds=ErrorBounds(position=0.3, rotation=1.0),
         payload_max=1.0,
         termination_radius=0.05,
     )
-    assert (narrow.payload, narrow.limit.kind) == (None, "terminated"), "a radius that was asked for holds"
+    assert (narrow.payload, narrow.violation.kind) == (None, "terminated"), "a radius that was asked for holds"
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -191,8 +191,8 @@ def rerun(env_id, policy, payload, criterion, **keywords):
     """The verdict on one payload in a single environment."""
     env = DLCCMonitor(gym.make(env_id, payload=payload, max_episode_steps=-1, **keywords), criterion=criterion)
     observation, _ = env.reset(seed=0)
-    if hasattr(policy, "begin"):
-        policy.begin((env.get_wrapper_attr("task"),))
+    if hasattr(policy, "reset"):
+        policy.reset((env.get_wrapper_attr("task"),))
     terminated = False
     while not (env.verdict.complete or terminated):
         observation, _, terminated, _, _ = env.step(policy.predict(observation)[0])
@@ -206,8 +206,8 @@ def test_resolution_is_not_ignored(resolution):
     below = rerun(PLANAR_ID, fl("planar"), result.payload, "paper")
     above = rerun(PLANAR_ID, fl("planar"), result.payload + result.resolution, "paper")
     assert (below.carried, above.carried) == (True, False)
-    assert above.limit.kind == result.limit.kind
-    assert result.margins["torque"] == pytest.approx(1 - max(below.peak_demand), abs=1e-12)
+    assert above.violation.kind == result.violation.kind
+    assert result.margins["torque"] == pytest.approx(1 - max(below.peak_action), abs=1e-12)
     assert result.margins["position"] == pytest.approx(1 - below.position_peak / 0.01, abs=1e-9)
     assert result.margins["tension"] == pytest.approx(below.least_tension)
 
@@ -227,17 +227,17 @@ def test_resolution_below_the_floats_does_not_search_for_ever():
 def test_scan_that_ends_before_the_limit_does_not_name_one(payload_max):
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, payload_max=payload_max)
     assert (result.payload, result.total_mass, result.payload_max) == (payload_max, 10 + payload_max, payload_max)
-    assert result.limit.kind == "scan_end"
-    assert (result.limit.index, result.limit.time, result.limit.excess, result.resolution) == (None, None, None, 0.0)
+    assert (result.violation, result.scan_ended, result.violation_seed, result.resolution) == (None, True, None, 0.0)
+    assert json.loads(result.to_json())["violation"] is None
     assert result.feasible == ((0.0, payload_max),)
-    assert "nothing, up to the largest payload tried" in str(result)
+    assert f"; limiting violation: none up to {payload_max:g} kg" in str(result)
 
 
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
 def test_scan_leaves_out_neither_end(kind):
     spy = Spy(ROBOTS[kind])
-    evaluate_dlcc(spy, IDS[kind], trajectory={"name": f"hold-{kind}", "duration": 0.01}, payload_max=None)
-    told = [task.told_payload for task in spy.begun[0]]
+    evaluate_dlcc(spy, IDS[kind], trajectory={"name": f"dwell-{kind}", "duration": 0.01}, payload_max=None)
+    told = [task.model_payload for task in spy.begun[0]]
     np.testing.assert_allclose(told, np.linspace(0, PAYLOAD_MAX[kind], SCAN_POINTS), rtol=1e-15)
     assert PAYLOAD_MAX == {"planar": 10.0, "spatial": 20.0}
 
@@ -248,7 +248,7 @@ def test_search_does_not_miss_a_threshold(threshold, resolution):
     result = evaluate_dlcc(
         Dropping(lambda told: told > threshold),
         SPATIAL_ID,
-        trajectory={"name": "hold-spatial", "duration": 0.1},
+        trajectory={"name": "dwell-spatial", "duration": 0.1},
         payload_max=5.0,
         resolution=resolution,
     )
@@ -266,16 +266,16 @@ class Dropping(FeedbackLinearization):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(observation, state, episode_start, deterministic)
-        told = np.asarray(observation)[..., observation_layout(SPATIAL).slices()["told_payload"]]
+        told = np.asarray(observation)[..., observation_layout(SPATIAL).slices()["model_payload"]]
         return np.where(self.lets_go(told), 0.0, action), state
 
 
 def test_feasible_set_with_a_hole_is_not_reported_as_one_interval():
     policy = Dropping(lambda told: (told > 1.02) & (told < 1.58) | (told > 2.22) & (told < 2.38))
-    keywords = {"trajectory": {"name": "hold-spatial", "duration": 0.1}}
+    keywords = {"trajectory": {"name": "dwell-spatial", "duration": 0.1}}
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=3.15, resolution=1e-4, **keywords)
     assert 1.02 - 1e-4 <= result.payload <= 1.02
-    assert result.limit.kind == "position"
+    assert result.violation.kind == "position"
     # 64 points of [0, 3.15] are 0.05 apart.
     assert len(result.feasible) == 3
     assert result.feasible[0] == (0.0, result.payload)
@@ -287,32 +287,32 @@ class ToldWrong(FeedbackLinearization):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         observation = np.array(observation)
-        observation[..., observation_layout(SPATIAL).slices()["told_payload"]] = 3.0
+        observation[..., observation_layout(SPATIAL).slices()["model_payload"]] = 3.0
         return super().predict(observation, state, episode_start, deterministic)
 
 
 def test_failing_at_zero_is_not_zero_kilograms_in_silence():
-    policy, keywords = ToldWrong(SPATIAL), {"trajectory": {"name": "hold-spatial", "duration": 0.5}}
+    policy, keywords = ToldWrong(SPATIAL), {"trajectory": {"name": "dwell-spatial", "duration": 0.5}}
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=6.3, **keywords)
     assert (result.payload, result.total_mass, result.score, result.resolution) == (None, None, 0.0, 0.0)
-    assert result.limit == rerun(SPATIAL_ID, policy, 0.0, "task", **keywords).limit
-    assert (result.limit.kind, result.margins) == ("position", {})
-    assert len(result.history["command_time"]) > 10
+    assert result.violation == rerun(SPATIAL_ID, policy, 0.0, "task", **keywords).violation
+    assert (result.violation.kind, result.margins) == ("position", {})
+    assert len(result.history["action_time"]) > 10
     ((low, high),) = result.feasible
     assert 2.0 < low < 3.0 < high < 4.0
     step = 6.3 / (SCAN_POINTS - 1)
     for payload, carried in ((low, True), (high, True), (low - step, False), (high + step, False)):
         assert rerun(SPATIAL_ID, policy, payload, "task", **keywords).carried is carried
     text = str(result)
-    assert "not even zero payload is carried: position at t =" in text
-    assert f"it does carry {low:.3f} to {high:.3f} kg" in text
+    assert "fails unloaded: position at t =" in text
+    assert f"it carries {low:.3f} to {high:.3f} kg" in text
     assert json.loads(result.to_json())["payload"] is None
 
 
 def test_policy_that_carries_nothing_at_all_is_not_said_to_carry_something():
-    result = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, trajectory={"name": "hold-spatial", "duration": 0.3})
+    result = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.3})
     assert (result.payload, result.feasible, result.score) == (None, (), 0.0)
-    assert "does carry" not in str(result)
+    assert "it carries" not in str(result)
 
 
 def test_seed_does_not_give_another_result_the_second_time():
@@ -361,7 +361,7 @@ class Spy(FeedbackLinearization):
         super().__init__(robot)
         self.begun, self.observations, self.states, self.starts = [], [], [], []
 
-    def begin(self, tasks):
+    def reset(self, tasks):
         self.begun.append(tasks)
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
@@ -390,7 +390,7 @@ def test_recurrent_state_is_neither_lost_nor_carried_into_the_next_episode():
 @pytest.mark.parametrize("known", [True, False])
 def test_begin_does_not_tell_more_than_the_public_task(known):
     spy = Spy(SPATIAL)
-    bounds = Limits(position=0.02, rotation=0.03)
+    bounds = ErrorBounds(position=0.02, rotation=0.03)
     evaluate_dlcc(
         spy,
         SPATIAL_ID,
@@ -398,17 +398,25 @@ def test_begin_does_not_tell_more_than_the_public_task(known):
         payload_max=6.3,
         payload_known=known,
         control_frequency=400.0,
-        limits=bounds,
+        error_bounds=bounds,
         cable="bilateral",
     )
     tasks = spy.begun[0]
     payloads = np.linspace(0, 6.3, SCAN_POINTS)
     assert len(tasks) == SCAN_POINTS
-    np.testing.assert_allclose([task.told_payload for task in tasks], payloads * known, atol=1e-12)
+    np.testing.assert_allclose([task.model_payload for task in tasks], payloads * known, atol=1e-12)
     fields = {field.name for field in dataclasses.fields(Task)}
-    assert fields == {"robot", "trajectory", "limits", "control_frequency", "cable", "told_payload", "payload_known"}
+    assert fields == {
+        "robot",
+        "trajectory",
+        "error_bounds",
+        "control_frequency",
+        "cable",
+        "model_payload",
+        "payload_known",
+    }
     for task in tasks:
-        assert (task.payload_known, task.limits, task.control_frequency, task.cable) == (
+        assert (task.payload_known, task.error_bounds, task.control_frequency, task.cable) == (
             known,
             bounds,
             400,
@@ -418,22 +426,22 @@ def test_begin_does_not_tell_more_than_the_public_task(known):
         assert task.trajectory.duration == 0.05
         assert set(vars(task)) == fields
     with pytest.raises(dataclasses.FrozenInstanceError):
-        tasks[0].told_payload = 1.0
+        tasks[0].model_payload = 1.0
 
 
 def test_begin_comes_before_the_first_step_of_each_batch():
     calls = []
 
     class Ordered(Spy):
-        def begin(self, tasks):
-            calls.append("begin")
+        def reset(self, tasks):
+            calls.append("reset")
 
         def predict(self, observation, **keywords):
             calls.append("predict")
             return super().predict(observation, **keywords)
 
     evaluate_dlcc(Ordered(SPATIAL), SPATIAL_ID, trajectory=HANG, payload_max=1.0)
-    assert calls == (["begin"] + ["predict"] * 25) * 2
+    assert calls == (["reset"] + ["predict"] * 25) * 2
 
 
 def test_callable_is_not_given_a_batch():
@@ -453,10 +461,10 @@ def test_action_of_the_policy_is_not_lost_on_its_way_to_the_plant():
     result = evaluate_dlcc(
         lambda _: np.array([0.11, 0.22, 0.33]),
         PLANAR_ID,
-        trajectory={"name": "hold-planar", "duration": 0.01},
+        trajectory={"name": "dwell-planar", "duration": 0.01},
         payload_max=1.0,
     )
-    np.testing.assert_array_equal(result.history["drive_demand"], [[0.11, 0.22, 0.33]] * 5)
+    np.testing.assert_array_equal(result.history["commanded_action"], [[0.11, 0.22, 0.33]] * 5)
 
 
 def test_name_of_the_policy_is_not_lost():
@@ -525,7 +533,7 @@ def raising(action):
     ("wrong", "message"),
     [
         (raising, r"raised KeyError at t = 0\.020 s with payloads of 0 to 6\.3 kg: 'lost'"),
-        (lambda action: action[:, :5], r"returned shape \(64, 5\) at t = 0\.020 s with .*needed: \(64, 6\)"),
+        (lambda action: action[:, :5], r"returned shape \(64, 5\) at t = 0\.020 s with .*expected \(64, 6\)"),
         (lambda action: action[0], r"returned shape \(6,\) at t = 0\.020 s with payloads of 0 to 6\.3 kg"),
         (lambda action: [1, [2, 3]], r"returned list instead of real numbers: .* at t = 0\.020 s"),
         (lambda action: None, r"returned NoneType instead of real numbers at t = 0\.020 s"),
@@ -545,7 +553,7 @@ def test_error_of_a_policy_names_time_and_payload(wrong, message):
 
 @pytest.mark.parametrize(
     ("returned", "what"),
-    [(np.zeros((64, 6)), "one ndarray"), (None, "one NoneType"), ((1, 2, 3), "3 things")],
+    [(np.zeros((64, 6)), "ndarray"), (None, "NoneType"), ((1, 2, 3), "a tuple of length 3")],
     ids=["no state", "nothing", "three"],
 )
 def test_predict_without_a_state_is_not_taken_for_commands(returned, what):
@@ -553,7 +561,9 @@ def test_predict_without_a_state_is_not_taken_for_commands(returned, what):
         def predict(self, observation, **keywords):
             return returned
 
-    with pytest.raises(PolicyError, match=rf"returned {what} at t = 0\.000 s: predict\(\) has to return \(comm"):
+    with pytest.raises(
+        PolicyError, match=rf"returned {what} at t = 0\.000 s: predict\(\) must return \(actions, state\)"
+    ):
         evaluate_dlcc(Plain(), SPATIAL_ID, trajectory=HANG, payload_max=6.3)
 
 
@@ -587,13 +597,13 @@ def test_nan_for_a_payload_that_has_failed_already_does_not_stop_the_evaluation(
         def predict(self, observation, **keywords):
             action, state = super().predict(observation, **keywords)
             self.steps += 1
-            told = observation[:, observation_layout(SPATIAL).slices()["told_payload"]]
+            told = observation[:, observation_layout(SPATIAL).slices()["model_payload"]]
             return np.where((told > 1) & (self.steps % 100 > 60), np.nan, action), state
 
     result = evaluate_dlcc(
         Blind(lambda told: told > 1),
         SPATIAL_ID,
-        trajectory={"name": "hold-spatial", "duration": 0.2},
+        trajectory={"name": "dwell-spatial", "duration": 0.2},
         payload_max=2.0,
         resolution=1.0,
     )
@@ -602,7 +612,7 @@ def test_nan_for_a_payload_that_has_failed_already_does_not_stop_the_evaluation(
 
 def test_begin_that_raises_is_not_an_error_without_a_name():
     class Unplannable(FeedbackLinearization):
-        def begin(self, tasks):
+        def reset(self, tasks):
             raise RuntimeError("no plan")
 
     with pytest.raises(PolicyError, match="no plan"):
@@ -624,14 +634,14 @@ def test_begin_that_raises_is_not_an_error_without_a_name():
         ({"payload_max": -3.0}, "payload_max must be greater than 0 kg"),
         ({"payload_max": math.nan}, "payload_max must be greater than 0 kg"),
         ({"payload_max": math.inf}, "payload_max must be greater than 0 kg"),
-        ({"limits": {"position": 0.0}}, "limits: position must be a number greater than 0"),
-        ({"limits": {"position": 0.01, "torque": 1.0}}, "keys out of position, rotation"),
-        ({"limits": 0.01}, "limits must be a Limits or a dict"),
-        ({"payload": 1.0}, "payload is set by the evaluation itself: leave it out"),
-        ({"payload_range": (0.0, 1.0)}, "payload_range is set by the evaluation itself: leave it out"),
-        ({"num_envs": 3}, "num_envs is set by the evaluation itself: leave it out"),
-        ({"max_episode_steps": 3}, "max_episode_steps is set by the evaluation itself: leave it out"),
-        ({"autoreset_mode": "SameStep"}, "autoreset_mode is set by the evaluation itself: leave it out"),
+        ({"error_bounds": {"position": 0.0}}, "error_bounds: position must be a number greater than 0"),
+        ({"error_bounds": {"position": 0.01, "torque": 1.0}}, "with the keys position, rotation"),
+        ({"error_bounds": 0.01}, "error_bounds must be an ErrorBounds or a dict"),
+        ({"payload": 1.0}, "payload is set by the evaluation: remove it from the keywords"),
+        ({"payload_range": (0.0, 1.0)}, "payload_range is set by the evaluation: remove it from the keywords"),
+        ({"num_envs": 3}, "num_envs is set by the evaluation: remove it from the keywords"),
+        ({"max_episode_steps": 3}, "max_episode_steps is set by the evaluation: remove it from the keywords"),
+        ({"autoreset_mode": "SameStep"}, "autoreset_mode is set by the evaluation: remove it from the keywords"),
         ({"payload_known": "yes"}, "payload_known must be True or False"),
         ({"control_frequency": 0.0}, "control_frequency must be a finite number greater than 0"),
         ({"seed": -1}, "a seed must be at least 0"),
@@ -647,12 +657,14 @@ def test_bad_argument_is_not_accepted(arguments, message):
 
 
 def test_what_is_no_policy_is_not_accepted():
-    with pytest.raises(TypeError, match=r"a policy has predict\(\) or is a callable"):
+    with pytest.raises(TypeError, match=r"a policy must have predict\(\) or be a callable"):
         evaluate_dlcc(3, SPATIAL_ID)
 
 
 def test_paper_criterion_does_not_pass_a_policy_that_may_clip_itself():
-    with pytest.raises(ValueError, match="'clipped', which does not declare unclipped"):
+    with pytest.raises(
+        ValueError, match=r"does not apply to policy 'clipped', because it does not declare unsaturated_actions"
+    ):
         evaluate_dlcc(lambda observation: np.zeros(6), SPATIAL_ID, criterion="paper", name="clipped")
 
 
@@ -660,7 +672,7 @@ def test_callable_that_declares_unclipped_is_not_refused():
     def policy(observation):
         return fl("spatial").predict(observation)[0]
 
-    policy.unclipped = True
+    policy.unsaturated_actions = True
     result = evaluate_dlcc(policy, SPATIAL_ID, criterion="paper", trajectory=HANG, resolution=0.1)
     assert result.payload == pytest.approx(hang_capacity(10.0) - 10, abs=0.1)
 
@@ -677,25 +689,29 @@ def model():
 def test_model_of_sb3_does_not_need_a_wrapper(model, tmp_path):
     path = tmp_path / "tiny.zip"
     model.save(path)
-    keywords = {"trajectory": {"name": "hold-planar", "duration": 0.05}, "limits": {"position": 0.5}, "resolution": 0.1}
+    keywords = {
+        "trajectory": {"name": "dwell-planar", "duration": 0.05},
+        "error_bounds": {"position": 0.5},
+        "resolution": 0.1,
+    }
     by_object = evaluate_dlcc(model, PLANAR_ID, **keywords)
     by_path = evaluate_dlcc(str(path), PLANAR_ID, **keywords)
     assert (by_object.policy, by_path.policy) == ("PPO", str(path))
     assert by_object.payload == by_path.payload
-    assert by_object.limit == by_path.limit
+    assert by_object.violation == by_path.violation
     observation, _ = gym.make(PLANAR_ID, trajectory=keywords["trajectory"]).reset(seed=0)
     expected, _ = model.predict(observation, deterministic=True)
-    np.testing.assert_allclose(by_object.history["drive_demand"][0], expected, rtol=1e-6)
+    np.testing.assert_allclose(by_object.history["commanded_action"][0], expected, rtol=1e-6)
 
 
 def test_model_of_sb3_is_not_judged_by_the_papers_criterion(model):
-    with pytest.raises(ValueError, match="which does not declare unclipped"):
+    with pytest.raises(ValueError, match="because it does not declare unsaturated_actions"):
         evaluate_dlcc(model, PLANAR_ID, criterion="paper")
 
 
 # --- the result -------------------------------------------------------------------------------------------------------
 
-KEYS = {"env_id", "policy", "criterion", "payload", "total_mass", "resolution", "limit", "limits", "versions"}
+KEYS = {"env_id", "policy", "criterion", "payload", "total_mass", "resolution", "violation", "error_bounds", "versions"}
 """What the result file is promised to hold at least."""
 
 
@@ -709,11 +725,11 @@ def test_json_is_neither_invalid_nor_short_of_a_key(kind, criterion):
     result = scored(kind, criterion)
     data = json.loads(result.to_json(), parse_constant=refuse)
     assert set(data) >= KEYS
-    assert set(data["limit"]) >= {"kind", "index", "time"}
+    assert set(data["violation"]) >= {"kind", "index", "time"}
     assert (data["env_id"], data["policy"], data["criterion"]) == (IDS[kind], "FeedbackLinearization", criterion)
     assert (data["payload"], data["total_mass"], data["seed"]) == (result.payload, result.total_mass, 0)
     bounded = kind == "spatial" and criterion == "task"
-    assert data["limits"] == {"position": 0.01, "rotation": 0.01 if bounded else None}
+    assert data["error_bounds"] == {"position": 0.01, "rotation": 0.01 if bounded else None}
     assert set(data["versions"]) >= {"python", "cablebot-gym", "gymnasium", "numpy", "numba"}
     assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__
     assert data["environment"]["trajectory"]["name"] == f"paper-{kind}"
@@ -727,7 +743,7 @@ def test_environment_in_the_json_does_not_make_another_evaluation():
         "fl",
         data["env_id"],
         criterion=data["criterion"],
-        limits=data["limits"],
+        error_bounds=data["error_bounds"],
         payload_max=data["payload_max"],
         payload_known=data["payload_known"],
         resolution=0.01,
@@ -742,7 +758,7 @@ def test_environment_in_the_json_does_not_make_another_evaluation():
     [
         {"seed": np.int64(3)},
         {"payload_max": np.float32(1.0)},
-        {"limits": {"position": np.float32(0.01)}},
+        {"error_bounds": {"position": np.float32(0.01)}},
         {"control_frequency": np.float32(500.0)},
         {"substeps": np.int64(2)},
     ],
@@ -766,7 +782,7 @@ class OwnMotion:
     name, duration, coordinates = "own", 0.05, 6
 
     def __call__(self, times):
-        return Hold(pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), duration=0.05)(times)
+        return Dwell(pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), duration=0.05)(times)
 
 
 def test_result_cannot_be_changed():
@@ -774,7 +790,7 @@ def test_result_cannot_be_changed():
     with pytest.raises(dataclasses.FrozenInstanceError):
         result.payload = 99.0
     with pytest.raises(dataclasses.FrozenInstanceError):
-        result.limit.kind = "torque"
+        result.violation.kind = "torque"
 
 
 def test_printed_result_does_not_keep_the_essentials_to_itself():
@@ -782,30 +798,30 @@ def test_printed_result_does_not_keep_the_essentials_to_itself():
     for part in (
         "CableBot-Spatial-v0",
         "paper criterion",
-        "payload told",
+        "payload known",
         "1.77",
         "total 11.77",
-        "motor 2 at t = 0.50",
+        "; limiting violation: motor 2 at t = 0.50",
     ):
         assert part in text
-    assert "payload not told" in str(scored("spatial", "task", known=False))
+    assert "payload unknown" in str(scored("spatial", "task", known=False))
 
 
 def test_history_is_not_that_of_another_payload():
     result = scored("planar", "paper")
-    demand = np.abs(result.history["drive_demand"])
-    assert demand.shape == (500, 3)
-    assert 1 - demand.max() == pytest.approx(result.margins["torque"], abs=1e-12)
+    action = np.abs(result.history["commanded_action"])
+    assert action.shape == (500, 3)
+    assert 1 - action.max() == pytest.approx(result.margins["torque"], abs=1e-12)
     assert result.history["tensions"].min() == pytest.approx(result.margins["tension"], abs=1e-9)
     assert result.history["pose"].shape == (500, 2)
-    np.testing.assert_allclose(result.history["command_time"], np.arange(500) / 500, atol=1e-12)
+    np.testing.assert_allclose(result.history["action_time"], np.arange(500) / 500, atol=1e-12)
 
 
 def test_policy_that_forgets_is_not_reported_as_if_it_had_carried():
     class Moody(FeedbackLinearization):
         rounds = 0
 
-        def begin(self, tasks):
+        def reset(self, tasks):
             self.rounds += 1
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
@@ -813,7 +829,7 @@ def test_policy_that_forgets_is_not_reported_as_if_it_had_carried():
             return action * (0.0 if self.rounds > 1 else 1.0), state
 
     with pytest.raises(
-        PolicyError, match="not reproducible: 1 kg was carried in 1 of 1 episodes at first, and in 0 when tried again"
+        PolicyError, match="not reproducible: it carried 1 kg in 1 of 1 episodes, and in 0 of the same episodes when"
     ):
         evaluate_dlcc(Moody(SPATIAL), SPATIAL_ID, trajectory=HANG, payload_max=1.0)
 
@@ -821,7 +837,7 @@ def test_policy_that_forgets_is_not_reported_as_if_it_had_carried():
 @pytest.mark.parametrize("run", [evaluate_dlcc, record_rollout])
 def test_motion_without_a_single_command_is_not_carried(run):
     with pytest.raises(ValueError, match="shorter than a control period"):
-        run(fl("spatial"), SPATIAL_ID, trajectory={"name": "hold-spatial", "duration": 5e-4})
+        run(fl("spatial"), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 5e-4})
 
 
 @pytest.mark.parametrize("run", [evaluate_dlcc, record_rollout])
@@ -834,5 +850,5 @@ def test_end_by_the_environment_is_not_left_without_its_reason():
     # The circle leaves it by less than the bound of the error, so that somebody could stay inside.
     narrow = PLANAR.replace(workspace=((-0.212, 0.212), (-0.212, 0.212)))
     result = evaluate_dlcc("fl", "CableBot-Planar-v0", robot=narrow)
-    assert (result.payload, result.limit.kind, result.limit.reason) == (None, "terminated", "workspace")
+    assert (result.payload, result.violation.kind, result.violation.reason) == (None, "terminated", "workspace")
     assert "workspace" in str(result)

@@ -14,11 +14,11 @@ from scipy.stats import binomtest
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import DLCCMonitor, Limit, PolicyError, Verdict, evaluate_dlcc
+from cablebot_gym.evaluation import DLCCMonitor, PolicyError, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
 from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Trial
 from cablebot_gym.evaluation.evaluator import DRAWN_RESOLUTION, SCAN_POINTS
-from cablebot_gym.evaluation.statistics import Needed
+from cablebot_gym.evaluation.statistics import RequiredDraws
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.uncertainty import find_uncertainty
 
@@ -32,7 +32,7 @@ def draw_seeds(seed, draws):
 
 
 def spread(**parameters):
-    """Uniform ± a share of each parameter, one deviation for all motors."""
+    """Uniform ± a fraction of each parameter, one deviation for all motors."""
     return {"parameters": {name: {"low": -w, "high": w, "each": False} for name, w in parameters.items()}}
 
 
@@ -65,7 +65,7 @@ class Constant:
 
 def pulled(uncertainty, **keywords):
     """The evaluation of the constant pull."""
-    defaults = {"trajectory": {"name": "hold-spatial", "duration": LONG}, "limits": BOUNDS, "resolution": 1e-4}
+    defaults = {"trajectory": {"name": "dwell-spatial", "duration": LONG}, "error_bounds": BOUNDS, "resolution": 1e-4}
     return evaluate_dlcc(Constant(), SPATIAL_ID, uncertainty=uncertainty, **defaults | keywords)
 
 
@@ -98,7 +98,7 @@ def truths(uncertainty, seed, draws):
 
 
 def order_statistic(capacities, probability):
-    """The largest payload that the share of the draws carries."""
+    """The largest payload that the fraction of the draws carries."""
     return sorted(capacities, reverse=True)[math.ceil(len(capacities) * probability - 1e-9) - 1]
 
 
@@ -112,9 +112,9 @@ def test_payload_is_not_another_order_statistic_of_the_draws_capacities(probabil
     assert max(capacities) - min(capacities) > 1.0
     assert result.payload - 1e-6 <= expected <= result.payload + result.resolution + 1e-6
     assert 0 < result.resolution <= 1e-4
-    for payload, share in result.success:
+    for payload, fraction in result.success:
         away = min(abs(payload - capacity) for capacity in capacities)
-        assert away < 1e-6 or share == np.mean([capacity >= payload for capacity in capacities])
+        assert away < 1e-6 or fraction == np.mean([capacity >= payload for capacity in capacities])
 
 
 def test_weak_motor_of_a_draw_is_not_stronger_than_its_line():
@@ -138,10 +138,10 @@ def test_higher_probability_never_gives_more():
 
 def test_share_of_the_draws_is_not_rounded_down_nor_off_by_rounding():
     # 0.95 · 20 is 19 to the last bit or just above; 0.5 · 5 needs three.
-    assert [Needed.of(20, 0.95, 0.95).share, Needed.of(5, 0.5, 0.95).share] == [19, 3]
-    assert [Needed.of(10, p / 10, 0.95).share for p in range(1, 10)] == list(range(1, 10))
-    assert Needed.of(7, 1e-15, 0.95).share == 1, "no draw at all is not enough"
-    assert Needed.of(1, 0.3, 0.95) == Needed(share=1, assured=None)
+    assert [RequiredDraws.of(20, 0.95, 0.95).fraction, RequiredDraws.of(5, 0.5, 0.95).fraction] == [19, 3]
+    assert [RequiredDraws.of(10, p / 10, 0.95).fraction for p in range(1, 10)] == list(range(1, 10))
+    assert RequiredDraws.of(7, 1e-15, 0.95).fraction == 1, "no draw at all is not enough"
+    assert RequiredDraws.of(1, 0.3, 0.95) == RequiredDraws(fraction=1, assured=None)
 
 
 def test_spread_without_width_is_not_another_robot_than_the_nominal_one():
@@ -149,7 +149,7 @@ def test_spread_without_width_is_not_another_robot_than_the_nominal_one():
     none = {"parameters": {"platform_mass": {"low": 0.0, "high": 0.0}}, "sensors": {"position": 1e-4}}
     drawn, nominal = pulled(none, draws=3, resolution=1e-3), pulled(None, resolution=1e-3)
     assert drawn.payload == nominal.payload
-    assert drawn.limit == nominal.limit
+    assert drawn.violation == nominal.violation
     assert drawn.margins == nominal.margins
     assert drawn.failures == {"position": 3}
     assert set(dict(drawn.success).values()) == {0.0, 1.0}
@@ -157,7 +157,7 @@ def test_spread_without_width_is_not_another_robot_than_the_nominal_one():
 
 # --- single episodes --------------------------------------------------------------------------------------------------
 
-SHORT = {"name": "hold-spatial", "duration": 0.25}
+SHORT = {"name": "dwell-spatial", "duration": 0.25}
 BOUND = 0.004
 UNKNOWN = {
     "parameters": {"payload": {"low": -0.2, "high": 0.2}, "motor_strength": {"low": -0.03, "high": 0.03}},
@@ -179,7 +179,7 @@ def searched(probability=0.6):
         seed=5,
         probability=probability,
         confidence=0.97,
-        limits={"position": BOUND, "rotation": 0.01},
+        error_bounds={"position": BOUND, "rotation": 0.01},
         payload_max=8.0,
         resolution=0.05,
     )
@@ -191,11 +191,11 @@ def verdicts(payload):
     for seed in draw_seeds(5, 6):
         env = DLCCMonitor(
             gym.make(SPATIAL_ID, payload=payload, trajectory=SHORT, uncertainty=UNKNOWN, max_episode_steps=-1),
-            limits={"position": BOUND},
+            error_bounds={"position": BOUND},
         )
         observation, _ = env.reset(seed=seed)
         terminated = False
-        while not (env.verdict.complete or terminated or env.verdict.limit):
+        while not (env.verdict.complete or terminated or env.verdict.violation):
             observation, _, terminated, _, _ = env.step(policy.predict(observation)[0])
         found.append(env.verdict)
         env.close()
@@ -208,20 +208,24 @@ def test_share_of_the_draws_does_not_contradict_single_episodes():
     below, above = verdicts(result.payload), verdicts(result.payload + result.resolution)
     carried = [sum(verdict.carried for verdict in some) for some in (below, above)]
     assert carried[0] >= 4 > carried[1], "four of six are 60 %"
-    shares = dict(result.success)
-    assert shares[result.payload] == carried[0] / 6
-    first_failing = min(payload for payload in shares if payload > result.payload)
-    assert shares[first_failing] == carried[1] / 6
-    limits = [verdict.limit for verdict in above if verdict.limit]
-    assert result.failures == {kind: [limit.kind for limit in limits].count(kind) for kind in result.failures}
-    assert sum(result.failures.values()) == len(limits) == 6 - carried[1]
+    fractions = dict(result.success)
+    assert fractions[result.payload] == carried[0] / 6
+    first_failing = min(payload for payload in fractions if payload > result.payload)
+    assert fractions[first_failing] == carried[1] / 6
+    error_bounds = [verdict.violation for verdict in above if verdict.violation]
+    assert result.failures == {
+        kind: [violation.kind for violation in error_bounds].count(kind) for kind in result.failures
+    }
+    assert sum(result.failures.values()) == len(error_bounds) == 6 - carried[1]
     assert next(iter(result.failures.values())) == max(result.failures.values())
-    assert result.limit.time == min(limit.time for limit in limits if limit.kind == result.limit.kind)
+    assert result.violation.time == min(
+        violation.time for violation in error_bounds if violation.kind == result.violation.kind
+    )
     # Margins are those of the tightest draw that carried.
     tight = [verdict for verdict in below if verdict.carried]
     assert result.margins["position"] == pytest.approx(1 - max(v.position_peak for v in tight) / BOUND, abs=1e-9)
     assert result.margins["rotation"] == pytest.approx(1 - max(v.rotation_peak for v in tight) / 0.01, abs=1e-9)
-    assert result.margins["torque"] == pytest.approx(1 - max(max(v.peak_demand) for v in tight), abs=1e-9)
+    assert result.margins["torque"] == pytest.approx(1 - max(max(v.peak_action) for v in tight), abs=1e-9)
     assert result.margins["tension"] == pytest.approx(min(v.least_tension for v in tight), abs=1e-9)
 
 
@@ -230,8 +234,8 @@ def test_history_is_not_that_of_a_draw_that_failed():
     shown = verdicts(result.payload)
     first = next(verdict for verdict in shown if verdict.carried)
     assert not all(verdict.carried for verdict in shown)
-    assert len(result.history["command_time"]) == 125
-    assert np.abs(result.history["drive_demand"]).max() == pytest.approx(max(first.peak_demand), abs=1e-9)
+    assert len(result.history["action_time"]) == 125
+    assert np.abs(result.history["commanded_action"]).max() == pytest.approx(max(first.peak_action), abs=1e-9)
     assert result.history["tensions"].min() == pytest.approx(first.least_tension, abs=1e-9)
 
 
@@ -249,7 +253,7 @@ def test_history_does_not_go_on_after_the_draw_has_failed():
     result = evaluate_dlcc(
         FeedbackLinearization(SPATIAL),
         SPATIAL_ID,
-        trajectory={"name": "hold-spatial", "duration": 0.5},
+        trajectory={"name": "dwell-spatial", "duration": 0.5},
         uncertainty=unknown,
         draws=6,
         seed=3,
@@ -261,28 +265,28 @@ def test_history_does_not_go_on_after_the_draw_has_failed():
     error = np.linalg.norm(result.history["pose"][:, :3] - [0, 0, 0.1], axis=1)
     assert np.all(error[:-1] <= 0.01)
     assert error[-1] > 0.01
-    assert np.all(np.diff(result.history["command_time"]) > 0)
-    assert np.all(result.history["drive_demand"] != 0), "commands of the policy, not those after the judgement"
+    assert np.all(np.diff(result.history["action_time"]) > 0)
+    assert np.all(result.history["commanded_action"] != 0), "commands of the policy, not those after the judgement"
 
 
 def test_failure_beyond_the_payload_is_not_lost_for_good():
-    law, motion = FeedbackLinearization(SPATIAL), {"name": "hold-spatial", "duration": 0.5}
+    law, motion = FeedbackLinearization(SPATIAL), {"name": "dwell-spatial", "duration": 0.5}
     told = {"trajectory": motion, "uncertainty": "table6", "payload_known": False}
     result = evaluate_dlcc(law, SPATIAL_ID, draws=20, probability=0.5, payload_max=8.0, **told)
-    assert result.limit_seed in result.draw_seeds
+    assert result.violation_seed in result.draw_seeds
     assert max(result.draw_seeds) < 2**53, "readers of JSON keep no longer numbers"
     env = DLCCMonitor(gym.make(SPATIAL_ID, payload=result.payload + result.resolution, **told))
-    observation, _ = env.reset(seed=result.limit_seed)
+    observation, _ = env.reset(seed=result.violation_seed)
     for _ in range(250):
         observation, *_ = env.step(law.predict(observation)[0])
-    assert env.verdict.limit == result.limit
+    assert env.verdict.violation == result.violation
 
 
 def verdict(kind, time):
     """Of an episode in which something gave way, or nothing for None."""
-    limit = None if kind is None else Limit(kind=kind, index=None, time=time, excess=None)
-    peaks = {"peak_demand": (0.5,), "position_peak": 0.0, "rotation_peak": 0.0, "least_tension": 1.0}
-    return Verdict(carried=kind is None, complete=kind is None, limit=limit, payload=1.0, **peaks)
+    violation = None if kind is None else Violation(kind=kind, index=None, time=time, excess=None)
+    peaks = {"peak_action": (0.5,), "position_peak": 0.0, "rotation_peak": 0.0, "least_tension": 1.0}
+    return Verdict(carried=kind is None, complete=kind is None, violation=violation, payload=1.0, **peaks)
 
 
 def test_limit_of_many_draws_is_not_that_of_a_rare_kind():
@@ -291,8 +295,8 @@ def test_limit_of_many_draws_is_not_that_of_a_rare_kind():
     assert trial.carried == 1
     assert next(iter(trial.failures.items())) == ("position", 3)
     assert trial.failures == {"position": 3, "slack": 1, "rotation": 1}
-    assert (trial.limit.kind, trial.limit.time) == ("position", 0.3)
-    assert Trial(payload=1.0, verdicts=(verdict(None, None),) * 2).limit is None
+    assert (trial.violation.kind, trial.violation.time) == ("position", 0.3)
+    assert Trial(payload=1.0, verdicts=(verdict(None, None),) * 2).violation is None
 
 
 # --- the draws --------------------------------------------------------------------------------------------------------
@@ -312,7 +316,7 @@ class Spy(FeedbackLinearization):
         return self.gain * action, state
 
 
-HANG = {"name": "hold-spatial", "duration": 0.02}
+HANG = {"name": "dwell-spatial", "duration": 0.02}
 
 
 def noisy_starts(policy, **keywords):
@@ -347,10 +351,10 @@ def test_draws_are_not_other_episodes_than_the_environments_own():
     np.testing.assert_array_equal(env.reset(seed=11)[0][pose], single)
 
 
-@pytest.mark.parametrize("lanes", [1, 15, 64, 100])
-def test_memory_bound_does_not_change_the_result(monkeypatch, lanes):
+@pytest.mark.parametrize("episodes", [1, 15, 64, 100])
+def test_memory_bound_does_not_change_the_result(monkeypatch, episodes):
     usual = searched()
-    monkeypatch.setattr(batch_module, "BATCH", lanes)
+    monkeypatch.setattr(batch_module, "BATCH", episodes)
     searched.cache_clear()
     bounded = searched()
     assert bounded.to_json() == usual.to_json()
@@ -368,7 +372,7 @@ def test_memory_bound_is_not_exceeded(monkeypatch):
 
 def test_default_number_of_draws_is_not_one_where_it_is_random_nor_many_where_it_is_not(monkeypatch):
     monkeypatch.setattr(batch_module, "BATCH", 1)
-    keywords = {"trajectory": {"name": "hold-spatial", "duration": 0.002}, "payload_max": 0.1}
+    keywords = {"trajectory": {"name": "dwell-spatial", "duration": 0.002}, "payload_max": 0.1}
     assert DEFAULT_DRAWS == 256
     monkeypatch.setattr(batch_module, "DEFAULT_DRAWS", 7)
     for unknown, draws in ((None, 1), ("none", 1), ({"delay": 2}, 1), ("table6", 7), ("sensors", 7)):
@@ -397,21 +401,21 @@ def test_assured_number_is_not_another_than_scipys_exact_interval(draws, probabi
         for carried in range(draws + 1)
     ]
     enough = [carried for carried, low in enumerate(lows) if low >= probability]
-    needed = Needed.of(draws, probability, confidence)
+    needed = RequiredDraws.of(draws, probability, confidence)
     assert needed.assured == (enough[0] if enough else None)
-    assert needed.assured is None or needed.share <= needed.assured
+    assert needed.assured is None or needed.fraction <= needed.assured
 
 
 def test_fifty_eight_draws_are_not_enough_and_fifty_nine_are():
-    assert Needed.of(58, 0.95, 0.95).assured is None
-    assert Needed.of(59, 0.95, 0.95).assured == 59
+    assert RequiredDraws.of(58, 0.95, 0.95).assured is None
+    assert RequiredDraws.of(59, 0.95, 0.95).assured == 59
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_assured_payload_is_not_above_the_payload_nor_another_order_statistic(seed):
     unknown = spread(platform_mass=0.1)
     result = pulled(unknown, draws=12, probability=0.6, confidence=0.9, resolution=1e-3, seed=seed)
-    needed = Needed.of(12, 0.6, 0.9).assured
+    needed = RequiredDraws.of(12, 0.6, 0.9).assured
     assert 8 < needed <= 12
     masses = sorted(truth["platform_mass"] for truth in truths(unknown, seed, 12))
     expected = nominal_capacity() + 10 - masses[needed - 1]
@@ -420,7 +424,7 @@ def test_assured_payload_is_not_above_the_payload_nor_another_order_statistic(se
     few = pulled(unknown, draws=12, probability=0.95, confidence=0.95)
     assert few.payload > 0
     assert few.assured_payload is None
-    assert "no payload assured with 95% confidence" in str(few)
+    assert "assured payload none (95/95 lower tolerance bound)" in str(few)
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------
@@ -429,21 +433,21 @@ def test_assured_payload_is_not_above_the_payload_nor_another_order_statistic(se
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"draws": 0}, "draws must be a whole number of at least 1, not 0"),
-        ({"draws": -1}, "draws must be a whole number of at least 1, not -1"),
-        ({"draws": 2.5}, "draws must be a whole number of at least 1, not 2.5"),
-        ({"draws": True}, "draws must be a whole number of at least 1, not True"),
-        ({"draws": 2, "uncertainty": None}, "2 draws would all be the same: give an uncertainty"),
-        ({"draws": 2, "uncertainty": {"delay": 3}}, "2 draws would all be the same: give an uncertainty"),
+        ({"draws": 0}, "draws must be an integer of at least 1, not 0"),
+        ({"draws": -1}, "draws must be an integer of at least 1, not -1"),
+        ({"draws": 2.5}, "draws must be an integer of at least 1, not 2.5"),
+        ({"draws": True}, "draws must be an integer of at least 1, not True"),
+        ({"draws": 2, "uncertainty": None}, "all 2 draws would be equal: choose a random uncertainty"),
+        ({"draws": 2, "uncertainty": {"delay": 3}}, "all 2 draws would be equal: choose a random uncertainty"),
         ({"probability": 0.0}, "probability must lie between 0 and 1, not 0"),
         ({"probability": 1.0}, "probability must lie between 0 and 1, not 1"),
         ({"probability": math.nan}, "probability must lie between 0 and 1, not nan"),
         ({"confidence": 0}, "confidence must lie between 0.5 and 1, not 0"),
         ({"confidence": 1.5}, "confidence must lie between 0.5 and 1, not 1.5"),
-        ({"uncertainty": ["table6"] * SCAN_POINTS}, "uncertainty is one for all episodes here"),
+        ({"uncertainty": ["table6"] * SCAN_POINTS}, "uncertainty must be one value for all episodes"),
         ({"uncertainty": "table7"}, "unknown uncertainty 'table7'; choose one of none, table6"),
-        ({"uncertainty": 0.1}, "0.1 is no uncertainty"),
-        ({"uncertainty": spread(stiffness=0.1)}, "has no stiffness"),
+        ({"uncertainty": 0.1}, "0.1 is not an uncertainty"),
+        ({"uncertainty": spread(stiffness=0.1)}, "has no parameter stiffness"),
         ({"uncertainty": spread(platform_mass=1.0)}, "platform_mass of 'spatial' can reach 0"),
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
@@ -475,9 +479,9 @@ def test_policy_that_forgets_is_not_reported_over_draws():
                 action[1::3] = 0.0  # the second of three draws
             return action, state
 
-    motion = {"name": "hold-spatial", "duration": 0.06}
+    motion = {"name": "dwell-spatial", "duration": 0.06}
     with pytest.raises(
-        PolicyError, match=r"'moody' is not reproducible: 1 kg was carried in 3 of 3 .* in 2 when tried"
+        PolicyError, match=r"'moody' is not reproducible: it carried 1 kg in 3 of 3 .* in 2 of the same"
     ):
         evaluate_dlcc(
             Moody(SPATIAL), SPATIAL_ID, trajectory=motion, payload_max=1.0, uncertainty="table6", draws=3, name="moody"
@@ -490,7 +494,7 @@ SETTINGS = {
     "scan end": {"payload_max": 1.0},
     "refined": {"resolution": 1e-3},
     "two gaps": {"draws": 12, "probability": 0.6, "confidence": 0.9, "resolution": 1e-4},
-    "nothing carried": {"limits": {"position": 1e-6}},
+    "nothing carried": {"error_bounds": {"position": 1e-6}},
 }
 
 
@@ -500,10 +504,10 @@ def test_progress_neither_runs_backwards_nor_stops_before_its_end(name):
     keywords = {"draws": 4, "resolution": 1e-2} | SETTINGS[name]
     pulled(spread(platform_mass=0.1), progress=lambda done, expected: seen.append((done, expected)), **keywords)
     done = [step for step, _ in seen]
-    shares = [step / expected for step, expected in seen]
+    fractions = [step / expected for step, expected in seen]
     assert done == sorted(done)
-    assert shares == sorted(shares)
-    assert max(shares) == shares[-1] == 1.0
+    assert fractions == sorted(fractions)
+    assert max(fractions) == fractions[-1] == 1.0
     assert done[0] in (0, 1)
 
 
@@ -532,13 +536,13 @@ def test_interrupt_does_not_leave_the_environment_open(monkeypatch, after):
 
 def test_success_curve_is_neither_unsorted_nor_beyond_its_range():
     result = searched()
-    payloads, shares = np.array(result.success).T
+    payloads, fractions = np.array(result.success).T
     assert np.all(np.diff(payloads) > 0)
     assert (payloads[0], payloads[-1]) == (0, 8)
     assert len(payloads) > SCAN_POINTS, "with those of the refinement"
-    assert np.all((shares >= 0) & (shares <= 1))
-    assert np.all(shares[payloads <= result.payload] >= 0.6)
-    assert shares[np.searchsorted(payloads, result.payload) + 1] < 0.6
+    assert np.all((fractions >= 0) & (fractions <= 1))
+    assert np.all(fractions[payloads <= result.payload] >= 0.6)
+    assert fractions[np.searchsorted(payloads, result.payload) + 1] < 0.6
 
 
 def test_json_does_not_lack_the_uncertainty_or_the_draws():
@@ -570,10 +574,12 @@ def test_name_of_the_uncertainty_is_not_without_its_numbers():
 
 def test_printed_result_does_not_keep_draws_and_probability_to_itself():
     text = str(searched())
-    assert "payload told, custom: " in text
-    assert " in at least 60% of 6 draws, no payload assured with 97% confidence, then " in text
+    assert "payload known, custom: " in text
+    assert (
+        " in at least 60% of 6 draws, assured payload none (60/97 lower tolerance bound); limiting violation: " in text
+    )
     assured = pulled(spread(platform_mass=0.1), draws=12, probability=0.6, confidence=0.9, resolution=0.1)
-    assert f"{assured.assured_payload:.3f} kg assured with 90% confidence" in str(assured)
+    assert f"assured payload {assured.assured_payload:.3f} kg (60/90 lower tolerance bound)" in str(assured)
     assert "draws" not in str(pulled(None, resolution=0.1))
 
 
@@ -586,5 +592,5 @@ def test_failing_at_zero_is_not_zero_kilograms_in_silence():
     assert (result.payload, result.total_mass, result.score, result.resolution) == (None, None, 0.0, 0.0)
     assert (result.margins, result.feasible, result.assured_payload) == ({}, (), None)
     assert result.failures == {"position": round(8 * (1 - carried))}
-    assert "not even zero payload is carried: position at t = 0.0" in str(result)
+    assert "fails unloaded: position at t = 0.0" in str(result)
     assert json.loads(result.to_json(), parse_constant=refuse)["failures"] == result.failures

@@ -15,7 +15,7 @@ from cablebot_baselines.paper.exact import (
     state_space_limit,
     state_space_profile,
 )
-from cablebot_baselines.paper.readings import Readings
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
@@ -75,23 +75,23 @@ def test_line_of_a_multiple_of_the_speed_is_the_line_of_slower_motors():
 @pytest.mark.parametrize("alpha", ["least", "constant"])
 @pytest.mark.parametrize("line", LINES)
 def test_torques_touch_the_limits_at_the_largest_payload_and_nowhere_cross(line, alpha):
-    readings = Readings(line=line, alpha=alpha)
-    for robot in (readings.planar, readings.spatial("payload")):
-        limit = exact_limit(readings, robot)
-        profile = exact_profile(readings, robot, limit.payload)
+    interpretation = Interpretation(line=line, alpha=alpha)
+    for robot in (interpretation.planar, interpretation.spatial("payload")):
+        limit = exact_limit(interpretation, robot)
+        profile = exact_profile(interpretation, robot, limit.payload)
         room = np.minimum(profile.upper - profile.torques, profile.torques - profile.lower)
         assert room.min() == pytest.approx(0.0, abs=1e-3)
         k, motor = np.unravel_index(room.argmin(), room.shape)
         assert motor + 1 == limit.motor
         assert profile.times[k] == pytest.approx(limit.time, abs=1e-3)
-        heavier = exact_profile(readings, robot, limit.payload + 0.05)
+        heavier = exact_profile(interpretation, robot, limit.payload + 0.05)
         assert np.any((heavier.torques > heavier.upper) | (heavier.torques < heavier.lower))
 
 
 def test_one_alpha_for_all_times_keeps_the_minimum_and_no_more():
-    readings = Readings(alpha="constant", minimum_tension=3.0)
-    robot, payload = readings.planar, 0.7
-    profile = exact_profile(readings, robot, payload)
+    interpretation = Interpretation(alpha="constant", minimum_tension=3.0)
+    robot, payload = interpretation.planar, 0.7
+    profile = exact_profile(interpretation, robot, payload)
     motion = paper_circle(robot)(profile.times)
     inertial = textbook.required_torques(
         robot, np.zeros_like(profile.torques), motion.position, motion.velocity, motion.acceleration
@@ -109,8 +109,8 @@ def test_one_alpha_for_all_times_keeps_the_minimum_and_no_more():
 def test_published_range_of_the_state_space_is_found_again():
     """Independent runs gave 1.34 to 1.99 kg by reading, with the line at the pulley's speed."""
     limits = [
-        state_space_limit(readings, readings.flexible("payload"))
-        for readings in (Readings(line="pulley", eq24=form) for form in ("corrected", "verbatim"))
+        state_space_limit(interpretation, interpretation.flexible("payload"))
+        for interpretation in (Interpretation(line="pulley", eq24=form) for form in ("corrected", "verbatim"))
     ]
     assert [limit.payload for limit in limits] == pytest.approx([1.34, 1.99], abs=0.005)
     assert [limit.motor for limit in limits] == [2, 2]
@@ -119,8 +119,8 @@ def test_published_range_of_the_state_space_is_found_again():
 
 @pytest.mark.parametrize("form", ["corrected", "verbatim"])
 def test_motors_of_the_state_space_obey_eq_24(form):
-    readings = Readings(eq24=form)
-    robot, payload = readings.flexible("payload"), 0.5
+    interpretation = Interpretation(eq24=form)
+    robot, payload = interpretation.flexible("payload"), 0.5
     circle, mass = paper_circle(robot), robot.mass + payload
     divisor = 4e-4 if form == "corrected" else 1.0004
 
@@ -141,15 +141,15 @@ def test_motors_of_the_state_space_obey_eq_24(form):
     after = solve_ivp(rates, (0.5 + 1e-9, 0.6), first.y[:, -1], rtol=1e-9, atol=1e-10, max_step=1e-3)
     kappa, angle = spring(np.array(0.6))
     torque = kappa + 4e-4 * (kappa + robot.stiffness * (angle - after.y[:6, -1])) / divisor
-    profile = state_space_profile(readings, robot, payload)
+    profile = state_space_profile(interpretation, robot, payload)
     k = np.argmin(np.abs(profile.times - 0.6))
     assert profile.torques[k] == pytest.approx(torque, abs=2e-3)
 
 
 def test_only_the_jump_makes_the_motors_of_the_state_space_ring():
-    readings = Readings(stiffness="2")
-    robot = readings.flexible("control")
-    profile = state_space_profile(readings, robot, 0.0)
+    interpretation = Interpretation(stiffness="2")
+    robot = interpretation.flexible("control")
+    profile = state_space_profile(interpretation, robot, 0.0)
     ripple = np.diff(profile.torques, n=2, axis=0)
     before, after = (
         (profile.times[1:-1] > low) & (profile.times[1:-1] < high) for low, high in ((0.3, 0.499), (0.501, 0.7))
@@ -159,9 +159,9 @@ def test_only_the_jump_makes_the_motors_of_the_state_space_ring():
 
 def test_affine_limit_of_the_state_space_is_where_its_torques_touch():
     for line in ("physical", "pulley", "flat"):
-        readings = Readings(line=line)
-        robot = readings.flexible("payload")
-        limit = state_space_limit(readings, robot)
-        profile = state_space_profile(readings, robot, limit.payload)
+        interpretation = Interpretation(line=line)
+        robot = interpretation.flexible("payload")
+        limit = state_space_limit(interpretation, robot)
+        profile = state_space_profile(interpretation, robot, limit.payload)
         room = np.minimum(profile.upper - profile.torques, profile.torques - profile.lower)
         assert room.min() == pytest.approx(0.0, abs=1e-8)

@@ -15,7 +15,7 @@ from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Robot
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory
 
-NAMES = [name for name in TRAJECTORIES if name != "hold-planar"]
+NAMES = [name for name in TRAJECTORIES if name != "dwell-planar"]
 SPATIAL_NAMES = [name for name in NAMES if name.endswith("spatial")]
 TOO_FAST = {"name": "circle-spatial", "duration": 1.0}
 """Motor 2 is overloaded by the platform alone, by 1.26 kg."""
@@ -78,7 +78,7 @@ def test_corrected_form_does_not_converge_to_another_payload(name: str, minimum:
     assert found.converged
     assert found.payload == pytest.approx(exact.payload, abs=2e-6)
     assert found.loads[-1] == pytest.approx(exact.payload, abs=2e-6)
-    if not name.startswith("hold"):  # where all motors saturate together
+    if not name.startswith("dwell"):  # where all motors saturate together
         assert (found.motor, found.time) == (exact.motor, exact.time)
 
 
@@ -176,7 +176,7 @@ def test_motion_without_any_payload_does_not_converge() -> None:
 
 @pytest.mark.parametrize("corrected", [True, False])
 def test_motors_that_do_not_feel_the_load_do_not_divide_by_zero(corrected: bool) -> None:
-    found = iterate_load(PLANAR, find_trajectory("hold-planar", 2), guess=2.0, corrected=corrected)
+    found = iterate_load(PLANAR, find_trajectory("dwell-planar", 2), guess=2.0, corrected=corrected)
     assert (found.payload, found.converged, found.motor, found.time) == (math.inf, True, None, None)
 
 

@@ -8,18 +8,18 @@ import math
 import numpy as np
 import pytest
 
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import cell_key
 from cablebot_baselines.paper.parts import maps
 from cablebot_baselines.paper.parts.maps import PARTS, Point, point
-from cablebot_baselines.paper.readings import Readings
 
 pytest.importorskip("matplotlib")
 
-READINGS = Readings()
+READINGS = Interpretation()
 BY_NAME = {part.name: part for part in PARTS}
 CELLS = {part.name: part.cells(READINGS) for part in PARTS}
-CARRIED = Point(payload=2.0, limit="rotation", time=0.5, saturated=True)
-NOTHING = Point(payload=None, limit="slack", time=0.25, saturated=False)
+CARRIED = Point(payload=2.0, violation="rotation", time=0.5, saturated=True)
+NOTHING = Point(payload=None, violation="slack", time=0.25, saturated=False)
 
 
 def test_paper_case_is_not_computed_once_for_each_map() -> None:
@@ -74,8 +74,8 @@ def test_stiffness_does_not_miss_plant_or_law(monkeypatch: pytest.MonkeyPatch) -
 
 def test_bounds_are_not_in_millimetres() -> None:
     for bound in maps.BOUNDS:
-        scaled = CELLS["map-bound"][f"fl_R{bound:g}mm_scaled"].keywords.get("limits", maps.Limits())
-        fixed = CELLS["map-bound"][f"fl_R{bound:g}mm"].keywords.get("limits", maps.Limits())
+        scaled = CELLS["map-bound"][f"fl_R{bound:g}mm_scaled"].keywords.get("error_bounds", maps.ErrorBounds())
+        fixed = CELLS["map-bound"][f"fl_R{bound:g}mm"].keywords.get("error_bounds", maps.ErrorBounds())
         assert scaled.position == fixed.position == pytest.approx(bound / 1000)
         assert scaled.rotation == pytest.approx(bound / 1000)
         assert fixed.rotation == 0.01
@@ -102,7 +102,7 @@ def test_case_that_carries_nothing_is_not_a_number() -> None:
     robot = READINGS.spatial("payload")
     one = point(policy="fl", robot=robot, trajectory={"name": "paper-spatial", "duration": 0.7})
     assert one.payload is None
-    assert one.words().startswith("slack 0.3")
+    assert one.text().startswith("slack 0.3")
 
 
 @pytest.fixture
@@ -111,9 +111,9 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(maps, "FINE_HEIGHTS", (0.06, 0.1, 0.2))
 
 
-def made_up(name: str, readings: Readings, *, nothing: bool) -> dict[str, object]:
+def made_up(name: str, interpretation: Interpretation, *, nothing: bool) -> dict[str, object]:
     """Every other case carries something, or none does."""
-    cells = BY_NAME[name].cells(readings)
+    cells = BY_NAME[name].cells(interpretation)
     points = {cell: NOTHING if nothing or place % 2 else CARRIED for place, cell in enumerate(cells)}
     return {cell: cells[cell]() if cell == "exact" else one for cell, one in points.items()}
 
@@ -130,7 +130,7 @@ def test_cases_that_carry_nothing_are_not_left_out(name: str, nothing: bool) -> 
     assert "slack 0.25 s" in words
     numbers = {key: value for key, value in outcome.numbers.items() if key.endswith("_kg") and "exact" not in key}
     assert set(numbers.values()) == ({None} if nothing else {None, 2.0})
-    assert outcome.numbers["cases_carried"] == outcome.numbers["cases_with_a_motor_at_its_limit"]
+    assert outcome.numbers["feasible_cases"] == outcome.numbers["feasible_cases_with_saturation"]
     if name != "map-circle":
         hollow = [
             line for line in figure.axes[0].lines if line.get_markerfacecolor() == "white" and len(line.get_xdata())
@@ -142,8 +142,8 @@ def test_cases_that_carry_nothing_are_not_left_out(name: str, nothing: bool) -> 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize("name", BY_NAME)
 def test_reading_that_no_motor_has_does_not_stop_the_page(name: str) -> None:
-    readings = Readings(line="reversed")
-    found = made_up(name, readings, nothing=False)
+    interpretation = Interpretation(line="reversed")
+    found = made_up(name, interpretation, nothing=False)
     assert set(found) <= {"exact"}
-    assert BY_NAME[name].draw(readings, found).axes or name != "map-circle"
-    assert not BY_NAME[name].outcome(readings, found).tables
+    assert BY_NAME[name].draw(interpretation, found).axes or name != "map-circle"
+    assert not BY_NAME[name].outcome(interpretation, found).tables

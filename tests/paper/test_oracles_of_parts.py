@@ -17,11 +17,11 @@ from cablebot_baselines.paper.exact import (
     state_space_limit,
     state_space_profile,
 )
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.laws import FeedForward
 from cablebot_baselines.paper.load_iteration import iterate_load
 from cablebot_baselines.paper.part import Outcome, Part
 from cablebot_baselines.paper.parts import laws, scan
-from cablebot_baselines.paper.readings import Readings
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
@@ -55,22 +55,22 @@ def assert_lower_line_ends_it(profile, limit):
 
 
 def test_lower_line_can_end_the_payload_of_the_state_space():
-    readings = Readings(line="reversed")
-    robot = readings.flexible("payload").replace(gravity=0.3)  # so light that the platform has to be pushed, too
-    limit = state_space_limit(readings, robot)
-    profile = partial(state_space_profile, readings, robot)
+    interpretation = Interpretation(line="reversed")
+    robot = interpretation.flexible("payload").replace(gravity=0.3)  # so light that the platform has to be pushed, too
+    limit = state_space_limit(interpretation, robot)
+    profile = partial(state_space_profile, interpretation, robot)
     assert limit.payload == pytest.approx(bisected(profile, 0.0, 20.0), abs=1e-6)
     assert_lower_line_ends_it(profile(limit.payload), limit)
 
 
 def test_lower_line_can_end_the_payload_with_one_alpha_for_all_times(monkeypatch):
-    limits = textbook.torque_limits
+    error_bounds = textbook.torque_limits
     monkeypatch.setattr(
-        textbook, "torque_limits", lambda robot, speed: tuple(line + 2.9 for line in limits(robot, speed))
+        textbook, "torque_limits", lambda robot, speed: tuple(line + 2.9 for line in error_bounds(robot, speed))
     )
-    readings = Readings(line="reversed", alpha="constant")
-    limit = exact_limit(readings, PLANAR)
-    profile = partial(exact_profile, readings, PLANAR)
+    interpretation = Interpretation(line="reversed", alpha="constant")
+    limit = exact_limit(interpretation, PLANAR)
+    profile = partial(exact_profile, interpretation, PLANAR)
     assert limit.payload == pytest.approx(bisected(profile, -0.95, 0.5), abs=1e-6)
     assert_lower_line_ends_it(profile(limit.payload), limit)
 
@@ -117,10 +117,10 @@ def narrow(monkeypatch):
 
 @pytest.mark.parametrize(("line", "payload"), [("physical", 1.802), ("flat", 2.345)])
 def test_scan_has_the_robot_of_the_default_readings(narrow, line, payload):
-    readings = Readings(line=line)
+    interpretation = Interpretation(line=line)
     narrow()
-    (found,) = scan.geometries(readings=readings, base_size="half side")
-    limit = exact_limit(readings, readings.spatial("payload"))
+    (found,) = scan.geometries(interpretation=interpretation, base_size="half side")
+    limit = exact_limit(interpretation, interpretation.spatial("payload"))
     assert found.payload == pytest.approx(limit.payload, abs=0.01)
     assert found.payload == pytest.approx(payload, abs=0.01)
     assert found.motor == limit.motor
@@ -128,10 +128,10 @@ def test_scan_has_the_robot_of_the_default_readings(narrow, line, payload):
 
 @pytest.mark.parametrize("line", ["physical", "flat"])
 def test_scan_has_the_robot_of_other_sizes_and_turns(narrow, line):
-    readings = Readings(line=line, sides="circumradius", triangles="turned")
+    interpretation = Interpretation(line=line, sides="circumradius", triangles="turned")
     narrow(base_turn=np.pi, sizes=("half side", "circumradius"))
-    other, found = scan.geometries(readings=readings, base_size="circumradius")
-    limit = exact_limit(readings, readings.spatial("payload"))
+    other, found = scan.geometries(interpretation=interpretation, base_size="circumradius")
+    limit = exact_limit(interpretation, interpretation.spatial("payload"))
     assert found.payload == pytest.approx(limit.payload, abs=0.01)
     assert found.motor == limit.motor
     assert abs(other.payload - limit.payload) > 0.02
@@ -142,7 +142,7 @@ def test_platform_that_needs_ballast_carries_nothing_in_the_scan(narrow, monkeyp
     narrow()
     limit = SimpleNamespace(payload=1.0, lowest=lowest, motor=3)
     monkeypatch.setattr(scan, "exact_payload", lambda *_, **__: limit)
-    assert scan.geometries(readings=Readings(), base_size="half side") == [(payload, 3)]
+    assert scan.geometries(interpretation=Interpretation(), base_size="half side") == [(payload, 3)]
 
 
 @pytest.mark.parametrize("name", MEASURES)
@@ -164,7 +164,7 @@ def test_scan_measures_and_turns_each_triangle_by_itself(narrow, monkeypatch):
     narrow(base_turn=0.2, platform_turn=0.1, sizes=MEASURES)
     for base_size in MEASURES:
         seen.clear()
-        scan.geometries(readings=Readings(), base_size=base_size)
+        scan.geometries(interpretation=Interpretation(), base_size=base_size)
         assert len(seen) == len(MEASURES)
         for robot, platform_size in zip(seen, MEASURES, strict=True):
             for points, before, size, published, turn in (
@@ -264,7 +264,7 @@ def unreached(transition, drive):
 
 @pytest.mark.parametrize("source", ["control", "payload"])
 def test_motors_reach_all_states_of_the_robot_with_joint_springs(source):
-    robot = Readings().flexible(source)
+    robot = Interpretation().flexible(source)
     transition, drive = linear_plant(robot)
     assert unreached(transition, drive) == 0
     assert unreached(transition, drive.sum(axis=1, keepdims=True)) > 0  # one command for all lifts it, and no more
@@ -278,12 +278,12 @@ def test_fewer_motors_of_their_own_reach_fewer_states_in_four_samples(monkeypatc
     common = mixing @ np.linalg.pinv(mixing)
 
     class Shared(linearised.Plant):
-        def set_demand(self, demand):
-            nominal = demand.mean(axis=0)
-            super().set_demand(nominal + (demand - nominal) @ common)
+        def set_action(self, action):
+            nominal = action.mean(axis=0)
+            super().set_action(nominal + (action - nominal) @ common)
 
     monkeypatch.setattr(linearised, "Plant", Shared)
-    assert linearised.controllable_states(Readings().flexible("control")) == 4 * inputs
+    assert linearised.controllable_states(Interpretation().flexible("control")) == 4 * inputs
 
 
 # --- the engine -------------------------------------------------------------------------------------------------------
@@ -313,10 +313,10 @@ def test_results_of_other_versions_are_not_kept(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(engine, "PARTS", (small_part("one", 1), small_part("two", 2)))
-    reproduce(Readings(), tmp_path, workers=1)
+    reproduce(Interpretation(), tmp_path, workers=1)
     monkeypatch.setattr(engine, "versions", lambda: {"python": "other"})
     with pytest.raises(KeyboardInterrupt):
-        reproduce(Readings(), tmp_path, workers=1, progress=interrupt)
+        reproduce(Interpretation(), tmp_path, workers=1, progress=interrupt)
     results = json.loads((tmp_path / RESULTS).read_text())
     assert results["versions"] == {"python": "other"}
     assert results["numbers"] == {"one.mark": 1}

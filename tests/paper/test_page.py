@@ -10,14 +10,14 @@ from html.parser import HTMLParser
 import pytest
 
 from cablebot_baselines.paper.finding import Run
-from cablebot_baselines.paper.findings import FINDERS, RULE, rows
+from cablebot_baselines.paper.findings import FINDING_RULES, RULE, rows
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.page import _GROUPS, _SUBJECTS, _VERDICTS, html, markdown
 from cablebot_baselines.paper.published import PUBLISHED
-from cablebot_baselines.paper.readings import Readings
 from cablebot_baselines.paper.summary import HEADINGS, POINTS, points
 
 RESULTS = {
-    "readings": asdict(Readings(line="flat")),
+    "interpretation": asdict(Interpretation(line="flat")),
     "versions": {"python": "3.12", "numpy": "2.1"},
     "command": "cablebot reproduce --line flat",
     "numbers": {
@@ -40,7 +40,7 @@ RESULTS = {
                 }
             ],
         },
-        {"name": "readings", "title": "Readings", "text": "Text.", "figure": None, "tables": []},
+        {"name": "interpretations", "title": "Interpretations", "text": "Text.", "figure": None, "tables": []},
         {
             "name": "map-radius",
             "title": "A map",
@@ -54,7 +54,7 @@ RESULTS = {
 }
 
 
-RESULTS["rows"] = rows(Readings(line="flat"), RESULTS["numbers"])
+RESULTS["rows"] = rows(Interpretation(line="flat"), RESULTS["numbers"])
 
 
 class Page(HTMLParser):
@@ -145,7 +145,7 @@ def test_every_published_number_has_a_row(page):
     results = next(table for table in judged if table[1][0] == "§4.4")
     planar = next(row for row in results if row[1].startswith("load capacity of the planar"))
     assert planar[2:4] == ["about 2.2 kg", "2.10 kg (−5 %)"]
-    assert planar[5] == "reproduces"
+    assert planar[5] == "reproduced"
     assert planar[7] == "cablebot reproduce --only fig10 --line flat"
 
 
@@ -158,7 +158,7 @@ def test_what_was_not_run_says_how_to(page):
 
 
 def test_verdicts_are_marked(page):
-    assert {"verdict", "good"} <= page.classes["reproduces"]
+    assert {"verdict", "good"} <= page.classes["reproduced"]
     assert {"verdict", "mixed"} <= page.classes["not run"]
 
 
@@ -184,27 +184,27 @@ def test_a_part_that_is_impossible_says_why():
 def test_parts_stand_under_their_headings():
     text = markdown(RESULTS)
     headings = [line for line in text.splitlines() if line.startswith("#")]
-    places = [headings.index(line) for line in ("## Payload", "### Fig. 10: torques [N·m]", "## Readings")]
+    places = [headings.index(line) for line in ("## Payload", "### Fig. 10: torques [N·m]", "## Interpretations")]
     assert places == sorted(places)
     assert headings[headings.index("### A map") - 1] == "## Beyond the paper"
-    assert headings[-2:] == ["## Inputs", "## Readings and versions"]
+    assert headings[-2:] == ["## Inputs", "## Options and versions"]
     assert "## Robots" not in headings
 
 
 def test_groups_hold_what_findings_need():
     grouped = [name for _, names in _GROUPS for name in names]
     assert len(grouped) == len(set(grouped))
-    assert {part for finder in FINDERS.values() for part in finder.parts} <= set(grouped)
+    assert {part for finder in FINDING_RULES.values() for part in finder.parts} <= set(grouped)
 
 
 def test_the_summary_counts_and_says_what_reproduces():
     text = markdown(RESULTS)
-    assert "**11 results**: 2 reproduce; 9 not run" in text
+    assert "**11 results**: 2 reproduced; 9 not run" in text
     summary = text[text.index("## Summary") : text.index("## Results")]
-    point = "* **Load capacity of the planar robot** (§5.2.1). Published: about 2.2 kg. Ours: 2.10 kg (−5 %); "
-    assert point in summary[summary.index("### What reproduces") :]
-    assert "platform and load together, by exact tracking, 3.12 kg (+42 %)." in summary
-    assert "### What does not" not in summary
+    point = "* **Load capacity of the planar robot** (§5.2.1). Published: about 2.2 kg. Ours: 2.10 kg (−5 %). "
+    assert point in summary[summary.index("### Reproduced") :]
+    assert "Total mass of platform and load by exact tracking: 3.12 kg (+42 %)." in summary
+    assert "### Not reproduced" not in summary
     assert "Load capacity of the spatial robot" not in summary
     assert RULE in summary
 
@@ -217,27 +217,31 @@ def test_points_of_the_summary_are_findings():
 
 def test_a_point_whose_findings_differ_reproduces_in_part():
     def said(**verdicts):
-        judged = [row | {"verdict": verdicts.get(row["key"].replace(".", "_"), "does not")} for row in RESULTS["rows"]]
+        judged = [
+            row | {"verdict": verdicts.get(row["key"].replace(".", "_"), "not reproduced")} for row in RESULTS["rows"]
+        ]
         return {title.split("**")[1]: verdict for verdict, title in points(run, judged)}
 
-    run = Run(readings=Readings(), numbers={})
+    run = Run(interpretation=Interpretation(), numbers={})
     found = said()
     assert set(found) == {title for _, title, _ in POINTS}
-    assert set(found.values()) == {"does not"}
-    assert found | {"More than 60 % less error with the robust term": "in part"} == said(**{"4_4_sum": "reproduces"})
-    assert set(said(**{"4_4_sum": None})) == set(found) - {"More than 60 % less error with the robust term"}
-    assert {*found.values(), "in part"} <= set(HEADINGS)
+    assert set(found.values()) == {"not reproduced"}
+    assert found | {"Error reduction of more than 60 % by the robust term": "partly reproduced"} == said(
+        **{"4_4_sum": "reproduced"}
+    )
+    assert set(said(**{"4_4_sum": None})) == set(found) - {"Error reduction of more than 60 % by the robust term"}
+    assert {*found.values(), "partly reproduced"} <= set(HEADINGS)
 
 
 def test_readings_that_are_not_the_default_stand_out():
     text = markdown(RESULTS)
-    assert "* Torque limits U± of Eq. 37: **flat limits**." in text
-    assert "in bold where they are not the default" in text
+    assert "* Torque limits U± of Eq. 37: **torque limits independent of speed**." in text
+    assert "bold choices differ from the default" in text
     assert "cablebot reproduce --line flat" in text
-    default = markdown(RESULTS | {"readings": asdict(Readings())})
-    assert "What follows holds for the default readings:" in default
-    assert "* Torque limits U± of Eq. 37: limits by the motor's speed in rad/s." in default
-    assert {name for names in _SUBJECTS.values() for name in names} == set(asdict(Readings()))
+    default = markdown(RESULTS | {"interpretation": asdict(Interpretation())})
+    assert "This page uses the default choices:" in default
+    assert "* Torque limits U± of Eq. 37: torque limits from the motor speed in rad/s." in default
+    assert {name for names in _SUBJECTS.values() for name in names} == set(asdict(Interpretation()))
 
 
 def test_numbers_that_a_text_names_stand_below_it(page):

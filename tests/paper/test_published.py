@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 
 import pytest
 
-from cablebot_baselines.paper import inputs, published, readings, verdicts
+from cablebot_baselines.paper import inputs, interpretation, published, verdicts
 from cablebot_baselines.paper.exact import exact_limit
-from cablebot_baselines.paper.finding import as_text, kilograms, reading_words
-from cablebot_baselines.paper.findings import FINDERS, find, rows
-from cablebot_baselines.paper.parts.readings import _joined, planar_readings
+from cablebot_baselines.paper.finding import as_text, kilograms, option_text
+from cablebot_baselines.paper.findings import FINDING_RULES, find, rows
+from cablebot_baselines.paper.interpretation import Interpretation, choices_of
+from cablebot_baselines.paper.parts.interpretations import _merged, planar_interpretations
 from cablebot_baselines.paper.published import LOADS, PUBLISHED, published_value, within
-from cablebot_baselines.paper.readings import Readings, choices_of
 from cablebot_gym.robots import PLANAR
 from cablebot_gym.uncertainty import UNCERTAINTIES, Uncertainty
 
@@ -64,9 +64,9 @@ NUMBERS: dict[str, float | int | str | bool | None] = {
     "fig7.ripple_late_Nm": 0.8,
     "fig7.closed_loop_peak_error_mm": 27.0,
     **{
-        f"fig9.{name}_reduction_{layer}": share
+        f"fig9.{name}_reduction_{layer}": fraction
         for name in ("sum", "max", "flex_sum", "flex_max")
-        for layer, share in (("1e-2", 0.2), ("1e-3", 0.65), ("1e-4", 0.9))
+        for layer, fraction in (("1e-2", 0.2), ("1e-3", 0.65), ("1e-4", 0.9))
     },
     "fig10.payload_kg": 1.06,
     "fig10.counted_kg": 1.06,
@@ -100,11 +100,11 @@ NUMBERS: dict[str, float | int | str | bool | None] = {
     "fig15.state_space_counted_kg": 0.42,
     "fig15.state_space_motor": 2,
     "fig15.state_space_time_s": 0.502,
-    "fig15.state_space_drop_share": 0.77,
+    "fig15.state_space_drop_fraction": 0.77,
     "fig15.rigid_counted_kg": 1.78,
     "fig15.rigid_exact_counted_kg": 1.8,
     "fig15.eq22_counted_kg": None,
-    "fig15.drop_share": 0.19,
+    "fig15.drop_fraction": 0.19,
     "eq37.literal_payload_kg": 0.91,
     "eq37.literal_spread_kg": 0.0,
     "eq37.literal_converges": True,
@@ -118,10 +118,10 @@ NUMBERS: dict[str, float | int | str | bool | None] = {
     "eq22.lyapunov_printed_definite": False,
     "eq22.controllable_states": 24,
     "eq22.states": 24,
-    "claims.fl_told_kg": 4.0,
-    "claims.fl_untold_kg": 0.4,
-    "claims.fl_told_paper_kg": 1.8,
-    "claims.fl_untold_paper_kg": 0.4,
+    "claims.fl_payload_known_kg": 4.0,
+    "claims.fl_payload_unknown_kg": 0.4,
+    "claims.fl_payload_known_paper_kg": 1.8,
+    "claims.fl_payload_unknown_paper_kg": 0.4,
     **{
         f"claims.{loop}_loop_{kind}{criterion}_kg": load
         for kind in ("planar", "spatial")
@@ -148,18 +148,18 @@ NUMBERS: dict[str, float | int | str | bool | None] = {
     "claims.flex_composite_error_table6_mm": 7.3,
     "claims.flex_fl4_error_nominal_mm": 1.5,
     "claims.flex_fl4_error_table6_mm": 4.1,
-    "readings.spatial_inverted_half-side_table4_10_flat_kg": 2.35,
-    "readings.spatial_inverted_half-side_table4_10_flat_motor": 2,
-    "readings.spatial_inverted_half-side_table5_10_reversed_kg": 3.07,
-    "readings.spatial_inverted_half-side_table5_10_reversed_motor": 2,
-    "readings.spatial_turned_circumradius_table4_11_cable_kg": 2.56,
-    "readings.spatial_turned_circumradius_table4_11_cable_motor": 6,
-    "readings.spatial_aligned_half-side_table4_10_flat_kg": None,
-    "readings.spatial_aligned_half-side_table4_10_flat_motor": None,
-    "readings.planar_up_least_0.0_physical_kg": 1.13,
-    "readings.planar_up_least_0.0_physical_motor": 2,
-    "readings.spatial_within_5pct": 3,
-    "readings.spatial_total": 48,
+    "interpretations.spatial_inverted_half-side_table4_10_flat_kg": 2.35,
+    "interpretations.spatial_inverted_half-side_table4_10_flat_motor": 2,
+    "interpretations.spatial_inverted_half-side_table5_10_reversed_kg": 3.07,
+    "interpretations.spatial_inverted_half-side_table5_10_reversed_motor": 2,
+    "interpretations.spatial_turned_circumradius_table4_11_cable_kg": 2.56,
+    "interpretations.spatial_turned_circumradius_table4_11_cable_motor": 6,
+    "interpretations.spatial_aligned_half-side_table4_10_flat_kg": None,
+    "interpretations.spatial_aligned_half-side_table4_10_flat_motor": None,
+    "interpretations.planar_up_least_0.0_physical_kg": 1.13,
+    "interpretations.planar_up_least_0.0_physical_motor": 2,
+    "interpretations.spatial_within_5pct": 3,
+    "interpretations.spatial_total": 48,
     "scan.hits": 48,
     "scan.geometries": 12672,
     "scan.largest_kg": 6.9,
@@ -185,8 +185,8 @@ class Watched(Mapping[str, float | int | str | bool | None]):
         return len(NUMBERS)
 
 
-def found(key, readings=None, numbers=NUMBERS):
-    finding = find(PUBLISHED[key], readings or Readings(), numbers)
+def found(key, interpretation=None, numbers=NUMBERS):
+    finding = find(PUBLISHED[key], interpretation or Interpretation(), numbers)
     assert finding is not None
     return finding
 
@@ -211,7 +211,7 @@ def test_no_key_stands_twice():
 
 def test_a_number_is_not_without_value_and_a_claim_not_with_one():
     for item in PUBLISHED.values():
-        assert item.says
+        assert item.statement
         assert bool(item.printed) or item.kind == "claim"
         if item.kind == "result":
             assert item.value is not None
@@ -245,19 +245,19 @@ def test_within_is_not_a_bit_more_or_less_than_five_percent(ours, same):
 
 
 def test_nothing_has_two_findings_or_none():
-    of_inputs, of_verdicts = ([key for key, _ in module.finders()] for module in (inputs, verdicts))
+    of_inputs, of_verdicts = ([key for key, _ in module.finding_rules()] for module in (inputs, verdicts))
     assert sorted([*of_inputs, *of_verdicts]) == sorted(PUBLISHED)
     assert set(of_inputs) == {key for key, item in PUBLISHED.items() if item.kind == "input"}
-    assert set(FINDERS) == set(PUBLISHED)
+    assert set(FINDING_RULES) == set(PUBLISHED)
 
 
 def test_a_run_leaves_no_row_without_verdict():
     allowed = {
-        "input": {"taken", "taken, corrected", "contradicted"},
-        "result": {"reproduces", "does not"},
-        "claim": {"reproduces", "does not", "cannot be decided"},
+        "input": {"used", "used, corrected", "contradicted"},
+        "result": {"reproduced", "not reproduced"},
+        "claim": {"reproduced", "not reproduced", "undecided"},
     }
-    made = rows(Readings(), NUMBERS)
+    made = rows(Interpretation(), NUMBERS)
     assert [row["key"] for row in made] == list(PUBLISHED)
     for row in made:
         assert row["verdict"] in allowed[row["kind"]], row["key"]
@@ -268,14 +268,14 @@ def test_a_run_leaves_no_row_without_verdict():
 
 def test_no_number_is_asked_for_in_vain():
     watched = Watched()
-    made = rows(Readings(), watched)
+    made = rows(Interpretation(), watched)
     assert None not in [row["verdict"] for row in made]
     assert set(NUMBERS) - watched.read == set()
 
 
 def test_a_part_that_was_not_run_leaves_its_command():
     numbers = {key: value for key, value in NUMBERS.items() if not key.startswith("fig12.")}
-    row = next(row for row in rows(Readings(line="flat"), numbers) if row["key"] == "5.2.2.payload")
+    row = next(row for row in rows(Interpretation(line="flat"), numbers) if row["key"] == "5.2.2.payload")
     assert row["verdict"] is None
     assert row["ours"] is None
     assert row["command"] == "cablebot reproduce --only fig12 --line flat"
@@ -283,50 +283,50 @@ def test_a_part_that_was_not_run_leaves_its_command():
 
 def test_a_part_that_was_run_without_its_number_is_not_called_missing():
     numbers = NUMBERS | {"fig11.peak_error_mm": None, "fig11.within": None}
-    assert found("5.2.1.path", numbers=numbers).verdict == "cannot be decided"
+    assert found("5.2.1.path", numbers=numbers).verdict == "undecided"
     assert "`fig11.peak_error_mm` has no value." in found("5.2.1.path", numbers=numbers).evidence
     numbers = {key: value for key, value in NUMBERS.items() if not key.startswith("fig14.eq22")}
-    finding = found("5.2.3.path", Readings(line="cable"), numbers)
-    assert finding.verdict == "cannot be decided"
-    assert "no motor has the torque-speed line cable" in finding.evidence
+    finding = found("5.2.3.path", Interpretation(line="cable"), numbers)
+    assert finding.verdict == "undecided"
+    assert "no motor can have the torque-speed line cable" in finding.evidence
 
 
 def test_parts_that_only_add_to_the_evidence_are_not_needed():
-    numbers = {key: value for key, value in NUMBERS.items() if not key.startswith(("scan.", "readings."))}
+    numbers = {key: value for key, value in NUMBERS.items() if not key.startswith(("scan.", "interpretations."))}
     assert "geometries" in found("5.2.2.payload").evidence
     finding = found("5.2.2.payload", numbers=numbers)
-    assert finding.verdict == "does not"
+    assert finding.verdict == "not reproduced"
     assert "geometries" not in finding.evidence
 
 
 def test_the_closest_reading_with_the_published_motor_is_named():
     evidence = found("5.2.2.payload").evidence
-    closest = "2.35 kg (−8 %) with flat limits"
-    assert f"Of the readings combined, motor 2 first, the closest: {closest}; with any motor, 3 of 48" in evidence
+    closest = "2.35 kg (−8 %) with torque limits independent of speed"
+    assert f"motor 2 as the limiting motor: {closest}. 3 of 48 combinations" in evidence
     planar = found("5.2.1.payload").evidence
-    assert "the closest: 1.13 kg (−49 %) with T_min = 0 N; with the platform counted, 2.13 kg (−3 %)" in planar
-    assert "With the platform 2.08 kg (−5 %)." in planar
+    assert "1.13 kg (−49 %) with T_min = 0 N. Closest total mass of platform and load: 2.13 kg (−3 %)" in planar
+    assert "Total mass with the platform: 2.08 kg (−5 %)." in planar
 
 
 def test_readings_that_no_reader_could_tell_apart_by_the_load_are_both_named():
-    name = "readings.spatial_inverted_half-side_table5_10_"
+    name = "interpretations.spatial_inverted_half-side_table5_10_"
     near = {f"{name}{line}_kg": load for line, load in (("cable", 2.555), ("flat", 2.528), ("physical", 1.98))}
     motors = {key.replace("_kg", "_motor"): 2 for key in near}
     evidence = found("5.2.2.payload", numbers=NUMBERS | near | motors).evidence
-    both = "2.56 kg (0 %) with pulleys of Table 5, limits by the cable's rate in m/s, or 2.53 kg (−1 %) with pulleys of"
-    assert f"{both} Table 5, flat limits; with any" in evidence
+    both = "2.56 kg (0 %) with pulleys of Table 5, torque limits from the cable speed in m/s, or 2.53 kg (−1 %) with"
+    assert f"{both} pulleys of Table 5, torque limits independent of speed. " in evidence
     assert "1.98" not in evidence
 
 
 def test_what_the_text_of_the_readings_says_of_the_closest():
     """Its tables combine all that decides these two, so that the words are as true under any other reading."""
-    default = readings.Readings()
+    default = interpretation.Interpretation()
     for line in ("cable", "flat"):
         one = default.replace(pulleys="table5", line=line)
         limit = exact_limit(one, one.spatial("payload"))
         assert limit.payload == pytest.approx(LOADS["spatial"], rel=0.015)
         assert limit.motor == 2
-    limits = {one: exact_limit(one, one.planar) for one in planar_readings(default) if one.alpha == "least"}
+    limits = {one: exact_limit(one, one.planar) for one in planar_interpretations(default) if one.alpha == "least"}
     second = {one: limit.payload for one, limit in limits.items() if limit.motor == 2}
     closest = min(second, key=lambda one: abs(second[one] - LOADS["planar"]))
     assert (closest.line, closest.planar_apex, closest.minimum_tension) == ("cable", "left", 0.0)
@@ -334,14 +334,14 @@ def test_what_the_text_of_the_readings_says_of_the_closest():
 
 def test_what_is_published_twice_is_argued_once():
     assert found("5.2.3.rigid").ours == found("5.2.2.payload").ours
-    assert found("5.2.3.rigid").evidence == "As in §5.2.2: load capacity of the spatial robot."
-    assert found("6.robust").evidence.startswith("As in §4.4: ")
+    assert found("5.2.3.rigid").evidence == "See §5.2.2: load capacity of the spatial robot."
+    assert found("6.robust").evidence.startswith("See §4.4: ")
 
 
 def test_nothing_carried_is_no_missing_number():
     nothing = NUMBERS | {"fig12.payload_kg": None, "fig12.counted_kg": None, "fig12.motor": None}
-    assert found("5.2.2.payload", numbers=nothing).ours == "nothing"
-    assert found("5.2.2.payload", numbers=nothing).verdict == "does not"
+    assert found("5.2.2.payload", numbers=nothing).ours == "fails unloaded"
+    assert found("5.2.2.payload", numbers=nothing).verdict == "not reproduced"
     assert found("5.2.2.motor", numbers=nothing).ours == "no motor"
 
 
@@ -354,8 +354,8 @@ def test_nothing_carried_is_no_missing_number():
         ("5.2.3.payload", "fig15.state_space_counted_kg", 1.45, 1.5),
         ("5.2.3.rigid", "fig12.counted_kg", 2.6, 2.8),
         ("5.2.3.motor", "fig15.state_space_motor", 2, 3),
-        ("5.2.3.less", "fig15.state_space_drop_share", 0.06, 0.04),
-        ("6.drop", "fig15.state_space_drop_share", 0.31, 0.4),
+        ("5.2.3.less", "fig15.state_space_drop_fraction", 0.06, 0.04),
+        ("6.drop", "fig15.state_space_drop_fraction", 0.31, 0.4),
         ("4.4.sum", "fig9.flex_sum_reduction_1e-3", 0.601, 0.6),
         ("4.4.max", "fig9.flex_max_reduction_1e-3", 0.601, 0.6),
         ("6.robust", "fig9.flex_sum_reduction_1e-3", 0.601, 0.6),
@@ -375,7 +375,7 @@ def test_nothing_carried_is_no_missing_number():
         ("5.1.linear-spatial", "claims.affine_spatial", 1e-9, 1e-3),
         ("5.1.converges", "eq37.literal_spread_kg", 1e-9, 0.1),
         ("5.1.answer", "eq37.literal_over_true", 1.04, 1.06),
-        ("5.1.accuracy", "claims.fl_untold_paper_kg", 1.75, 1.6),
+        ("5.1.accuracy", "claims.fl_payload_unknown_paper_kg", 1.75, 1.6),
         ("5.2.1.path", "fig11.within", True, False),
         ("5.2.2.path", "fig13.within", True, False),
         ("5.2.3.path", "fig14.eq22_within", True, False),
@@ -385,23 +385,23 @@ def test_nothing_carried_is_no_missing_number():
     ],
 )
 def test_a_verdict_follows_its_number(key, name, good, bad):
-    assert found(key, numbers=NUMBERS | {name: good}).verdict == "reproduces"
-    assert found(key, numbers=NUMBERS | {name: bad}).verdict == "does not"
+    assert found(key, numbers=NUMBERS | {name: good}).verdict == "reproduced"
+    assert found(key, numbers=NUMBERS | {name: bad}).verdict == "not reproduced"
 
 
 def test_feedback_is_no_gain_for_a_law_that_carries_nothing():
     better = {f"claims.closed_loop_{kind}_paper_kg": 2.0 for kind in ("planar", "spatial")}
-    assert found("6.open-payload").verdict == "does not"
-    assert found("6.open-payload", numbers=NUMBERS | better).verdict == "reproduces"
+    assert found("6.open-payload").verdict == "not reproduced"
+    assert found("6.open-payload", numbers=NUMBERS | better).verdict == "reproduced"
     nothing = better | {"claims.closed_loop_spatial_paper_kg": None, "claims.open_loop_spatial_paper_kg": None}
-    assert found("6.open-payload", numbers=NUMBERS | nothing).verdict == "does not"
+    assert found("6.open-payload", numbers=NUMBERS | nothing).verdict == "not reproduced"
 
 
 @pytest.mark.parametrize("key", ["3.3.linear", "3.3.bounded", "5.2.3.stable"])
 def test_stability_is_not_granted_while_one_stiffness_grows(key):
     calm = NUMBERS | {"eq22.max_growth_K2": -1.0, "eq22.max_growth_K3": -1.0}
-    assert found(key, numbers=calm).verdict == "reproduces"
-    assert found(key, numbers=calm | {"eq22.max_growth_K2": 1.0}).verdict == "does not"
+    assert found(key, numbers=calm).verdict == "reproduced"
+    assert found(key, numbers=calm | {"eq22.max_growth_K2": 1.0}).verdict == "not reproduced"
 
 
 # --- inputs ---------------------------------------------------------------------------------------------------------
@@ -409,21 +409,21 @@ def test_stability_is_not_granted_while_one_stiffness_grows(key):
 
 def test_inputs_follow_the_readings():
     assert found("table4.m").ours == "11 kg"
-    assert found("table4.m", Readings(platform_mass="10")).ours == "10 kg"
+    assert found("table4.m", Interpretation(platform_mass="10")).ours == "10 kg"
     assert found("table8.m").ours == "10 kg"
     assert {found(key).verdict for key in ("table4.m", "table5.m", "table8.m", "table5.K", "5.2.3.K")} == {
         "contradicted"
     }
-    assert found("5.2.3.K", Readings(stiffness="2")).ours == "2 N·m/rad"
-    assert "here 2 N·m/rad holds in §4 and 2 N·m/rad in §5.2" in found("5.2.3.K", Readings(stiffness="2")).evidence
-    assert found("table4.half", Readings(sides="circumradius")).ours == "circumradius"
-    assert found("table4.a", Readings(sides="circumradius")).ours == "0.47 m"
-    assert found("table4.a", Readings(sides="circumradius")).verdict == "taken"
+    assert found("5.2.3.K", Interpretation(stiffness="2")).ours == "2 N·m/rad"
+    assert "uses 2 N·m/rad in §4 and 2 N·m/rad in §5.2" in found("5.2.3.K", Interpretation(stiffness="2")).evidence
+    assert found("table4.half", Interpretation(sides="circumradius")).ours == "circumradius"
+    assert found("table4.a", Interpretation(sides="circumradius")).ours == "0.47 m"
+    assert found("table4.a", Interpretation(sides="circumradius")).verdict == "used"
 
 
 def test_a_flat_line_has_no_free_speed():
     assert found("table8.speed").ours == "1000 rpm"
-    assert found("table8.speed", Readings(line="flat")).verdict == "not taken"
+    assert found("table8.speed", Interpretation(line="flat")).verdict == "replaced"
 
 
 @pytest.mark.parametrize(
@@ -438,15 +438,15 @@ def test_a_flat_line_has_no_free_speed():
     ],
 )
 def test_inputs_follow_the_robot(monkeypatch, key, changes):
-    assert found(key).verdict.startswith("taken")
-    monkeypatch.setattr(readings, "PLANAR", PLANAR.replace(**changes))
-    assert found(key).verdict == "not taken"
+    assert found(key).verdict.startswith("used")
+    monkeypatch.setattr(interpretation, "PLANAR", PLANAR.replace(**changes))
+    assert found(key).verdict == "replaced"
 
 
 def test_inputs_follow_the_uncertainty_and_the_gains(monkeypatch):
     monkeypatch.setitem(inputs.PAPER_GAINS, "spatial", (31.0, 20.0))
-    assert found("table4.K_P").verdict == "not taken"
-    assert found("table4.K_D").verdict == "taken"
+    assert found("table4.K_P").verdict == "replaced"
+    assert found("table4.K_D").verdict == "used"
     table6 = UNCERTAINTIES["table6"]
 
     def wider(robot):
@@ -459,15 +459,15 @@ def test_inputs_follow_the_uncertainty_and_the_gains(monkeypatch):
 
     monkeypatch.setitem(UNCERTAINTIES, "table6", wider)
     assert found("table6.m").ours == "0.1, 0.2 of the mass"
-    assert found("table6.m").verdict == "not taken"
-    assert found("table6.k").verdict == "taken"
+    assert found("table6.m").verdict == "replaced"
+    assert found("table6.k").verdict == "used"
 
 
 def test_readings_without_a_robot_are_no_error():
-    finding = found("table4.m", Readings(triangles="aligned"))
-    assert finding.verdict == "cannot be decided"
-    assert "no positive tensions" in finding.evidence
-    assert found("table2.m", Readings(triangles="aligned")).verdict == "taken"
+    finding = found("table4.m", Interpretation(triangles="aligned"))
+    assert finding.verdict == "undecided"
+    assert "no equilibrium with positive tensions" in finding.evidence
+    assert found("table2.m", Interpretation(triangles="aligned")).verdict == "used"
 
 
 @pytest.mark.parametrize(
@@ -490,22 +490,22 @@ def test_numbers_as_text(value, text):
 
 @pytest.mark.parametrize(
     ("load", "text"),
-    [(1.802, "1.80 kg"), (11.776, "11.8 kg"), (123.4, "123 kg"), (-0.5, "−0.500 kg"), (None, "nothing")],
+    [(1.802, "1.80 kg"), (11.776, "11.8 kg"), (123.4, "123 kg"), (-0.5, "−0.500 kg"), (None, "fails unloaded")],
 )
 def test_loads_have_as_many_digits_as_the_papers(load, text):
     assert kilograms(load) == text
 
 
 def test_every_choice_has_its_words():
-    words = {reading_words(name, choice) for name, choices in choices_of().items() for choice in choices}
+    words = {option_text(name, choice) for name, choices in choices_of().items() for choice in choices}
     assert len(words) == sum(len(choices) for choices in choices_of().values())
     assert not any("=" in one and "K = " not in one for one in words)
-    assert reading_words("platform_mass", "as-printed") == "platform mass as printed, 11 kg in §4, 10 kg in §5.2"
-    assert reading_words("platform_mass", "as-printed", "payload") == "platform 10 kg"
-    assert reading_words("stiffness", "as-printed", "control") == "K = 2 N·m/rad"
-    assert reading_words("minimum_tension", 5.0) == "T_min = 5 N"
+    assert option_text("platform_mass", "as-printed") == "platform mass as printed: 11 kg in §4, 10 kg in §5.2"
+    assert option_text("platform_mass", "as-printed", "payload") == "platform mass 10 kg"
+    assert option_text("stiffness", "as-printed", "control") == "K = 2 N·m/rad"
+    assert option_text("minimum_tension", 5.0) == "T_min = 5 N"
 
 
-def test_rows_that_are_the_same_words_throughout_are_joined():
+def test_rows_that_are_the_same_words_throughout_are_merged():
     rows = {("a", "x"): ["1", "2"], ("b", "x"): ["no", "no"], ("b", "y"): ["no", "no"], ("c", "x"): ["no", "3"]}
-    assert list(_joined(rows)) == [("a", "x", "1", "2"), ("b", "any", "no", "no"), ("c", "x", "no", "3")]
+    assert list(_merged(rows)) == [("a", "x", "1", "2"), ("b", "any", "no", "no"), ("c", "x", "no", "3")]

@@ -5,39 +5,39 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cablebot_baselines.paper.readings import Readings, choices_of
+from cablebot_baselines.paper.interpretation import Interpretation, choices_of
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 
 def test_defaults_are_the_projects_own_robots():
-    readings = Readings()
-    assert readings.planar == PLANAR
-    assert readings.spatial("payload").to_dict() == SPATIAL.to_dict()
-    assert readings.flexible("payload").to_dict() == FLEX_SPATIAL.to_dict()
+    interpretation = Interpretation()
+    assert interpretation.planar == PLANAR
+    assert interpretation.spatial("payload").to_dict() == SPATIAL.to_dict()
+    assert interpretation.flexible("payload").to_dict() == FLEX_SPATIAL.to_dict()
 
 
 def test_sections_disagree_about_mass_and_stiffness_and_both_are_kept():
-    readings = Readings()
-    assert (readings.spatial("control").mass, readings.spatial("payload").mass) == (11.0, 10.0)
-    stiffness = [readings.flexible(source).transmission.stiffness for source in ("control", "payload")]
+    interpretation = Interpretation()
+    assert (interpretation.spatial("control").mass, interpretation.spatial("payload").mass) == (11.0, 10.0)
+    stiffness = [interpretation.flexible(source).transmission.stiffness for source in ("control", "payload")]
     assert stiffness == [2.0, 3.0]
-    chosen = Readings(platform_mass="10", stiffness="3")
+    chosen = Interpretation(platform_mass="10", stiffness="3")
     assert chosen.spatial("control").mass == 10.0
     assert chosen.flexible("control").transmission.stiffness == 3.0
 
 
 def test_circumradius_is_the_distance_of_a_corner_from_the_middle():
-    robot = Readings(sides="circumradius").spatial("payload")
+    robot = Interpretation(sides="circumradius").spatial("payload")
     assert np.linalg.norm(robot.base[:, :2], axis=1) == pytest.approx(0.47)
     assert np.linalg.norm(robot.platform, axis=1) == pytest.approx(0.148)
-    half_side = Readings().spatial("payload")
+    half_side = Interpretation().spatial("payload")
     assert np.linalg.norm(half_side.base[0] - half_side.base[1]) == pytest.approx(2 * 0.47)
 
 
 def test_turned_robot_is_the_same_one_seen_from_the_other_side():
-    turned, robot = Readings(triangles="turned").spatial("payload"), SPATIAL
+    turned, robot = Interpretation(triangles="turned").spatial("payload"), SPATIAL
     assert turned.base[4] == pytest.approx([0.0, -robot.base[4, 1], 0.0])
     pose, other = np.array([0.05, 0.02, 0.1, 0.1, -0.05, 0.0]), np.array([-0.05, -0.02, 0.1, -0.1, 0.05, 0.0])
     lengths = cable_lengths(turned.base, turned.platform, other)
@@ -45,15 +45,15 @@ def test_turned_robot_is_the_same_one_seen_from_the_other_side():
 
 
 def test_aligned_triangles_hold_nothing_and_say_so():
-    with pytest.raises(ValueError, match="no positive tensions"):
-        Readings(triangles="aligned").spatial("payload")
+    with pytest.raises(ValueError, match="no equilibrium with positive tensions"):
+        Interpretation(triangles="aligned").spatial("payload")
 
 
 @pytest.mark.parametrize(
     ("apex", "direction"), [("up", (0, 1)), ("left", (-1, 0)), ("down", (0, -1)), ("right", (1, 0))]
 )
 def test_third_planar_motor_stands_where_it_is_said(apex, direction):
-    third = Readings(planar_apex=apex).planar.base[2]
+    third = Interpretation(planar_apex=apex).planar.base[2]
     assert third / np.linalg.norm(third) == pytest.approx(direction)
 
 
@@ -63,12 +63,12 @@ def test_cable_line_takes_the_rate_of_the_cable_length():
     ends = [cable_lengths(robot.base, robot.platform, pose + sign * step * velocity) for sign in (1, -1)]
     rate = (ends[0] - ends[1]) / (2 * step)
     speed = textbook.pulley_speed(robot, pose, velocity)
-    assert Readings(line="cable").line_speed(robot) * speed == pytest.approx(rate, abs=1e-8)
-    assert Readings(line="reversed").line_speed(robot) * speed == pytest.approx(-speed)
+    assert Interpretation(line="cable").line_speed(robot) * speed == pytest.approx(rate, abs=1e-8)
+    assert Interpretation(line="reversed").line_speed(robot) * speed == pytest.approx(-speed)
 
 
 def test_flat_motors_do_not_weaken_with_speed():
-    robot = Readings(line="flat").motors(SPATIAL)
+    robot = Interpretation(line="flat").motors(SPATIAL)
     lower, upper = textbook.torque_limits(robot, np.full(6, 100.0))
     assert upper == pytest.approx(robot.stall_torque)
     assert lower == pytest.approx(-robot.stall_torque)
@@ -77,33 +77,33 @@ def test_flat_motors_do_not_weaken_with_speed():
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])
 def test_lines_that_no_motor_has_are_refused_by_motors(line):
     with pytest.raises(ValueError, match="flat or physical"):
-        Readings(line=line).motors(FLEX_SPATIAL)
-    assert Readings(line=line).moved(FLEX_SPATIAL) == FLEX_SPATIAL
+        Interpretation(line=line).motors(FLEX_SPATIAL)
+    assert Interpretation(line=line).closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
 
 
 def test_rigid_motor_turns_with_its_pulley():
-    assert Readings(line="pulley").motors(SPATIAL) == SPATIAL
+    assert Interpretation(line="pulley").motors(SPATIAL) == SPATIAL
     for line in ("cable", "reversed"):
         with pytest.raises(ValueError, match="flat or physical"):
-            Readings(line=line).motors(SPATIAL)
+            Interpretation(line=line).motors(SPATIAL)
 
 
 @pytest.mark.parametrize("name", list(choices_of()))
 def test_unknown_choice_lists_the_known_ones(name):
     with pytest.raises(ValueError, match=f"{name} must be one of .*{choices_of()[name][-1]}"):
-        Readings(**{name: "sideways"})
+        Interpretation(**{name: "sideways"})
 
 
 def test_tension_below_zero_is_refused():
     with pytest.raises(ValueError, match="minimum_tension"):
-        Readings(minimum_tension=-1.0)
+        Interpretation(minimum_tension=-1.0)
 
 
 def test_words_name_what_was_chosen_and_nothing_else():
-    assert Readings().words() == "default"
-    assert Readings(line="flat", minimum_tension=0.0).words() == "line = flat, minimum_tension = 0.0"
+    assert Interpretation().text() == "default"
+    assert Interpretation(line="flat", minimum_tension=0.0).text() == "line = flat, minimum_tension = 0.0"
 
 
 def test_total_counts_the_platform():
-    assert Readings(payload="total").counted(PLANAR, 1.13) == pytest.approx(2.13)
-    assert Readings().counted(PLANAR, 1.13) == 1.13
+    assert Interpretation(payload="total").counted(PLANAR, 1.13) == pytest.approx(2.13)
+    assert Interpretation().counted(PLANAR, 1.13) == 1.13

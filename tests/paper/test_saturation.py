@@ -9,23 +9,23 @@ import math
 import numpy as np
 import pytest
 
-from cablebot_baselines.paper.exact import Heaviest, exact_profile, state_space_profile
+from cablebot_baselines.paper.exact import LargestPayload, exact_profile, state_space_profile
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.parts import flexible_saturation, saturation
-from cablebot_baselines.paper.parts.profiles import Carried, computed_profile, first_saturation
-from cablebot_baselines.paper.readings import Readings
+from cablebot_baselines.paper.parts.profiles import PayloadSummary, computed_profile, first_saturation
 from cablebot_gym.physics import textbook
 
 pytest.importorskip("matplotlib")
 
-DEFAULT = Readings()
+DEFAULT = Interpretation()
 RIGID = {part.name: part for part in saturation.PARTS}
 FLEXIBLE = {part.name: part for part in flexible_saturation.PARTS}
 SLOW = ("motor_pd", "composite", "task")
 """Cells of Fig. 15 that only add numbers."""
 
 
-def ran(part, readings, *, skipped=()):
-    return {name: cell() for name, cell in part.cells(readings).items() if name not in skipped}
+def ran(part, interpretation, *, skipped=()):
+    return {name: cell() for name, cell in part.cells(interpretation).items() if name not in skipped}
 
 
 @pytest.fixture(scope="module")
@@ -78,13 +78,13 @@ def titles(figure):
 @pytest.mark.parametrize("name", ["fig10", "fig12"])
 def test_mark_is_not_elsewhere_than_where_a_motor_first_reaches_its_limit(name, rigid, numbers):
     history = rigid[name]["paper"].history
-    saturated = np.abs(history["drive_demand"]) >= 0.999
+    saturated = np.abs(history["commanded_action"]) >= 0.999
     step = int(np.argmax(saturated.any(axis=1)))
     motor = int(np.argmax(saturated[step]))
-    expected = (motor + 1, history["command_time"][step], history["torques"][step, motor])
+    expected = (motor + 1, history["action_time"][step], history["torques"][step, motor])
     assert marked(panels(RIGID[name].draw(DEFAULT, rigid[name]))) == pytest.approx(expected)
     assert (numbers[name]["motor"], numbers[name]["time_s"]) == pytest.approx(expected[:2])
-    assert np.abs(history["drive_demand"]).max() <= 1 + 1e-12
+    assert np.abs(history["commanded_action"]).max() <= 1 + 1e-12
 
 
 def test_mark_of_the_springs_is_not_that_of_the_other_half_of_the_figure(flexible, numbers):
@@ -111,8 +111,8 @@ def test_torques_drawn_do_not_lose_the_saturation_to_the_thinning(rigid):
 
 def test_limits_are_not_sloped_under_a_flat_line_and_the_payload_is_not_that_of_a_sloped_one(numbers):
     flat = DEFAULT.replace(line="flat")
-    found = ran(RIGID["fig12"], flat, skipped=("task", "untold", "empty"))
-    found |= {"task": found["paper"], "untold": found["paper"], "empty": None}
+    found = ran(RIGID["fig12"], flat, skipped=("task", "payload_unknown", "empty"))
+    found |= {"task": found["paper"], "payload_unknown": found["paper"], "empty": None}
     for axes in panels(RIGID["fig12"].draw(flat, found)):
         upper, lower, _ = drawn(axes)
         np.testing.assert_allclose(upper[:, 1], 10.0, atol=1e-4)
@@ -124,13 +124,13 @@ def test_limits_are_not_sloped_under_a_flat_line_and_the_payload_is_not_that_of_
 
 @pytest.mark.parametrize(("line", "factor"), [("reversed", -1.0), ("cable", -0.05)])
 def test_limits_are_not_those_of_another_line_where_no_loop_can_be_run(line, factor):
-    readings = DEFAULT.replace(line=line)
-    found = ran(RIGID["fig12"], readings)
-    figure = RIGID["fig12"].draw(readings, found)
+    interpretation = DEFAULT.replace(line=line)
+    found = ran(RIGID["fig12"], interpretation)
+    figure = RIGID["fig12"].draw(interpretation, found)
     assert "exact tracking, no closed loop" in titles(figure)
     assert f"line = {line}" in titles(figure)
-    assert not RIGID["fig12"].outcome(readings, found).numbers["simulated"]
-    robot = readings.spatial("payload")
+    assert not RIGID["fig12"].outcome(interpretation, found).numbers["simulated"]
+    robot = interpretation.spatial("payload")
     for motor, axes in enumerate(panels(figure)):
         upper, lower, _ = drawn(axes)
         motion = saturation.paper_circle(robot)(upper[:, 0])
@@ -139,40 +139,40 @@ def test_limits_are_not_those_of_another_line_where_no_loop_can_be_run(line, fac
         np.testing.assert_allclose(upper[:, 1] - lower[:, 1], 20.0)
 
 
-@pytest.mark.parametrize("readings", [Readings(line="reversed"), Readings(alpha="constant")])
-def test_paths_that_nothing_travelled_do_not_have_errors(readings):
-    found = ran(RIGID["fig11"], readings)
-    assert RIGID["fig11"].outcome(readings, found).numbers["peak_error_mm"] is None
-    assert "by assumption" in titles(RIGID["fig11"].draw(readings, found))
+@pytest.mark.parametrize("interpretation", [Interpretation(line="reversed"), Interpretation(alpha="constant")])
+def test_paths_that_nothing_travelled_do_not_have_errors(interpretation):
+    found = ran(RIGID["fig11"], interpretation)
+    assert RIGID["fig11"].outcome(interpretation, found).numbers["peak_error_mm"] is None
+    assert "by assumption" in titles(RIGID["fig11"].draw(interpretation, found))
 
 
 def test_a_reading_that_carries_nothing_does_not_fail_or_hide_it():
-    readings = DEFAULT.replace(minimum_tension=0.0)
-    found = ran(RIGID["fig10"], readings)
+    interpretation = DEFAULT.replace(minimum_tension=0.0)
+    found = ran(RIGID["fig10"], interpretation)
     for name in ("fig10", "fig11"):
-        outcome = RIGID[name].outcome(readings, found).numbers
+        outcome = RIGID[name].outcome(interpretation, found).numbers
         assert outcome["payload_kg"] is None
-        title = titles(RIGID[name].draw(readings, found))
-        assert "not even zero payload" in title
+        title = titles(RIGID[name].draw(interpretation, found))
+        assert "fails unloaded" in title
         assert "slack" in title
         assert "the episode ends at" in title
     assert outcome["within"] is False  # though small, the error is that of a part of the motion
 
 
 def test_zero_payload_is_not_marked_when_a_later_motor_fails(flexible):
-    readings = DEFAULT.replace(stiffness="2")
-    robot = readings.flexible("payload")
-    profile = computed_profile(state_space_profile(readings, robot, 0.0))
-    share = np.abs(2 * profile.torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
-    mark = first_saturation(profile, Carried.computed(Heaviest(payload=-0.2, motor=3, time=0.9)))
-    assert mark.step == np.flatnonzero(share.max(axis=1) >= 1)[0]
-    assert mark.motor == np.argmax(share[mark.step])
+    interpretation = DEFAULT.replace(stiffness="2")
+    robot = interpretation.flexible("payload")
+    profile = computed_profile(state_space_profile(interpretation, robot, 0.0))
+    fraction = np.abs(2 * profile.torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
+    mark = first_saturation(profile, PayloadSummary.computed(LargestPayload(payload=-0.2, motor=3, time=0.9)))
+    assert mark.step == np.flatnonzero(fraction.max(axis=1) >= 1)[0]
+    assert mark.motor == np.argmax(fraction[mark.step])
 
 
 def test_the_jump_is_not_marked_on_its_free_side():
     robot = DEFAULT.spatial("payload")
     profile = computed_profile(exact_profile(DEFAULT, robot, 1.8))
-    mark = first_saturation(profile, Carried(payload=1.8, motor=3, time=0.5, gives_way="motor 3"))
+    mark = first_saturation(profile, PayloadSummary(payload=1.8, motor=3, time=0.5, violation="motor 3"))
     sides = np.flatnonzero(np.abs(profile.times - 0.5) < 1e-6)
     assert len(sides) == 2
     assert profile.torques[mark.step, 2] == profile.torques[sides, 2].max()
@@ -180,14 +180,14 @@ def test_the_jump_is_not_marked_on_its_free_side():
 
 @pytest.mark.parametrize("payload", [-0.5, -math.inf, math.inf])
 def test_a_payload_that_is_no_load_is_not_reported_as_one(payload):
-    carried = Carried.computed(Heaviest(payload=payload, motor=2, time=0.5))
+    carried = PayloadSummary.computed(LargestPayload(payload=payload, motor=2, time=0.5))
     found = carried.numbers(DEFAULT, DEFAULT.planar)
     assert found["payload_kg"] is found["counted_kg"] is found["total_mass_kg"] is found["time_s"] is None
-    assert "not even zero payload" in carried.sentence(DEFAULT.planar)
+    assert "fails unloaded" in carried.sentence(DEFAULT.planar)
 
 
 def test_the_platform_is_not_counted_twice_or_forgotten():
-    carried, robot = Carried(payload=1.5, motor=2, time=0.5, gives_way="motor 2"), DEFAULT.spatial("payload")
+    carried, robot = PayloadSummary(payload=1.5, motor=2, time=0.5, violation="motor 2"), DEFAULT.spatial("payload")
     assert carried.numbers(DEFAULT, robot)["counted_kg"] == 1.5
     total = carried.numbers(DEFAULT.replace(payload="total"), robot)
     assert (total["payload_kg"], total["counted_kg"], total["total_mass_kg"]) == (1.5, 11.5, 11.5)
@@ -195,9 +195,9 @@ def test_the_platform_is_not_counted_twice_or_forgotten():
 
 def test_drop_is_not_the_ratio_or_upside_down(numbers):
     found = numbers["fig15"]
-    assert found["drop_share"] == pytest.approx(1 - found["payload_kg"] / found["rigid_payload_kg"])
-    assert 0 < found["drop_share"] < 1
-    assert found["state_space_drop_share"] == pytest.approx(
+    assert found["drop_fraction"] == pytest.approx(1 - found["payload_kg"] / found["rigid_payload_kg"])
+    assert 0 < found["drop_fraction"] < 1
+    assert found["state_space_drop_fraction"] == pytest.approx(
         1 - found["state_space_payload_kg"] / found["rigid_exact_payload_kg"]
     )
 
@@ -223,9 +223,9 @@ def test_curves_of_a_path_do_not_carry_the_name_of_another(rigid, numbers):
     plane = RIGID["fig13"].draw(DEFAULT, rigid["fig12"]).axes[0]
     named = {line.get_label(): line.get_xydata() for line in plane.get_lines()}
     for cell, prefix, words in (
-        ("paper", "", "told, paper"),
-        ("task", "task_", "told, motors"),
-        ("untold", "untold_", "not told"),
+        ("paper", "", "payload known, paper"),
+        ("task", "task_", "payload known, task"),
+        ("payload_unknown", "payload_unknown_", "payload unknown"),
     ):
         (label,) = [label for label in named if f", {words}" in label]
         assert label.startswith(f"{numbers['fig12'][prefix + 'payload_kg']:.3f} kg")

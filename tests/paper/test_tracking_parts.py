@@ -12,8 +12,8 @@ import pytest
 
 from cablebot_baselines.classical import FeedbackLinearization, Robust, RobustComposite, RobustPD
 from cablebot_baselines.paper.exact import Profile
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.parts import drawings, robust, tracking
-from cablebot_baselines.paper.readings import Readings
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
@@ -30,39 +30,39 @@ def lines(axes, colour):
     return [points for points in found if len(points) == 2]
 
 
-def numbers(name, readings, found=None):
-    return PARTS[name].outcome(readings, {} if found is None else found).numbers
+def numbers(name, interpretation, found=None):
+    return PARTS[name].outcome(interpretation, {} if found is None else found).numbers
 
 
 @pytest.fixture(scope="module")
 def planar_loop():
-    return PARTS["fig5"].cells(Readings())["loop"]()
+    return PARTS["fig5"].cells(Interpretation())["loop"]()
 
 
 def test_no_part_of_these_figures_is_missing_and_cells_reach_other_processes():
     assert list(PARTS) == ["fig1", "fig2", "fig3", "fig5", "fig6", "fig7", "fig8", "fig9"]
     for part in PARTS.values():
-        for cell in part.cells(Readings()).values():
+        for cell in part.cells(Interpretation()).values():
             assert repr(pickle.loads(pickle.dumps(cell))) == repr(cell)
 
 
 @pytest.mark.parametrize("apex", ["up", "left", "down", "right"])
 def test_planar_drawing_is_not_of_another_triangle(apex):
-    readings = Readings(planar_apex=apex)
-    robot = readings.planar
-    axes = PARTS["fig1"].draw(readings, {}).axes[0]
+    interpretation = Interpretation(planar_apex=apex)
+    robot = interpretation.planar
+    axes = PARTS["fig1"].draw(interpretation, {}).axes[0]
     start = drawings.path(robot)[1].position[0]
     for cable, anchor in enumerate(robot.base):
         (drawn,) = lines(axes, drawings.MOTORS[cable])
         np.testing.assert_allclose(drawn, [anchor, start])
-    assert numbers("fig1", readings)["side_m"] == pytest.approx(1.0)
+    assert numbers("fig1", interpretation)["side_m"] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("triangles", ["inverted", "turned"])
 def test_spatial_drawing_does_not_turn_the_platform_otherwise_than_the_plant(triangles):
-    readings = Readings(triangles=triangles)
-    robot = readings.spatial("control")
-    _, below, _ = PARTS["fig2"].draw(readings, {}).axes
+    interpretation = Interpretation(triangles=triangles)
+    robot = interpretation.spatial("control")
+    _, below, _ = PARTS["fig2"].draw(interpretation, {}).axes
     start = drawings.path(robot)[1].position[0]
     depths = platform_points(robot, start)[:, 2]
     for cable, anchor in enumerate(robot.base):
@@ -93,58 +93,64 @@ def test_oblique_view_is_not_mirrored():
 
 
 def test_sides_are_not_drawn_at_another_scale_than_read():
-    half, circum = (numbers("fig2", Readings(sides=sides)) for sides in ("half-side", "circumradius"))
+    half, circum = (numbers("fig2", Interpretation(sides=sides)) for sides in ("half-side", "circumradius"))
     assert (half["half_side_base_m"], half["half_side_platform_m"]) == pytest.approx((0.47, 0.148))
     assert circum["half_side_base_m"] == pytest.approx(0.47 * np.sqrt(3) / 2)
     assert half["shortest_cable_m"] < half["longest_cable_m"]
 
 
 def test_wind_up_is_not_another_than_an_episode_starts_with():
-    readings = Readings()
-    robot = readings.flexible("control")
+    interpretation = Interpretation()
+    robot = interpretation.flexible("control")
     env = gym.make(FLEXIBLE, robot=robot)
     observation, _ = env.reset(seed=0)
     part = env.get_wrapper_attr("layout").split(observation)
     wound = part["motor_angle"] - textbook.pulley_angle(robot, part["pose"])
-    assert numbers("fig3", readings)["wind_up_max_rad"] == pytest.approx(wound.max())
-    assert numbers("fig3", readings)["mode_high_Hz"] == pytest.approx(textbook.highest_frequency(robot) / (2 * np.pi))
+    assert numbers("fig3", interpretation)["wind_up_max_rad"] == pytest.approx(wound.max())
+    assert numbers("fig3", interpretation)["mode_high_Hz"] == pytest.approx(
+        textbook.highest_frequency(robot) / (2 * np.pi)
+    )
 
 
 def test_limits_drawn_are_not_those_of_another_line(planar_loop):
-    robot, found = Readings().planar, {"loop": planar_loop}
+    robot, found = Interpretation().planar, {"loop": planar_loop}
     speeds = planar_loop.arrays["motor_speeds"]
     slope = robot.speed_slope
     expected = {"physical": 5 - slope * speeds, "flat": np.full_like(speeds, 5.0), "reversed": 5 + slope * speeds}
     expected["cable"] = 5 + slope * robot.pulley_radius * speeds
     for line, upper in expected.items():
-        figure = PARTS["fig5"].draw(Readings(line=line), found)
+        figure = PARTS["fig5"].draw(Interpretation(line=line), found)
         for motor, axes in enumerate(figure.axes[:3]):
             drawn = axes.get_lines()[0].get_xydata()
             np.testing.assert_allclose(drawn[[0, -1], 1], upper[[0, -1], motor])
-            np.testing.assert_allclose(drawn[-1, 0], planar_loop.arrays["command_time"][-1])
+            np.testing.assert_allclose(drawn[-1, 0], planar_loop.arrays["action_time"][-1])
 
 
 @pytest.mark.parametrize("line", ["flat", "reversed", "cable"])
 def test_a_line_that_no_motor_has_is_not_run_and_the_title_says_so(line, planar_loop):
-    readings = Readings(line=line)
-    robots = {name: PARTS[name].cells(readings)["loop"].keywords["robot"] for name in ("fig5", "fig6", "fig7")}
-    plain = {"fig5": readings.planar, "fig6": readings.spatial("control"), "fig7": readings.flexible("control")}
+    interpretation = Interpretation(line=line)
+    robots = {name: PARTS[name].cells(interpretation)["loop"].keywords["robot"] for name in ("fig5", "fig6", "fig7")}
+    plain = {
+        "fig5": interpretation.planar,
+        "fig6": interpretation.spatial("control"),
+        "fig7": interpretation.flexible("control"),
+    }
     for name, robot in robots.items():
         assert (robot == plain[name]) == (line != "flat")
-    title = PARTS["fig5"].draw(readings, {"loop": planar_loop}).get_suptitle()
-    assert ("run with the physical line" in title) == (line != "flat")
+    title = PARTS["fig5"].draw(interpretation, {"loop": planar_loop}).get_suptitle()
+    assert ("the loop uses the physical line" in title) == (line != "flat")
 
 
 def test_minimum_tension_is_not_read_and_then_left_out():
-    cell = PARTS["fig5"].cells(Readings(minimum_tension=2.0))["loop"]
-    assert numbers("fig5", Readings(), {"loop": cell()})["least_tension_N"] == pytest.approx(2.0, abs=1e-6)
+    cell = PARTS["fig5"].cells(Interpretation(minimum_tension=2.0))["loop"]
+    assert numbers("fig5", Interpretation(), {"loop": cell()})["least_tension_N"] == pytest.approx(2.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("stiffness", "expected"), [("as-printed", 2.0), ("3", 3.0)])
 def test_springs_of_fig_7_to_9_are_not_those_of_the_payload_section(stiffness, expected):
-    readings = Readings(stiffness=stiffness)
+    interpretation = Interpretation(stiffness=stiffness)
     for name in ("fig7", "fig8", "fig9"):
-        robots = [cell.keywords["robot"] for cell in PARTS[name].cells(readings).values()]
+        robots = [cell.keywords["robot"] for cell in PARTS[name].cells(interpretation).values()]
         springs = {float(robot.stiffness[0]) for robot in robots if robot.flexible}
         assert springs == {expected}
         assert {robot.mass for robot in robots} == {11.0}  # Tables 4 and 5
@@ -170,7 +176,7 @@ class Recording(RobustPD):
 
 @pytest.mark.parametrize("flexible", [False, True])
 def test_added_input_is_not_that_of_another_instant(flexible):
-    robot = Readings().flexible("control") if flexible else Readings().spatial("control")
+    robot = Interpretation().flexible("control") if flexible else Interpretation().spatial("control")
     law = (RobustComposite if flexible else Robust)(robot)
     law.outer = Recording(gains=law.outer.gains)
     object.__setattr__(law.outer, "seen", [])
@@ -183,7 +189,7 @@ def test_added_input_is_not_that_of_another_instant(flexible):
 
 @pytest.mark.parametrize("layer", [1e-6, 1e3])
 def test_norm_of_the_term_is_not_another_than_rho_outside_the_layer(layer):
-    rng, robot = np.random.default_rng(0), Readings().spatial("control")
+    rng, robot = np.random.default_rng(0), Interpretation().spatial("control")
     times = np.arange(1, 11) / 10
     reference = robust.paper_circle(robot)(times)
     e, rate = rng.normal(scale=0.01, size=(2, 10, 6))
@@ -206,7 +212,7 @@ def plain_whatever(robot, boundary_layer):
 
 
 def test_reduction_is_not_of_the_ordinary_law_against_the_robust_one():
-    keywords = {"env_id": SPATIAL, "robot": Readings().spatial("control"), "layers": (1e-3,), "draws": 2}
+    keywords = {"env_id": SPATIAL, "robot": Interpretation().spatial("control"), "layers": (1e-3,), "draws": 2}
     (better,) = robust.reductions(plain=FeedbackLinearization, robust=Robust, **keywords)
     (worse,) = robust.reductions(plain=Robust, robust=plain_whatever, **keywords)
     for name in ("total", "largest"):
@@ -215,7 +221,7 @@ def test_reduction_is_not_of_the_ordinary_law_against_the_robust_one():
 
 
 def test_one_draw_is_not_another_for_the_two_laws_and_its_reduction_has_the_right_sign():
-    cells = PARTS["fig9"].cells(Readings())
+    cells = PARTS["fig9"].cells(Interpretation())
     plain, better = (cells[f"{SPATIAL} {law}"] for law in ("plain", "robust"))
     assert {**plain.keywords, "law": None} == {**better.keywords, "law": None}
     assert plain.keywords["law"] is FeedbackLinearization
@@ -233,14 +239,14 @@ def test_layers_are_not_named_twice_and_the_decades_are_among_them():
 
 
 def test_fig_8_shows_the_very_episodes_of_fig_9():
-    ours, theirs = (PARTS[name].cells(Readings()) for name in ("fig8", "fig9"))
+    ours, theirs = (PARTS[name].cells(Interpretation()) for name in ("fig8", "fig9"))
     for env_id, cell in ours.items():
         assert isinstance(cell, partial)
         assert repr(cell) == repr(theirs[f"{env_id} robust"])
 
 
 def test_robust_term_is_not_left_out_of_the_papers_law_on_springs():
-    cells = PARTS["fig9"].cells(Readings())
+    cells = PARTS["fig9"].cells(Interpretation())
     plain, better = (cells[f"eq22 {law}"]() for law in ("plain", "robust"))
     peaks = [loop.arrays["tracking_error_peak"].max() for loop in (plain, better)]
     assert peaks[1] != pytest.approx(peaks[0])

@@ -138,7 +138,7 @@ def record_of(plant):
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
     references = np.zeros((1, 1, plant.robot.coordinates))
-    plant.set_demand(np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables)))
+    plant.set_action(np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables)))
     plant.advance(references, np.zeros(1, np.int64), substeps=substeps, step=duration / substeps)
 
 
@@ -195,7 +195,7 @@ def test_table_5_excludes_a_flexible_robot_with_other_values(flexible, rigid):
 
 @pytest.mark.parametrize("field", ["stiffness", "motor_inertia", "motor_damping"])
 def test_a_refusal_excludes_a_rigid_robot_asked_for_its_springs(field):
-    with pytest.raises(ValueError, match=f"planar has a rigid transmission and no {field}"):
+    with pytest.raises(ValueError, match=f"planar has a rigid transmission without {field}"):
         getattr(PLANAR, field)
 
 
@@ -204,7 +204,7 @@ def test_a_refusal_excludes_a_rigid_robot_asked_for_its_springs(field):
     [
         (True, {"stiffness": 3.0}, "both stiffness and motor_inertia"),
         (True, {"motor_inertia": 4e-4}, "both stiffness and motor_inertia"),
-        (True, {"motor_damping": 0.01}, "motor_damping belongs to a flexible transmission"),
+        (True, {"motor_damping": 0.01}, "motor_damping requires a flexible transmission"),
         (False, {"stiffness": None}, "both stiffness and motor_inertia"),
         (False, {"motor_inertia": None}, "both stiffness and motor_inertia"),
         (False, {"stiffness": 0.0}, "stiffness must be greater than 0"),
@@ -384,12 +384,12 @@ def test_bits_exclude_a_lane_that_differs_from_a_robot_alone(robot, cable, count
         plant = loaded_plant(robot, state[members], cable, mass[members])
         assert plant.lanes == (1 if len(members) == 1 else kernel.LANES)  # else a tile is compared with a tile
         records = []
-        for step, demand in enumerate(demands):
+        for step, action in enumerate(demands):
             if step == 4 and late in members:
                 at = np.flatnonzero(members == late)
                 plant.set_state(at, state.pose[:1], state.velocity[:1])
                 plant.set_motors(at, state.angle[:1], state.speed[:1])
-            plant.set_demand(demand[members])
+            plant.set_action(action[members])
             plant.advance(references, ends, substeps=4, step=5e-4)
             records.append(record_of(plant))
         return np.stack(records)
@@ -406,12 +406,12 @@ def test_bits_exclude_a_lane_that_differs_from_a_robot_alone(robot, cable, count
 def test_the_line_excludes_a_drive_that_sees_the_pulleys_speed(robot):
     """Requests and clips stand on the motor's own speed β̇′, not on the pulley's."""
     state, _ = random_states(robot, 40, seed=9)
-    demand = np.random.default_rng(1).choice([-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5], (40, robot.cables))
+    action = np.random.default_rng(1).choice([-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5], (40, robot.cables))
     plant = loaded_plant(robot, state, "unilateral")
-    plant.set_demand(demand)
+    plant.set_action(action)
     plant.advance(np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64), substeps=2, step=1e-4)
     np.testing.assert_array_equal(plant.per_cable(kernel.SPEED), state.speed)
-    expected = robot.stall_torque * np.clip(demand, -1, 1) - robot.speed_slope * state.speed
+    expected = robot.stall_torque * np.clip(action, -1, 1) - robot.speed_slope * state.speed
     np.testing.assert_allclose(plant.per_cable(kernel.TORQUE), expected, rtol=0, atol=1e-14)
 
 
@@ -619,7 +619,7 @@ def test_a_refusal_excludes_springs_too_stiff_for_the_substeps(env_id, vector, c
 
     with pytest.raises(ValueError, match="Hz") as refusal:
         make(robot=robot, substeps=1)
-    found = re.search(r"swing or settle at (\S+) Hz: use at least (\d+)", str(refusal.value))
+    found = re.search(r"oscillate or settle at (\S+) Hz: use at least (\d+)", str(refusal.value))
     assert found is not None, refusal.value
     assert float(found[1]) == pytest.approx(
         max(textbook.highest_frequency(robot), textbook.fastest_motor_rate(robot)) / (2 * math.pi), rel=0.01
@@ -635,7 +635,7 @@ def test_a_refusal_excludes_springs_too_stiff_for_the_substeps(env_id, vector, c
 @each_id
 def test_default_excludes_physics_steps_by_the_million(env_id):
     robot = with_transmission(PAPERS[env_id], motor_inertia=1e-12)
-    with pytest.raises(ValueError, match=r"up to \S+ Hz, which takes \S+ physics steps in a control period"):
+    with pytest.raises(ValueError, match=r"up to \S+ Hz and needs \S+ physics steps in a control period"):
         gym.make(env_id, robot=robot)
 
 
@@ -688,7 +688,7 @@ def test_the_observation_excludes_motors_and_higher_derivatives_that_are_not_wha
         action = (holding + rng.uniform(-0.2, 0.2, robot.cables)).astype(np.float32)
         observation, _, terminated, _, _ = env.step(action)
         assert not terminated
-        plant.set_demand(action.astype(float)[None])
+        plant.set_action(action.astype(float)[None])
         pose = np.zeros((1, 1, robot.coordinates))
         plant.advance(pose, np.zeros(1, np.int64), substeps=settings.substeps, step=settings.physics_step)
     moved = np.ptp(seen, axis=0)
@@ -730,7 +730,7 @@ def test_a_reset_excludes_a_platform_that_drops_because_its_springs_know_the_tol
     np.testing.assert_allclose(
         blocks["motor_speed"], textbook.pulley_speed(robot, start.position, start.velocity), rtol=0, atol=1e-14
     )
-    assert blocks["told_payload"] == (payload + 1 if known else 0)
+    assert blocks["model_payload"] == (payload + 1 if known else 0)
     twist = blocks["motor_angle"] - textbook.pulley_angle(robot, start.position)
     assert twist.min() > 0
     action = robot.stiffness * twist / robot.stall_torque

@@ -1,4 +1,4 @@
-"""The compiled inverse dynamics against the textbook's, and the textbook's windings against its own Eq. 6."""
+"""The compiled inverse dynamics against the textbook, and the textbook's pulley accelerations against Eq. 6."""
 
 from __future__ import annotations
 
@@ -157,5 +157,5 @@ def test_the_plant_excludes_torques_that_do_not_give_the_motion(cable):
 @every_robot
 def test_eq_6_excludes_windings_other_than_the_pulley_accelerations(robot):
     motion = random_motion(robot, (20,))
-    found = textbook.inverse_dynamics(robot, *motion, strict=False).windings
+    found = textbook.inverse_dynamics(robot, *motion, strict=False).pulley_accelerations
     np.testing.assert_allclose(found, textbook.pulley_acceleration(robot, *motion[1:]), rtol=1e-13, atol=1e-11)

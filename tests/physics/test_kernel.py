@@ -49,7 +49,7 @@ both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
 
 def random_states(robot, count, seed=1):
-    """Poses away from the anchors, velocities and drive commands (some beyond ±1) that slacken many cables."""
+    """Poses away from the anchors, velocities and actions (some beyond ±1) that slacken many cables."""
     rng = np.random.default_rng(seed)
     low, high = 0.6 * (robot.pose_bounds - robot.home) + robot.home
     pose = rng.uniform(low, high, (count, robot.coordinates))
@@ -97,21 +97,21 @@ def test_bits_exclude_a_lane_that_differs_from_a_robot_alone(robot, cable, count
     demands = rng.uniform(-0.7, 1.3, (8, count, robot.cables))
     references = rng.uniform(*robot.pose_bounds, (3, 25, robot.coordinates))
     ends = np.array([24, 11, 19])
-    which = np.arange(count) % 3
+    trajectory_index = np.arange(count) % 3
     late = count - 1  # reset half way: the lane that fills up the last tile
     force, moment = rng.uniform(-8, 8, (count, 2 if robot.planar else 3)), rng.uniform(-2, 2, (count, 3))
 
     def run(members):
         plant = loaded_plant(robot, mass[members], pose[members], velocity[members], cable)
         assert plant.lanes == (1 if len(members) == 1 else kernel.LANES)  # else a tile is compared with a tile
-        plant.which[: len(members)] = which[members]
+        plant.trajectory_index[: len(members)] = trajectory_index[members]
         plant.set_wrench(np.arange(len(members)), force[members], moment[members])
         records = []
         for step, demand in enumerate(demands):
             if step == 4 and late in members:
                 at = np.flatnonzero(members == late)
                 plant.set_state(at, pose[:1], velocity[:1])
-            plant.set_demand(demand[members])
+            plant.set_action(demand[members])
             plant.advance(references, ends, substeps=3, step=2e-3)
             records.append(record_of(plant))
         return np.stack(records)
@@ -133,7 +133,7 @@ def test_repetition_excludes_a_result_that_depends_on_what_the_memory_held_befor
 
     def run(plant):
         for step in range(4):
-            plant.set_demand(demand * (1 - 0.3 * step))
+            plant.set_action(demand * (1 - 0.3 * step))
             plant.advance(references, np.array([29]), substeps=4, step=2e-3)
         return record_of(plant)
 
@@ -241,7 +241,7 @@ def test_the_order_of_the_search_excludes_a_state_that_remembers_its_slack_cable
             plant = loaded_plant(robot, robot.mass, pose, velocity)
             tiles = plant.record.reshape(plant.record.shape[0], -1, plant.lanes)
             tiles[:, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS] = remembered
-            plant.set_demand(demand)
+            plant.set_action(demand)
             plant.advance(*no_reference(robot), substeps=5, step=2e-3)
             ends.append(record_of(plant))
         np.testing.assert_array_equal(ends[0], ends[1])
@@ -260,7 +260,7 @@ def smooth_run(robot, substeps, duration):
         torques = np.full(6, 2.2) * robot.pulley_radius / 0.05
     demand = (torques + robot.speed_slope * textbook.pulley_speed(robot, pose, velocity)) / robot.stall_torque
     plant = loaded_plant(robot, robot.mass, pose[None], velocity[None])
-    plant.set_demand(demand[None])
+    plant.set_action(demand[None])
     plant.advance(*no_reference(robot), substeps=substeps, step=duration / substeps)
     assert np.all(plant.per_cable(kernel.SLACK) == 0)
     speed = textbook.pulley_speed(robot, plant.pose, plant.velocity)
@@ -312,10 +312,10 @@ def test_a_python_loop_excludes_a_wrong_hold_of_the_request_or_a_wrong_peak_of_t
     rng = np.random.default_rng(6)
     references = pose[:, None] + rng.normal(0, 0.05, (count, 31, robot.coordinates))
     plant = loaded_plant(robot, mass, pose, velocity, cable)
-    plant.which[:count] = np.arange(count)
+    plant.trajectory_index[:count] = np.arange(count)
     peak_steps = []
     for period in range(3):
-        plant.set_demand(demand)
+        plant.set_action(demand)
         plant.advance(references, np.full(count, 30), substeps=substeps, step=step)
         poses, velocities, applied = python_period(robot, mass, pose, velocity, demand, substeps, step, cable)
         if period == 0:
@@ -355,11 +355,11 @@ def test_the_last_line_excludes_reading_references_beyond_the_end(robot):
     references = np.full((2, 20, robot.coordinates), np.nan)
     references[:, : end + 1] = pose[0] + np.linspace(0, 0.3, end + 1)[:, None]
     plant = loaded_plant(robot, robot.mass, pose, velocity)
-    plant.which[:count] = 1
+    plant.trajectory_index[:count] = 1
     for period in range(5):
         before = plant.pose
         assert np.all(np.isfinite(before))
-        plant.set_demand(demand)
+        plant.set_action(demand)
         plant.advance(references, np.array([19, end]), substeps=2, step=1e-3)
         if period >= 3:  # lines 7 and 8 on
             space = 2 if robot.planar else 3
@@ -387,7 +387,7 @@ def test_the_wrench_excludes_one_that_fades_spreads_or_leaves_a_moment_behind():
     plant.set_wrench(pushed, np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), np.array([[7.0, 8.0, 9.0]] * 2))
     expected = np.zeros((plant.width, 6))
     expected[4], expected[32:] = [1, 2, 3, 7, 8, 9], [4, 5, 6, 7, 8, 9]
-    plant.set_demand(demand)
+    plant.set_action(demand)
     plant.advance(*no_reference(UNEQUAL), substeps=2, step=1e-3)
     plant.set_state(np.arange(33), pose, velocity)
     np.testing.assert_array_equal(wrench_rows(plant), expected)
@@ -414,7 +414,7 @@ def test_the_line_excludes_torques_beyond_it_at_the_control_instant(robot):
     pose, velocity, _ = random_states(robot, 40, seed=9)
     demand = np.random.default_rng(1).choice([-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5], (40, robot.cables))
     plant = loaded_plant(robot, robot.mass, pose, velocity)
-    plant.set_demand(demand)
+    plant.set_action(demand)
     plant.advance(*no_reference(robot), substeps=2, step=1e-3)
     speed, torque = plant.per_cable(kernel.SPEED), plant.per_cable(kernel.TORQUE)
     np.testing.assert_allclose(speed, textbook.pulley_speed(robot, pose, velocity), rtol=1e-12, atol=1e-12)
@@ -459,7 +459,7 @@ def test_energy_excludes_an_undriven_plant_that_drifts(robot):
     for steps in (75, 150, 300):
         plant = loaded_plant(robot, mass, pose, velocity, "bilateral")
         for _ in range(steps):
-            plant.set_demand(robot.speed_slope * textbook.pulley_speed(robot, plant.pose, plant.velocity))
+            plant.set_action(robot.speed_slope * textbook.pulley_speed(robot, plant.pose, plant.velocity))
             plant.advance(*no_reference(robot), substeps=1, step=0.3 / steps)
             assert np.abs(plant.per_cable(kernel.TORQUE)).max() < 1e-15
         drifts.append(abs(energy(robot, mass, plant.pose, plant.velocity)[0] - start))
@@ -484,7 +484,7 @@ def test_work_excludes_a_force_that_turns_with_the_platform_or_pushes_for_a_part
     pose, velocity = np.tile(pose, (count, 1)), np.tile(velocity, (count, 1))
     plant = loaded_plant(robot, mass, pose, velocity, "bilateral")
     plant.set_wrench(np.arange(count), np.tile(force, (count, 1)))
-    plant.set_demand(np.zeros((count, robot.cables)))
+    plant.set_action(np.zeros((count, robot.cables)))
     plant.advance(*no_reference(robot), substeps=300, step=1e-3)
     work = (plant.pose - pose)[:, :space] @ force
     assert np.abs(work).min() > 0.5
@@ -560,7 +560,7 @@ def test_a_state_that_is_no_number_excludes_an_endless_search_and_damage_to_its_
     def run(pose, velocity, demand):
         plant = loaded_plant(robot, robot.mass, pose, velocity)
         for _ in range(3):
-            plant.set_demand(demand)
+            plant.set_action(demand)
             plant.advance(references, np.array([49]), substeps=5, step=2e-3)
         return record_of(plant)
 

@@ -143,9 +143,9 @@ def test_mujocos_trajectory_excludes_an_euler_rate_matrix_wrong_in_textbook_and_
     compiled.set_state(np.arange(count), np.tile(pose, (count, 1)), np.tile(velocity, (count, 1)))
     for _ in range(steps):
         speed = textbook.pulley_speed(robot, compiled.pose, compiled.velocity)
-        demand = (torques + robot.speed_slope * speed) / robot.stall_torque
-        assert np.abs(demand).max() < 1  # else the plant would clip, which MuJoCo does not
-        compiled.set_demand(demand)
+        action = (torques + robot.speed_slope * speed) / robot.stall_torque
+        assert np.abs(action).max() < 1  # else the plant would clip, which MuJoCo does not
+        compiled.set_action(action)
         compiled.advance(np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64), substeps=1, step=timestep)
         np.testing.assert_allclose(compiled.per_cable(kernel.TORQUE), np.tile(torques, (count, 1)), rtol=1e-12)
     end = np.concatenate([compiled.pose, compiled.velocity], axis=1)

@@ -60,7 +60,7 @@ def test_a_linear_program_excludes_tensions_that_are_not_the_least(x, y, fx, fy,
     structure, load = textbook.jacobian(robot, [x, y]), np.array([fx, fy])
     best = least_by_linear_program(structure, load, minimum, np.ones(robot.cables))
     assume(best.status == 0)  # a corner of the box may lie outside the triangle
-    found = textbook.least_tensions(structure, load, minimum)
+    found = textbook.tension_distribution(structure, load, minimum)
     np.testing.assert_allclose(-structure.T @ found, load, rtol=0, atol=1e-10)
     assert found.min() >= minimum
     assert found.sum() == pytest.approx(best.fun, rel=1e-7, abs=1e-7)
@@ -72,7 +72,7 @@ def test_three_cables_exclude_any_tension_below_the_least_ones(x, y, fx, fy, min
     """physics.md §4: the least α minimises every tension at once."""
     structure, load = textbook.jacobian(PLANAR, [x, y]), np.array([fx, fy])
     assume(least_by_linear_program(structure, load, minimum, np.ones(3)).status == 0)
-    found = textbook.least_tensions(structure, load, minimum)
+    found = textbook.tension_distribution(structure, load, minimum)
     for cable in range(3):
         least = least_by_linear_program(structure, load, minimum, np.eye(3)[cable])
         assert found[cable] == pytest.approx(least.fun, rel=1e-7, abs=1e-7)
@@ -89,7 +89,9 @@ def test_soft_tensions_exclude_another_force_and_a_kink(x, y, fx, fy, softness):
     null = null / null.sum()
     norm = -np.linalg.pinv(structure.T) @ load
     expected = norm + softness * logsumexp((minimum - norm) / null / softness) * null
-    found = textbook.soft_tensions(structure, textbook.least_tensions(structure, load, minimum), minimum, softness)
+    found = textbook.smooth_tension_distribution(
+        structure, textbook.tension_distribution(structure, load, minimum), minimum, softness
+    )
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
     assert found.min() >= minimum
 
@@ -99,18 +101,18 @@ def test_a_force_along_a_cable_excludes_a_least_tension_lost_to_rounding():
         structure = textbook.jacobian(robot, robot.home)
         for cable in range(robot.cables):
             expected = 7.0 * np.eye(robot.cables)[cable]
-            found = textbook.least_tensions(structure, -structure.T @ expected, 0.0)
+            found = textbook.tension_distribution(structure, -structure.T @ expected, 0.0)
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(textbook.least_tensions(structure, np.zeros(2), 0.0), 0.0)
+    np.testing.assert_array_equal(textbook.tension_distribution(structure, np.zeros(2), 0.0), 0.0)
 
 
 def test_a_batch_excludes_least_tensions_taken_from_another_member():
     rng = np.random.default_rng(8)
     pose, load = rng.uniform(-0.15, 0.15, (4, 5, 2)), rng.uniform(-9, 9, (4, 5, 2))
-    batch = textbook.least_tensions(textbook.jacobian(QUAD, pose), load, 2.0)
+    batch = textbook.tension_distribution(textbook.jacobian(QUAD, pose), load, 2.0)
     assert batch.shape == (4, 5, 4)
     for index in np.ndindex(4, 5):
-        single = textbook.least_tensions(textbook.jacobian(QUAD, pose[index]), load[index], 2.0)
+        single = textbook.tension_distribution(textbook.jacobian(QUAD, pose[index]), load[index], 2.0)
         np.testing.assert_allclose(batch[index], single, rtol=0, atol=1e-13)
 
 
@@ -119,14 +121,14 @@ def test_an_error_excludes_negative_tensions_outside_the_polygon(robot):
     outside = np.array([0.0, -0.7])
     away = np.array([0.0, -5.0])
     with pytest.raises(ValueError, match="outside the polygon"):
-        textbook.least_tensions(textbook.jacobian(robot, outside), away, 0.0)
+        textbook.tension_distribution(textbook.jacobian(robot, outside), away, 0.0)
     with pytest.raises(ValueError, match="outside the polygon"):  # one member of a batch is enough
         textbook.required_tensions(robot, 1.0, np.stack([robot.home, outside]), np.zeros(2), np.stack([away, away]))
     poses, loads = np.stack([robot.home, outside]), np.stack([away, away])
-    going_on = textbook.least_tensions(textbook.jacobian(robot, poses), loads, 2.0, strict=False)
+    going_on = textbook.tension_distribution(textbook.jacobian(robot, poses), loads, 2.0, strict=False)
     np.testing.assert_array_equal(going_on[1], 2.0)  # a control law gets the minimum, and its neighbour the solution
     assert going_on[0].max() > 2.5
-    towards = textbook.least_tensions(textbook.jacobian(robot, outside), -away, 0.0)
+    towards = textbook.tension_distribution(textbook.jacobian(robot, outside), -away, 0.0)
     assert towards.min() >= 0  # inwards, cables can pull from there too
 
 

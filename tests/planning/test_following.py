@@ -15,13 +15,13 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Follower, Margins, MotionProgram, PlannedMotion
 from cablebot_gym.planning.following import State
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("casadi")
 
 NO_GAINS = (0.0, 0.0)
-ROOM = Margins(position=0.001, rotation=0.001, demand=0.1, tension=2.0)
+ROOM = Margins(position=0.001, rotation=0.001, action=0.1, tension=2.0)
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,10 @@ def plan(name: str) -> PlannedMotion:
     case = CASES[name]
     duration = 0.5 if case.robot.planar else 0.6
     reference = find_trajectory({"name": case.motion, "duration": duration}, case.robot.coordinates)
-    limits = Limits(position=0.01, rotation=0.01)
-    return MotionProgram(case.robot, reference, limits, intervals=case.intervals, margins=ROOM, period=0.002).solve()
+    error_bounds = ErrorBounds(position=0.01, rotation=0.01)
+    return MotionProgram(
+        case.robot, reference, error_bounds, intervals=case.intervals, margins=ROOM, period=0.002
+    ).solve()
 
 
 def follow(name: str, follower: Follower, *, error: float = 0.0, frequency: float = 500.0) -> np.ndarray:
@@ -70,7 +72,7 @@ def follow(name: str, follower: Follower, *, error: float = 0.0, frequency: floa
     layout, distances = env.unwrapped.layout, []
     for step in range(steps):
         state = State.of(layout.split(observation), np.asarray(step * period))
-        action = follower.command(motion, state, np.asarray(motion.payload), period)
+        action = follower.action(motion, state, np.asarray(motion.payload), period)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
         assert not terminated
         distances.append(float(info["tracking_error"]))
@@ -114,7 +116,7 @@ def test_commands_are_not_other_torques_than_they_ask_for(name: str) -> None:
     state = State(time=np.asarray(0.25), pose=x.position, velocity=x.velocity, motor_angle=angle, motor_speed=speed)
     follower = Follower(robot=robot, gains=(100.0, 10.0))
     torques, speeds = follower.torques(motion, state, payload, 0.002)
-    command = follower.command(motion, state, payload, 0.002)
+    command = follower.action(motion, state, payload, 0.002)
     low, high = textbook.torque_limits(robot, speeds)
     np.testing.assert_allclose((high - low) / 2 * command + (high + low) / 2, torques, rtol=1e-9, atol=1e-9)
 
@@ -132,10 +134,10 @@ def test_a_batch_is_not_other_than_its_rows(name: str) -> None:
         more = {"motor_angle": angle[k], "motor_speed": speed[k]} if robot.flexible else {}
         return State(time=times[k], pose=pose[k], velocity=x.velocity[k], **more)
 
-    together = follower.command(motion, state(slice(None)), payload, 0.002)
+    together = follower.action(motion, state(slice(None)), payload, 0.002)
     assert together.shape == (2, robot.cables)
     for k in range(2):
-        alone = follower.command(motion, state(k), payload[k], 0.002)
+        alone = follower.action(motion, state(k), payload[k], 0.002)
         np.testing.assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
@@ -198,11 +200,11 @@ def test_a_slower_drive_is_not_followed_by_torques_of_another_period() -> None:
 
 @pytest.mark.parametrize("gains", [(-1.0, 1.0), (1.0, np.inf), (np.nan, 1.0)])
 def test_gains_that_drive_apart_are_not_taken(gains: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="gains must be at least 0"):
+    with pytest.raises(ValueError, match="gains must be finite and at least 0"):
         Follower(robot=PLANAR, gains=gains)
 
 
 @pytest.mark.parametrize("field", ["motor_frequency", "motor_damping"])
 def test_a_motor_loop_without_a_rate_is_not_taken(field: str) -> None:
-    with pytest.raises(ValueError, match="must be greater than 0"):
+    with pytest.raises(ValueError, match="must be finite and greater than 0"):
         Follower(robot=FLEX_PLANAR, gains=(1.0, 1.0), **{field: 0.0})

@@ -17,15 +17,15 @@ from cablebot_gym import kinematics
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Infeasible, Margins, MotionProgram
-from cablebot_gym.planning.stage_functions import TENSION, flexible_instant, rigid_instant
+from cablebot_gym.planning.stage_functions import TENSION, flexible_stage, rigid_stage
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot, Transmission
-from cablebot_gym.task import Limits
-from cablebot_gym.trajectories import Hold, Reference, find_trajectory
+from cablebot_gym.task import ErrorBounds
+from cablebot_gym.trajectories import Dwell, Reference, find_trajectory
 
 ca = pytest.importorskip("casadi")
 
 ROBOTS = [PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL]
-TUBE = Limits(position=0.01, rotation=0.01)
+BOUNDS = ErrorBounds(position=0.01, rotation=0.01)
 every_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
 
 
@@ -63,7 +63,7 @@ def test_equations_on_symbols_are_not_other_ones_than_on_numbers(robot: Robot, s
         (lambda x, v: textbook.pulley_speed(robot, x, v), (x, v)),
         (lambda x, v, a: textbook.pulley_acceleration(robot, x, v, a), (x, v, a)),
         (lambda t, x, v, a: textbook.required_torques(robot, t, x, v, a), (tension, x, v, a)),
-        (lambda t, v: textbook.drive_command(robot, t, v), (tension, tension[:, ::-1])),
+        (lambda t, v: textbook.normalised_action(robot, t, v), (tension, tension[:, ::-1])),
         (lambda x: kinematics.cable_lengths(robot.base, robot.platform, x), (x,)),
     ]
     if angles is not None:
@@ -94,7 +94,7 @@ def test_numbers_do_not_come_out_as_another_type_than_float64(robot: Robot, kind
         textbook.pulley_speed(robot, x, v),
         textbook.pulley_acceleration(robot, x, v, v),
         textbook.required_torques(robot, tension, x, v, v),
-        textbook.drive_command(robot, tension, tension),
+        textbook.normalised_action(robot, tension, tension),
         *textbook.torque_limits(robot, tension),
         kinematics.rotation_matrix(np.ones((4, 3), np.float32 if kind is float else kind)),
         kinematics.as_numbers(x),
@@ -117,16 +117,17 @@ def test_instant_of_a_rigid_robot_does_not_contradict_inverse_dynamics(robot: Ro
     mass, period, n = robot.mass + 1.7, 0.004, robot.coordinates
     needed = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
     numbers = np.concatenate([*(array[0] for array in (x, v, a, needed.tensions / TENSION)), [mass]])
-    values = np.array(rigid_instant(robot, period)(numbers))[:, 0]
+    values = np.array(rigid_stage(robot, period)(numbers))[:, 0]
     np.testing.assert_allclose(values[:n], 0.0, atol=1e-12)
     for side, command in zip((-1, 1), values[n:].reshape(2, -1), strict=True):
         low, high = (
-            limit[0] for limit in textbook.torque_limits(robot, needed.speeds + side * 0.002 * needed.windings)
+            limit[0]
+            for limit in textbook.torque_limits(robot, needed.speeds + side * 0.002 * needed.pulley_accelerations)
         )
         wanted = (needed.torques[0] - (low + high) / 2) / ((high - low) / 2)  # −1 on the lower line, 1 on the upper
         np.testing.assert_allclose(command, wanted, rtol=1e-10)
     heavier = np.append(numbers[:-1], mass + 1)
-    unbalanced = np.array(rigid_instant(robot, period)(heavier))[:n, 0]
+    unbalanced = np.array(rigid_stage(robot, period)(heavier))[:n, 0]
     assert np.abs(unbalanced).max() > 1e-3
 
 
@@ -138,13 +139,13 @@ def test_instant_of_a_flexible_robot_does_not_contradict_inverse_dynamics(robot:
     # Behind the spring stands what a rigid motor would give to the pulley: r T + J β̈ + c β̇.
     angle = textbook.pulley_angle(robot, x) + needed.torques / robot.stiffness
     speed, acceleration = np.linspace(-20, 30, m), np.linspace(400, -300, m)
-    balance, limits, start = flexible_instant(robot, 0.004)
+    balance, limits, start = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
     np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-11)
     first, second, tensions, wound = np.array(limits(numbers))[:, 0].reshape(4, m)
     torque = needed.torques[0] + robot.motor_inertia * acceleration + robot.motor_damping * speed
     for side, command in ((-1, first), (1, second)):
-        wanted = textbook.drive_command(robot, torque, speed + side * 0.002 * acceleration)
+        wanted = textbook.normalised_action(robot, torque, speed + side * 0.002 * acceleration)
         np.testing.assert_allclose(command, wanted, rtol=1e-9)
     np.testing.assert_allclose(TENSION * tensions, needed.tensions[0], rtol=1e-9)
     np.testing.assert_allclose(TENSION * wound, needed.torques[0] / robot.pulley_radius, rtol=1e-9)
@@ -166,9 +167,9 @@ def test_instant_of_a_flexible_robot_does_not_contradict_inverse_dynamics(robot:
 def test_derivatives_put_together_by_hand_are_not_other_than_casadis_own(robot: Robot, lightest: float | None) -> None:
     name = "circle-planar" if robot.planar else "circle-spatial"
     reference = find_trajectory(name, robot.coordinates)
-    margins = Margins(position=1e-3, rotation=1e-3, demand=0.1, tension=1.0)
-    program = MotionProgram(robot, reference, TUBE, intervals=3, margins=margins, lightest=lightest, period=0.002)
-    solver, lowest, _ = program._assembled()
+    margins = Margins(position=1e-3, rotation=1e-3, action=0.1, tension=1.0)
+    program = MotionProgram(robot, reference, BOUNDS, intervals=3, margins=margins, lightest=lightest, period=0.002)
+    solver, lowest, _ = program._assemble()
     oracle, rng = solver.oracle(), np.random.default_rng(1)
     z, lam = rng.uniform(-0.5, 0.5, oracle.size1_in("x")), rng.uniform(-1, 1, len(lowest))
     by_hand = np.array(solver.get_function("nlp_jac_g")(z, [])[1])
@@ -235,21 +236,21 @@ def test_one_dimension_is_not_off_from_the_hand_calculation(inertia: float, free
         return throttle * way - (motion.rate * end**2 / 2 - tube)
 
     largest = brentq(lag, 1.0, 1e4)
-    found = MotionProgram(robot, motion, Limits(position=tube), intervals=30).solve()
+    found = MotionProgram(robot, motion, ErrorBounds(position=tube), intervals=30).solve()
     assert 1 + found.payload == pytest.approx(largest, rel=2e-3)
 
 
 def test_sagging_adds_no_more_and_no_less_than_a_fall_that_a_tube_has_room_for() -> None:
     """Standing still in a tube of no width is the static payload; in a wider one the platform may fall by R."""
-    hold = Hold(pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), duration=0.1)
+    hold = Dwell(pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), duration=0.1)
     static = exact_payload(SPATIAL, hold)
-    # By hand: the first motor's cable holds that share of the weight.
-    share = textbook.required_tensions(SPATIAL, 1.0, np.array(hold.pose), np.zeros(6), np.zeros(6))
-    by_hand = (SPATIAL.stall_torque / SPATIAL.pulley_radius / share).min() - SPATIAL.mass
+    # By hand: the first motor's cable holds that fraction of the weight.
+    fraction = textbook.required_tensions(SPATIAL, 1.0, np.array(hold.pose), np.zeros(6), np.zeros(6))
+    by_hand = (SPATIAL.stall_torque / SPATIAL.pulley_radius / fraction).min() - SPATIAL.mass
     assert static.payload == pytest.approx(by_hand, rel=1e-9)
     payloads = []
     for width in (1e-5, 1e-3):
-        tube = Limits(position=width, rotation=width)
+        tube = ErrorBounds(position=width, rotation=width)
         payloads.append(MotionProgram(SPATIAL, hold, tube, intervals=20).solve().payload)
     assert payloads[0] == pytest.approx(static.payload, rel=1e-3)
     # A free fall with the acceleration a sinks by a T²/2 = R: M (g − a) is what the static payload's g is. The ratio
@@ -260,10 +261,12 @@ def test_sagging_adds_no_more_and_no_less_than_a_fall_that_a_tube_has_room_for()
 
 def test_payload_does_not_fall_with_a_wider_tube_or_stronger_motors() -> None:
     reference = find_trajectory("paper-planar", 2)
-    widths = [MotionProgram(PLANAR, reference, Limits(position=r), intervals=30).solve().payload for r in (5e-3, 1e-2)]
+    widths = [
+        MotionProgram(PLANAR, reference, ErrorBounds(position=r), intervals=30).solve().payload for r in (5e-3, 1e-2)
+    ]
     assert widths[1] > 1.05 * widths[0]
     motors = Motors(stall_torque=5.25, free_speed=PLANAR.motors.free_speed)
-    stronger = MotionProgram(PLANAR.replace(motors=motors), reference, TUBE, intervals=30).solve().payload
+    stronger = MotionProgram(PLANAR.replace(motors=motors), reference, BOUNDS, intervals=30).solve().payload
     assert stronger > 1.03 * widths[1]
 
 
@@ -274,14 +277,14 @@ def test_motors_and_inertia_in_proportion_do_not_carry_another_share_of_mass(fac
     motors = Motors(stall_torque=factor * 5.0, free_speed=PLANAR.motors.free_speed)
     transmission = Transmission(pulley_radius=0.05, pulley_inertia=factor * 8e-4, damping=0.0)
     scaled = PLANAR.replace(motors=motors, transmission=transmission)
-    masses = [1 + MotionProgram(robot, reference, TUBE, intervals=30).solve().payload for robot in (PLANAR, scaled)]
+    masses = [1 + MotionProgram(robot, reference, BOUNDS, intervals=30).solve().payload for robot in (PLANAR, scaled)]
     assert masses[1] == pytest.approx(factor * masses[0], rel=1e-3)
 
 
 def test_holding_torques_for_a_period_does_not_leave_the_payload_as_it_was() -> None:
     reference = find_trajectory("paper-planar", 2)
     payloads = [
-        MotionProgram(PLANAR, reference, TUBE, intervals=30, period=period).solve().payload for period in (0.0, 0.02)
+        MotionProgram(PLANAR, reference, BOUNDS, intervals=30, period=period).solve().payload for period in (0.0, 0.02)
     ]
     assert payloads[1] < payloads[0] - 0.02
 
@@ -291,13 +294,13 @@ def test_holding_torques_for_a_period_does_not_leave_the_payload_as_it_was() -> 
 
 def test_starts_and_meshes_do_not_end_in_other_optima() -> None:
     reference = find_trajectory("paper-planar", 2)
-    coarse = MotionProgram(PLANAR, reference, TUBE, intervals=30)
+    coarse = MotionProgram(PLANAR, reference, BOUNDS, intervals=30)
     first = coarse.solve()
     assert coarse.solve().payload == first.payload
     np.testing.assert_array_equal(coarse.solve().poses, first.poses)
     shifted = coarse.solve(shift=np.array([0.3, -0.4]))
     assert shifted.payload == pytest.approx(first.payload, rel=1e-4)
-    fine = MotionProgram(PLANAR, reference, TUBE, intervals=60)
+    fine = MotionProgram(PLANAR, reference, BOUNDS, intervals=60)
     warm, cold = fine.solve(first), fine.solve()
     assert warm.payload == pytest.approx(cold.payload, rel=1e-4)
     assert warm.payload == pytest.approx(first.payload, rel=0.02)
@@ -306,15 +309,15 @@ def test_starts_and_meshes_do_not_end_in_other_optima() -> None:
 def test_a_motion_that_nothing_lets_through_is_not_returned() -> None:
     reference = find_trajectory("paper-planar", 2)
     with pytest.raises(Infeasible):
-        MotionProgram(PLANAR, reference, Limits(position=1e-6), intervals=20).solve()
+        MotionProgram(PLANAR, reference, ErrorBounds(position=1e-6), intervals=20).solve()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ctrl_c_does_not_pass_for_an_evaluation_that_failed() -> None:
     """CasADi alone would go on for as long as the program takes."""
     reference = find_trajectory("paper-spatial", 6)
-    program = MotionProgram(SPATIAL, reference, TUBE, intervals=120)
-    program._solver = program._assembled()
+    program = MotionProgram(SPATIAL, reference, BOUNDS, intervals=120)
+    program._solver = program._assemble()
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     try:
@@ -329,7 +332,7 @@ def test_ctrl_c_does_not_pass_for_an_evaluation_that_failed() -> None:
 
 def test_solving_beside_the_main_thread_does_not_ask_for_signals() -> None:
     found: list[float] = []
-    program = MotionProgram(PLANAR, find_trajectory("line-planar", 2), TUBE, intervals=10)
+    program = MotionProgram(PLANAR, find_trajectory("line-planar", 2), BOUNDS, intervals=10)
     thread = threading.Thread(target=lambda: found.append(program.solve().payload))
     thread.start()
     thread.join()

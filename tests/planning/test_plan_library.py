@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cablebot_gym.planning import Infeasible, Margins, MotionProgram, PlannedMotion, library, planned
+from cablebot_gym.planning import Infeasible, Margins, MotionProgram, PlannedMotion, library, plan_motion
 from cablebot_gym.planning.library import cache_folder, fingerprint
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, Motors
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import PointToPoint, find_trajectory
 
 pytest.importorskip("casadi")
 pytestmark = pytest.mark.usefixtures("cache")
 
 LINE = find_trajectory({"name": "line-planar", "duration": 0.4}, 2)
-TUBE = Limits(position=0.01)
+BOUNDS = ErrorBounds(position=0.01)
 
 
 @pytest.fixture
@@ -38,9 +38,9 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def plan(**changes: Any) -> PlannedMotion:
-    settings = {"robot": PLANAR, "trajectory": LINE, "limits": TUBE, "intervals": 8} | changes
-    robot, trajectory, limits = (settings.pop(name) for name in ("robot", "trajectory", "limits"))
-    return planned(robot, trajectory, limits, **settings)
+    settings = {"robot": PLANAR, "trajectory": LINE, "error_bounds": BOUNDS, "intervals": 8} | changes
+    robot, trajectory, error_bounds = (settings.pop(name) for name in ("robot", "trajectory", "error_bounds"))
+    return plan_motion(robot, trajectory, error_bounds, **settings)
 
 
 def same(one: PlannedMotion, other: PlannedMotion) -> bool:
@@ -64,9 +64,9 @@ def test_a_plan_is_not_kept_for_other_settings(solved: list[int]) -> None:
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
         {"trajectory": PointToPoint(name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4)},
-        {"limits": Limits(position=0.011)},
+        {"error_bounds": ErrorBounds(position=0.011)},
         {"intervals": 9},
-        {"margins": Margins(demand=0.1)},
+        {"margins": Margins(action=0.1)},
         {"margins": Margins(tension=1.0)},
         {"lightest": 0.0},
         {"period": 0.002},
@@ -79,7 +79,7 @@ def test_a_plan_is_not_kept_for_other_settings(solved: list[int]) -> None:
 
 def test_fingerprint_does_not_ignore_the_code_the_solver_or_more_data(monkeypatch: pytest.MonkeyPatch) -> None:
     def key(module: str = "cablebot_gym.planning.program", frequency: float = 500.0) -> str:
-        return fingerprint(module, PLANAR, LINE, control_frequency=frequency, limits=TUBE)
+        return fingerprint(module, PLANAR, LINE, control_frequency=frequency, error_bounds=BOUNDS)
 
     usual = key()
     assert usual == key()
@@ -124,7 +124,7 @@ def test_a_folder_that_cannot_be_made_does_no_harm(
 
 def test_what_cannot_be_planned_does_not_leave_a_file(cache: Path) -> None:
     with pytest.raises(Infeasible):
-        plan(limits=Limits(position=1e-7), trajectory=find_trajectory("paper-planar", 2), intervals=4)
+        plan(error_bounds=ErrorBounds(position=1e-7), trajectory=find_trajectory("paper-planar", 2), intervals=4)
     assert not cache.exists()
 
 
@@ -144,7 +144,7 @@ def test_missing_casadi_is_not_a_trace_of_imports(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
         plan()
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
-        MotionProgram(PLANAR, LINE, TUBE, intervals=4)
+        MotionProgram(PLANAR, LINE, BOUNDS, intervals=4)
 
 
 def test_planning_does_not_import_casadi_before_it_is_needed() -> None:

@@ -15,15 +15,15 @@ import cablebot_gym  # noqa: F401  # registers the ids
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Margins, MotionProgram, PlannedMotion
-from cablebot_gym.planning.program import INSTANTS
+from cablebot_gym.planning.program import STAGES_PER_INTERVAL
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 
 pytest.importorskip("casadi")
 
-LIMITS = Limits(position=0.01, rotation=0.008)
+LIMITS = ErrorBounds(position=0.01, rotation=0.008)
 PERIOD = 0.002
 FINER = 20
 
@@ -46,7 +46,7 @@ class Case:
         return find_trajectory(self.trajectory, self.robot.coordinates)
 
 
-ROOM = Margins(position=0.002, rotation=0.003, demand=0.1, tension=8.0)
+ROOM = Margins(position=0.002, rotation=0.003, action=0.1, tension=8.0)
 LOW_ROOM = replace(ROOM, tension=3.0)
 """Flexible planar robots start with 5 N in their cables: no plan can leave more."""
 FAST_LINE = {"name": "line-planar", "duration": 0.4}
@@ -87,11 +87,13 @@ def payloads(name: str) -> list[float]:
     motion = plan(name)
     if CASES[name].lightest is None:
         return [motion.payload]
-    return [motion.lightest + share * (motion.payload - motion.lightest) for share in (0.0, 0.31, 0.77, 1.0)]
+    return [motion.lightest + fraction * (motion.payload - motion.lightest) for fraction in (0.0, 0.31, 0.77, 1.0)]
 
 
 def fine_times(name: str) -> Array:
-    return np.linspace(0.0, plan(name).duration, FINER * INSTANTS[CASES[name].robot.joints] * CASES[name].intervals + 1)
+    return np.linspace(
+        0.0, plan(name).duration, FINER * STAGES_PER_INTERVAL[CASES[name].robot.joints] * CASES[name].intervals + 1
+    )
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Asked:
 
     tensions: Array
     springs: Array
-    demand: Array
+    action: Array
     unbalanced: Array
 
 
@@ -126,8 +128,8 @@ def asked(name: str, payload: float) -> Asked:
     unbalanced = textbook.load(robot, mass, x.position, x.velocity, x.acceleration)
     unbalanced = unbalanced + np.einsum("tij,ti->tj", structure, tensions)
     half = PERIOD / 2 * acceleration
-    demand = np.stack([textbook.drive_command(robot, torques, motor_speed + side) for side in (-half, half)])
-    return Asked(tensions, springs, demand, unbalanced)
+    action = np.stack([textbook.normalised_action(robot, torques, motor_speed + side) for side in (-half, half)])
+    return Asked(tensions, springs, action, unbalanced)
 
 
 # --- limits between nodes ---------------------------------------------------------------------------------------------
@@ -147,8 +149,8 @@ def test_motion_does_not_leave_the_tube_between_nodes(name: str) -> None:
 
 @every_case
 def test_no_load_asks_for_more_than_the_motors_have_between_nodes(name: str) -> None:
-    peaks = [np.abs(asked(name, payload).demand).max() for payload in payloads(name)]
-    most = 1 - CASES[name].margins.demand
+    peaks = [np.abs(asked(name, payload).action).max() for payload in payloads(name)]
+    most = 1 - CASES[name].margins.action
     assert most - 2e-3 < max(peaks) < most + SWINGS[name.partition(",")[0]]
 
 
@@ -258,7 +260,7 @@ def test_an_environment_does_not_refuse_a_plan_as_its_motion() -> None:
         assert not terminated
         errors.append(float(info["tracking_error"]))
         if step < steps:
-            peak = max(peak, float(np.abs(info["drive_demand"]).max()))
+            peak = max(peak, float(np.abs(info["commanded_action"]).max()))
     env.close()
     assert max(errors[:steps]) < 1e-3
     assert peak < 1.0
@@ -293,7 +295,7 @@ def test_arrays_do_not_lose_anything(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("position", -1e-3), ("rotation", np.nan), ("demand", 1.0), ("tension", np.inf)]
+    ("field", "value"), [("position", -1e-3), ("rotation", np.nan), ("action", 1.0), ("tension", np.inf)]
 )
 def test_margins_that_mean_nothing_are_not_taken(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"margins: {field} must be at least 0 and below"):
@@ -301,17 +303,17 @@ def test_margins_that_mean_nothing_are_not_taken(field: str, value: float) -> No
 
 
 def test_scaling_margins_does_not_leave_one_out() -> None:
-    assert ROOM.scaled(0.5) == Margins(position=0.001, rotation=0.0015, demand=0.05, tension=4.0)
+    assert ROOM.scaled(0.5) == Margins(position=0.001, rotation=0.0015, action=0.05, tension=4.0)
 
 
 @pytest.mark.parametrize("field", ["position", "rotation"])
 def test_margins_that_leave_nothing_of_a_limit_are_not_planned_with(field: str) -> None:
     margins = replace(Margins(), **{field: getattr(LIMITS, field)})
-    with pytest.raises(ValueError, match=f"margins: {field} has to be below its limit"):
+    with pytest.raises(ValueError, match=f"margins: {field} must be below the error bound"):
         MotionProgram(SPATIAL, find_trajectory("paper-spatial", 6), LIMITS, intervals=4, margins=margins)
 
 
 def test_more_tension_than_there_is_at_the_start_is_not_left_to_the_solver_to_refuse() -> None:
     margins = Margins(tension=textbook.MINIMUM_TENSION + 1)
-    with pytest.raises(ValueError, match="at most the 5 N with which 'flex-planar' starts, not 6 N"):
+    with pytest.raises(ValueError, match="at most 5 N, the initial tension of 'flex-planar', not 6 N"):
         MotionProgram(FLEX_PLANAR, find_trajectory("paper-planar", 2), LIMITS, intervals=20, margins=margins)

@@ -68,10 +68,10 @@ def test_torques_and_limits_are_not_those_of_another_motor_or_instant(result):
             "applied": history["torques"][:, motor],
             "upper": robot.stall_torque[motor] - slowed,
             "lower": -robot.stall_torque[motor] - slowed,
-            "demanded": robot.stall_torque[motor] * history["drive_demand"][:, motor] - slowed,
+            "demanded": robot.stall_torque[motor] * history["commanded_action"][:, motor] - slowed,
         }
         for name, values in expected.items():
-            np.testing.assert_array_equal(drawn[name].get_xdata(), history["command_time"])
+            np.testing.assert_array_equal(drawn[name].get_xdata(), history["action_time"])
             np.testing.assert_allclose(drawn[name].get_ydata(), values, rtol=1e-12, atol=1e-12)
 
 
@@ -80,7 +80,7 @@ def test_applied_torque_does_not_leave_the_limits_drawn_and_the_demand_shows_onl
         drawn = {name: line.get_ydata() for name, line in lines(axes).items() if name != "dots"}
         assert np.all(drawn["applied"] <= drawn["upper"] + 1e-9)
         assert np.all(drawn["applied"] >= drawn["lower"] - 1e-9)
-        within = np.abs(result.history["drive_demand"][:, motor]) <= 1
+        within = np.abs(result.history["commanded_action"][:, motor]) <= 1
         np.testing.assert_allclose(drawn["demanded"][within], drawn["applied"][within], atol=1e-9)
         assert np.all(drawn["demanded"][~within] != drawn["applied"][~within])
 
@@ -92,18 +92,18 @@ def test_the_one_dot_is_not_elsewhere_than_at_the_least_margin(result):
     ]
     assert len(dots) == 1
     motor, dot = dots[0]
-    margins = 1 - np.abs(history["drive_demand"])
+    margins = 1 - np.abs(history["commanded_action"])
     step = int(np.argmin(margins.min(axis=1)))
     assert motor == int(np.argmin(margins[step]))
-    assert dot.get_xydata().tolist() == [[history["command_time"][step], history["torques"][step, motor]]]
+    assert dot.get_xydata().tolist() == [[history["action_time"][step], history["torques"][step, motor]]]
     (note,) = panels(figures.draw_torques(result))[motor].texts
-    assert f"t = {history['command_time'][step]:.3f} s" in note.get_text()
+    assert f"t = {history['action_time'][step]:.3f} s" in note.get_text()
     assert ("beyond" in note.get_text()) == (margins.min() < 0)
 
 
 def test_a_demand_far_beyond_does_not_flatten_the_limits(results):
     far = dataclasses.replace(
-        results["planar"], history=results["planar"].history | {"drive_demand": np.full((500, 3), 1e6)}
+        results["planar"], history=results["planar"].history | {"commanded_action": np.full((500, 3), 1e6)}
     )
     low, high = panels(figures.draw_torques(far))[0].get_ylim()
     assert high - low < 10 * PLANAR.stall_torque.max()
@@ -111,7 +111,7 @@ def test_a_demand_far_beyond_does_not_flatten_the_limits(results):
 
 def test_an_episode_of_one_step_is_not_invisible(results):
     violent = results["violent"]
-    assert len(violent.history["command_time"]) == 1
+    assert len(violent.history["action_time"]) == 1
     drawn = [*panels(figures.draw_torques(violent)), figures.draw_path(violent).axes[1]]
     for axes in drawn:
         line = axes.get_lines()[0]
@@ -131,15 +131,17 @@ def test_path_is_not_shifted_by_a_step_against_its_reference(result):
     np.testing.assert_allclose(millimetres, away, atol=1e-9)
     assert plane.get_aspect() == 1
     (tube,) = plane.collections
-    np.testing.assert_allclose([tube.get_widths(), tube.get_heights()], 2 * result.limits["position"])
+    np.testing.assert_allclose([tube.get_widths(), tube.get_heights()], 2 * result.error_bounds["position"])
     assert tube.get_linewidth() == 0  # the edge would add to the radius
     np.testing.assert_array_equal(tube.get_offsets(), reference.get_xydata())
 
 
 def test_bounds_drawn_are_not_others_than_the_criterions(results):
     for criterion, bounds in {"paper": [[10.0], []], "task": [[10.0], [10.0]]}.items():
-        limits = {"position": 0.01, "rotation": 0.01 if criterion == "task" else None}
-        drawn = figures.draw_path(dataclasses.replace(results["spatial"], criterion=criterion, limits=limits)).axes[1:]
+        error_bounds = {"position": 0.01, "rotation": 0.01 if criterion == "task" else None}
+        drawn = figures.draw_path(
+            dataclasses.replace(results["spatial"], criterion=criterion, error_bounds=error_bounds)
+        ).axes[1:]
         assert [[line.get_ydata()[0] for line in axes.get_lines()[1:]] for axes in drawn] == bounds
 
 
@@ -150,10 +152,10 @@ def test_a_planar_robot_does_not_get_a_rotation_panel(results):
 def test_titles_do_not_hide_what_was_found(result):
     for figure in (figures.draw_torques(result), figures.draw_path(result), figures.draw_result(result)):
         title = " ".join(figure.get_suptitle().split())  # lines are wrapped
-        for part in (result.env_id, result.policy, f"{result.criterion} criterion", str(result.limit)):
+        for part in (result.env_id, result.policy, f"{result.criterion} criterion", result.violation_text):
             assert part in title
         if result.payload is None:
-            assert "not even zero" in title
+            assert "fails unloaded" in title
         else:
             assert f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg" in title
 
@@ -210,7 +212,7 @@ def test_a_policy_name_is_not_read_as_mathematics_and_four_cables_find_room(resu
     four = evaluate_dlcc(lambda _: np.zeros(4), "CableBot-Planar-v0", robot=FOUR_CABLES, **SMALL)
     assert len(panels(figures.draw_torques(four))) == len(figures.draw_torques(four).axes) == 4
     figures.save_figures(four, tmp_path)
-    hold = evaluate_dlcc(idle, "CableBot-Planar-v0", trajectory="hold-planar", **SMALL)
+    hold = evaluate_dlcc(idle, "CableBot-Planar-v0", trajectory="dwell-planar", **SMALL)
     figures.save_figures(hold, tmp_path)
     figures.draw_result(hold).savefig(tmp_path / "both.png")
 
@@ -221,7 +223,7 @@ def test_title_over_draws_does_not_claim_what_no_draw_carried(results, tmp_path)
     assert "carried in at least 90% of 60 draws of table6" in figures.draw_path(carried).get_suptitle()
     failed = figures.draw_torques(dataclasses.replace(results["violent"], **drawn)).get_suptitle()
     assert "carried in at least" not in failed
-    assert "60 draws of table6, the one of this limit is shown" in failed
+    assert "60 draws of table6; shown: the draw with this violation" in failed
     assert "draws" not in figures.draw_path(results["planar"]).get_suptitle()
 
 
@@ -230,14 +232,14 @@ def test_success_over_draws_is_not_drawn_at_other_payloads_or_shares(results, tm
     figure = figures.draw_success(drawn)
     (axes,) = figure.axes
     named = {line.get_label(): line for line in axes.get_lines()}
-    np.testing.assert_array_equal(named["share of draws that carry it"].get_xydata(), drawn.success)
+    np.testing.assert_array_equal(named["fraction of draws that carry it"].get_xydata(), drawn.success)
     bound = named["lower bound, 95% confidence"]
     carried = round(60 * drawn.success[0][1])
     lowest = binomtest(carried, 60, alternative="greater").proportion_ci(0.95, method="exact").low
     assert bound.get_ydata()[0] == pytest.approx(lowest)
-    assert named["asked for: 30%"].get_ydata()[0] == 0.3
+    assert named["required: 30%"].get_ydata()[0] == 0.3
     assert named[f"payload: {drawn.payload:.2f} kg"].get_xdata()[0] == drawn.payload
-    assert "is shown" not in figure.get_suptitle()
+    assert "shown:" not in figure.get_suptitle()
     assert [path.name for path in figures.save_figures(drawn, tmp_path)][-1] == "success-task.png"
     with pytest.raises(ValueError, match="several draws"):
         figures.draw_success(results["spatial"])
@@ -248,8 +250,8 @@ def test_limits_of_a_stronger_motor_are_not_drawn_as_the_nominal_ones():
     result = evaluate_dlcc("fl", "CableBot-Planar-v0", criterion="task", uncertainty=strong, **SMALL)
     lower, upper = figures.torque_limits(result)
     np.testing.assert_allclose((upper - lower) / 2, 1.5 * PLANAR.stall_torque[0])
-    within = np.abs(result.history["drive_demand"]) <= 1
-    np.testing.assert_allclose(figures.demanded_torque(result)[within], result.history["torques"][within], atol=1e-12)
+    within = np.abs(result.history["commanded_action"]) <= 1
+    np.testing.assert_allclose(figures.requested_torque(result)[within], result.history["torques"][within], atol=1e-12)
 
 
 def test_label_of_a_bound_is_not_crossed_by_the_curve(results):
@@ -273,8 +275,8 @@ def test_torques_that_nothing_clips_do_not_get_a_demand_or_a_mark():
 
 def test_several_motions_do_not_share_a_curve_or_their_shortest_time(results):
     history, trajectory = results["planar"].history, results["planar"].task.trajectory
-    whole = figures.Travelled(
-        times=history["command_time"],
+    whole = figures.TravelledPath(
+        times=history["action_time"],
         pose=history["pose"],
         position_error=history["tracking_error"],
         rotation_error=None,

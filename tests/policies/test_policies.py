@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import zipfile
+from contextlib import closing
 
 import gymnasium as gym
 import numpy as np
@@ -17,14 +18,16 @@ from cablebot_gym.policies import (
     FILE_ENTRY_POINT_GROUP,
     Policy,
     PolicyEntry,
+    PolicyError,
     as_policy,
     load_policy,
     loading,
     policy_entries,
 )
-from cablebot_gym.policies.protocol import CallablePolicy, LaneError
+from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, reset_policy
 from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
 from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.task import Task
 
 
 class Constant:
@@ -111,7 +114,7 @@ def test_policy_of_another_package_is_not_overlooked():
 @pytest.mark.usefixtures("third_party")
 @pytest.mark.parametrize("name", ["FL", "", "lqr", "fl ", "constant.py"])
 def test_unknown_name_is_not_refused_without_the_valid_ones(name):
-    with pytest.raises(ValueError, match="constant, curve, ") as caught:
+    with pytest.raises(ValueError, match=r"apg-circle, .*, constant, ") as caught:
         load_policy(name, PLANAR)
     text = one_sentence(caught.value)
     assert text.startswith(f"unknown policy {name!r}; choose one of ")
@@ -166,16 +169,16 @@ def test_entry_of_a_module_is_not_taken_for_no_factory():
 
 
 def test_factory_that_makes_no_policy_is_not_accepted(module):
-    with pytest.raises(ValueError, match=r"must be a function robot -> policy, but: .*; NoneType is neither"):
+    with pytest.raises(ValueError, match=r"the factory must return a policy; .*; NoneType is neither"):
         load_policy(f"{module(SOURCE)}:nothing", PLANAR)
 
 
 @pytest.mark.parametrize(
     ("attribute", "message"),
     [
-        ("missing", "'toy_policy_module' has no 'missing'"),
-        ("", "'toy_policy_module' has no ''"),
-        ("number", "'number' must be a function robot -> policy"),
+        ("missing", "'toy_policy_module' has no attribute 'missing'"),
+        ("", "'toy_policy_module' has no attribute ''"),
+        ("number", "'number' must be a function that takes a robot and returns a policy"),
     ],
 )
 def test_attribute_that_is_no_factory_is_not_an_obscure_error(module, attribute, message):
@@ -185,7 +188,7 @@ def test_attribute_that_is_no_factory_is_not_an_obscure_error(module, attribute,
     assert one_sentence(caught.value).startswith(f"policy {name!r}: ")
 
 
-@pytest.mark.parametrize("name", ["no_such_package:make", "no_such_package.sub:make", "json.no_such:make"])
+@pytest.mark.parametrize("name", ["no_such_package:make", "no_such_package.sub:make", "json.unknown_name_error:make"])
 def test_module_that_does_not_exist_is_not_an_obscure_error(name):
     with pytest.raises(ValueError, match=f"cannot import '{name.partition(':')[0]}'") as caught:
         load_policy(name, PLANAR)
@@ -247,7 +250,7 @@ def test_loader_is_not_asked_for_what_is_no_whole_file(loaders, archive):
     load_policy("fl", PLANAR)
     archive.write_bytes(archive.read_bytes()[:-10])
     for name in (str(archive), str(archive.with_name("missing.zip"))):
-        with pytest.raises(ValueError, match=r"does not exist|is no zip file, or damaged or cut short"):
+        with pytest.raises(ValueError, match=r"does not exist|is not a zip file, or it is damaged"):
             load_policy(name, PLANAR)
 
 
@@ -275,7 +278,7 @@ def test_loader_that_cannot_be_imported_does_not_stop_the_others(monkeypatch, ar
     points = [Broken(), Point(lambda path, robot: Constant(robot))]
     monkeypatch.setattr(loading, "entry_points", lambda *, group: points if group == FILE_ENTRY_POINT_GROUP else [])
     assert isinstance(load_policy(str(archive), PLANAR), Constant)
-    assert "policy files of kind 'other' are left out: other:load raised No module named" in caplog.text
+    assert "policy files of kind 'other' are skipped: other:load raised No module named" in caplog.text
 
 
 def test_file_that_does_not_exist_is_not_an_obscure_error(tmp_path):
@@ -296,7 +299,9 @@ def test_other_file_is_not_an_obscure_error(tmp_path, content):
             file.writestr("readme.txt", "holds no model")
         elif content == "data of another kind":
             file.writestr("data", "[1, 2]")
-    with pytest.raises(ValueError, match=r"policy file '.*broken\.zip' is no SB3 model \(") as caught:
+    with pytest.raises(
+        ValueError, match=r"policy file '.*broken\.zip' is neither a bundle .* nor an SB3 model \("
+    ) as caught:
         load_policy(str(path), PLANAR)
     one_sentence(caught.value)
 
@@ -375,24 +380,24 @@ def test_model_of_a_missing_package_is_not_refused_without_its_command(tmp_path,
     assert type(load_policy(str(path), PLANAR)).__name__ == "PPO"
 
 
-REMEDY = "export one trained inside wrappers as a bundle by `cablebot train`"
+REMEDY = "Export a model trained inside wrappers as a bundle by `cablebot train`"
 GIVES = (
-    r"; the robot gives 21 numbers \(pose 2, velocity 2, time_left 1, .*\) and takes 3 drive commands in \[-1, 1\]: "
+    r"\. The robot has 21 observed numbers \(pose 2, velocity 2, time_to_go 1, .*\) and 3 actions within \[-1, 1\]\. "
 )
 
 
 @pytest.mark.parametrize(
     ("observation", "action", "message"),
     [
-        (57, 6, "it reads 57 numbers and gives 6 numbers, as on CableBot-Spatial-v0"),
-        (31, 3, "it reads 31 numbers and gives 3 numbers, as on CableBot-FlexPlanar-v0"),
-        (40, 3, "it reads 40 numbers and gives 3 numbers"),
-        (21, 2, "it reads 21 numbers and gives 2 numbers"),
-        (Box(-1.0, 1.0, (4, 21)), 3, "it reads 4×21 numbers and gives 3 numbers"),
-        (21, MultiBinary(3), r"it reads 21 numbers and gives MultiBinary\(3\)"),
-        (Box(-10.0, 10.0, (21,)), 3, r"it reads normalised components, all in \[-10, 10\]"),
-        (Box(-np.inf, np.inf, (21,)), 3, r"it reads normalised components, all in \[-inf, inf\]"),
-        (21, Box(-0.5, 0.5, (3,)), r"it gives rescaled commands in \[-0.5, 0.5\]"),
+        (57, 6, "the model reads 57 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
+        (31, 3, "the model reads 31 numbers and returns 3 numbers, which fits CableBot-FlexPlanar-v0"),
+        (40, 3, "the model reads 40 numbers and returns 3 numbers"),
+        (21, 2, "the model reads 21 numbers and returns 2 numbers"),
+        (Box(-1.0, 1.0, (4, 21)), 3, "the model reads 4×21 numbers and returns 3 numbers"),
+        (21, MultiBinary(3), r"the model reads 21 numbers and returns MultiBinary\(3\)"),
+        (Box(-10.0, 10.0, (21,)), 3, r"the model reads a normalised observation within \[-10, 10\]"),
+        (Box(-np.inf, np.inf, (21,)), 3, r"the model reads a normalised observation within \[-inf, inf\]"),
+        (21, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
     ],
 )
 def test_model_of_other_spaces_does_not_reach_an_evaluation(tmp_path, observation, action, message):
@@ -423,7 +428,7 @@ def test_policy_is_not_wrapped_a_second_time():
 
 
 def test_class_in_place_of_a_policy_is_not_called_for_commands():
-    with pytest.raises(TypeError, match=r"not the class Constant: make one, Constant\(…\)"):
+    with pytest.raises(TypeError, match=r"not the class Constant: pass Constant\(…\)"):
         as_policy(Constant)
 
 
@@ -451,12 +456,12 @@ def test_callable_is_called_for_one_observation_at_a_time_and_keeps_the_state():
 
 def test_callable_does_not_lose_what_it_declares():
     class Declared:
-        unclipped = True
+        unsaturated_actions = True
 
         def __init__(self):
             self.begun = []
 
-        def begin(self, tasks):
+        def reset(self, tasks):
             self.begun.append(tasks)
 
         def __call__(self, observation):
@@ -464,24 +469,91 @@ def test_callable_does_not_lose_what_it_declares():
 
     function = Declared()
     policy = as_policy(function)
-    policy.begin(("task",))
-    assert policy.unclipped is True
+    policy.reset(("task",))
+    assert policy.unsaturated_actions is True
     assert function.begun == [("task",)]
     plain = as_policy(lambda observation: observation)
-    assert plain.unclipped is False
-    assert not hasattr(plain, "begin")
+    assert plain.unsaturated_actions is False
+    assert not hasattr(plain, "reset")
 
 
 @pytest.mark.parametrize(
     ("returns", "message"),
     [
-        (lambda lane: [1.0, 2.0] if lane != 2 else [1.0], r"shape \(1,\) after \(2,\)"),
-        (lambda lane: [1.0, 2.0] if lane != 2 else "x", "returned str instead of real numbers"),
-        (lambda lane: [1.0, 2.0] if lane != 2 else None, "returned NoneType instead of real numbers"),
-        (lambda lane: [1.0, 2.0] if lane != 2 else [][1], "raised IndexError"),
+        (lambda index: [1.0, 2.0] if index != 2 else [1.0], r"shape \(1,\) after \(2,\)"),
+        (lambda index: [1.0, 2.0] if index != 2 else "x", "returned str instead of real numbers"),
+        (lambda index: [1.0, 2.0] if index != 2 else None, "returned NoneType instead of real numbers"),
+        (lambda index: [1.0, 2.0] if index != 2 else [][1], "raised IndexError"),
     ],
 )
 def test_failure_for_one_observation_does_not_hide_which(returns, message):
-    with pytest.raises(LaneError, match=message) as caught:
+    with pytest.raises(BatchItemError, match=message) as caught:
         as_policy(lambda observation: returns(int(observation[0]))).predict(np.arange(4.0)[:, None])
-    assert caught.value.lane == 2
+    assert caught.value.index == 2
+
+
+# --- reset ------------------------------------------------------------------------------------------------------------
+
+
+class Resettable(Constant):
+    """Records the arguments of every reset."""
+
+    def __init__(self):
+        super().__init__(PLANAR)
+        self.calls = []
+
+
+class TakesTasks(Resettable):
+    def reset(self, tasks):
+        self.calls.append(tasks)
+
+
+class TakesOther(Resettable):
+    def reset(self, batch, /):
+        self.calls.append(batch)
+
+
+class TakesNothing(Resettable):
+    def reset(self):
+        self.calls.append(None)
+
+
+class TakesSeed(Resettable):
+    def reset(self, seed=None):
+        self.calls.append(seed)
+
+
+@pytest.mark.parametrize("kind", [TakesTasks, TakesOther])
+def test_reset_gets_one_task_per_observation(kind):
+    policy = kind()
+    with closing(gym.make_vec("CableBot-Planar-v0", num_envs=3)) as envs:
+        envs.reset(seed=0)
+        reset_policy(policy, "mine", lambda: envs.unwrapped.tasks)
+    assert len(policy.calls) == 1
+    assert len(policy.calls[0]) == 3
+    assert all(isinstance(task, Task) for task in policy.calls[0])
+
+
+@pytest.mark.parametrize("kind", [TakesNothing, TakesSeed])
+def test_reset_without_tasks_is_called_without_arguments(kind):
+    policy = kind()
+    reset_policy(policy, "mine", lambda: pytest.fail("the tasks are not needed"))
+    assert policy.calls == [None]
+
+
+def test_policy_without_reset_is_accepted():
+    reset_policy(Constant(PLANAR), "mine", lambda: pytest.fail("the tasks are not needed"))
+
+
+@pytest.mark.parametrize("takes_tasks", [True, False])
+def test_raising_reset_gives_a_policy_error(takes_tasks):
+    def with_tasks(tasks):
+        raise RuntimeError("no plan")
+
+    def without_tasks():
+        raise RuntimeError("no plan")
+
+    policy = Constant(PLANAR)
+    policy.reset = with_tasks if takes_tasks else without_tasks
+    with pytest.raises(PolicyError, match=r"policy 'mine' raised RuntimeError in reset\(\): no plan \(test_policies"):
+        reset_policy(policy, "mine", tuple)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from cablebot_gym.rendering.camera import fitted
+from cablebot_gym.rendering.camera import fit_camera
 
 WINDOW = (100.0, 50.0, 400.0, 300.0)
 CLOUD = np.random.default_rng(4).uniform(-1, 1, (60, 3))
@@ -16,7 +16,7 @@ ANGLES = [(0.0, math.pi / 2), (0.4, 0.5), (2.5, 0.0), (-1.0, 1.2)]
 
 @pytest.mark.parametrize(("azimuth", "elevation"), ANGLES)
 def test_nothing_is_cut_off_and_the_window_is_not_left_empty(azimuth, elevation):
-    page = fitted(CLOUD, WINDOW, azimuth=azimuth, elevation=elevation).project(CLOUD)
+    page = fit_camera(CLOUD, WINDOW, azimuth=azimuth, elevation=elevation).project(CLOUD)
     low, high = page.min(axis=0), page.max(axis=0)
     assert np.all(low >= np.array(WINDOW[:2]) - 1e-6)
     assert np.all(high <= np.array(WINDOW[:2]) + WINDOW[2:] + 1e-6)
@@ -26,7 +26,7 @@ def test_nothing_is_cut_off_and_the_window_is_not_left_empty(azimuth, elevation)
 
 @pytest.mark.parametrize(("azimuth", "elevation"), ANGLES)
 def test_axes_are_a_right_handed_frame(azimuth, elevation):
-    camera = fitted(CLOUD, WINDOW, azimuth=azimuth, elevation=elevation)
+    camera = fit_camera(CLOUD, WINDOW, azimuth=azimuth, elevation=elevation)
     axes = np.array([camera.right, camera.down, camera.forward])
     assert axes @ axes.T == pytest.approx(np.eye(3))
     assert np.linalg.det(axes) == pytest.approx(1.0)
@@ -34,14 +34,14 @@ def test_axes_are_a_right_handed_frame(azimuth, elevation):
 
 def test_what_hangs_lower_is_lower_on_the_page():
     """z points down."""
-    camera = fitted(CLOUD, WINDOW, azimuth=0.4, elevation=0.5)
+    camera = fit_camera(CLOUD, WINDOW, azimuth=0.4, elevation=0.5)
     higher, lower = camera.project([[0, 0, 0], [0, 0, 0.5]])
     assert lower[1] > higher[1] + 10
     assert lower[0] == pytest.approx(higher[0], abs=15)  # upright, but for the perspective
 
 
 def test_from_above_x_points_right_and_y_down_the_page():
-    origin, x, y = fitted(CLOUD, WINDOW, azimuth=0.0, elevation=math.pi / 2).project(np.eye(4, 3, -1)[:3])
+    origin, x, y = fit_camera(CLOUD, WINDOW, azimuth=0.0, elevation=math.pi / 2).project(np.eye(4, 3, -1)[:3])
     assert x[0] > origin[0] + 10
     assert x[1] == pytest.approx(origin[1])
     assert y[1] > origin[1] + 10
@@ -50,7 +50,7 @@ def test_from_above_x_points_right_and_y_down_the_page():
 
 def test_twice_as_far_looks_half_as_large():
     """A parallel projection would not."""
-    camera = fitted(CLOUD, WINDOW, azimuth=0.3, elevation=0.6)
+    camera = fit_camera(CLOUD, WINDOW, azimuth=0.3, elevation=0.6)
     aside = 0.01 * camera.right
     for distance in (1.0, 2.0, 4.0):
         at = camera.eye + distance * camera.forward

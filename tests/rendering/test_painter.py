@@ -11,7 +11,7 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.rendering import Moment, Scene
 from cablebot_gym.rendering.painter import Painter, as_array, tension_colour
 from cablebot_gym.robots import find_robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
 ROBOTS = {kind: find_robot(env_robot(f"CableBot-{kind.title()}-v0")) for kind in ("planar", "spatial")}
@@ -21,7 +21,7 @@ VERMILLION, BLUE = (0xD5, 0x5E, 0x00), (0x00, 0x72, 0xB2)
 def scene_of(kind):
     robot = ROBOTS[kind]
     trajectory = find_trajectory(f"paper-{kind}", robot.coordinates)
-    return Scene(robot=robot, trajectory=trajectory, limits=Limits(), title="fl")
+    return Scene(robot=robot, trajectory=trajectory, error_bounds=ErrorBounds(), title="fl")
 
 
 def moment_of(kind, **changes):
@@ -34,7 +34,7 @@ def moment_of(kind, **changes):
         tensions=np.full(robot.cables, 0.1 * stall[0] / robot.pulley_radius[0]),
         torques=0.2 * stall,
         torque_limits=np.array([-0.9 * stall, 0.8 * stall]),
-        drive_demand=np.full(robot.cables, 0.3),
+        commanded_action=np.full(robot.cables, 0.3),
         slack=np.zeros(robot.cables, np.bool_),
         position_error=0.002,
         rotation_error=0.001 if kind == "spatial" else 0.0,
@@ -77,9 +77,9 @@ def test_same_moment_gives_the_same_picture_whatever_was_painted_before(kind):
 def test_motor_that_is_asked_for_more_than_it_has_is_marked_in_its_own_place(kind):
     places = []
     for motor in range(ROBOTS[kind].cables):
-        demand = np.full(ROBOTS[kind].cables, 0.3)
-        demand[motor] = -1.2
-        left, top, right, bottom = changed(kind, drive_demand=demand)
+        action = np.full(ROBOTS[kind].cables, 0.3)
+        action[motor] = -1.2
+        left, top, right, bottom = changed(kind, commanded_action=action)
         assert left > 0.7
         assert right - left < 0.04
         assert 0.09 < top < bottom < 0.76
@@ -90,8 +90,8 @@ def test_motor_that_is_asked_for_more_than_it_has_is_marked_in_its_own_place(kin
 def test_bars_grow_with_torque_and_downwards_when_it_is_negative():
     painter, stall = Painter(scene_of("planar")), ROBOTS["planar"].stall_torque
 
-    def blue_rows(share):
-        panel = painter.array(moment_of("planar", torques=share * stall))[:360, 510:]
+    def blue_rows(fraction):
+        panel = painter.array(moment_of("planar", torques=fraction * stall))[:360, 510:]
         return np.nonzero(np.any(np.all(panel == BLUE, axis=-1), axis=1))[0]
 
     small, large, negative = blue_rows(0.2), blue_rows(0.6), blue_rows(-0.6)
@@ -101,9 +101,9 @@ def test_bars_grow_with_torque_and_downwards_when_it_is_negative():
 
 
 def test_motor_limits_move_with_speed(kind):
-    limits = moment_of(kind).torque_limits.copy()
-    limits[:, 1] *= 0.5
-    left, top, right, bottom = changed(kind, torque_limits=limits)
+    error_bounds = moment_of(kind).torque_limits.copy()
+    error_bounds[:, 1] *= 0.5
+    left, top, right, bottom = changed(kind, torque_limits=error_bounds)
     assert left > 0.7
     assert right - left < 0.04
     assert top < 0.3 < 0.5 < bottom  # both of them
@@ -142,7 +142,7 @@ def test_slack_cable_is_drawn_otherwise_and_no_other_one_is(kind):
 def test_cables_take_the_colour_of_their_tension(kind):
     painter, robot = Painter(scene_of(kind)), ROBOTS[kind]
     full = np.full(robot.cables, np.max(robot.stall_torque / robot.pulley_radius))
-    loose, tight = (painter.array(moment_of(kind, tensions=share * full))[:, :450] for share in (0.0, 1.0))
+    loose, tight = (painter.array(moment_of(kind, tensions=fraction * full))[:, :450] for fraction in (0.0, 1.0))
     assert count(tight, tension_colour(1.0)) > 400 > 100 > count(loose, tension_colour(1.0))
     assert count(loose, tension_colour(0.0)) > 200 > 100 > count(tight, tension_colour(0.0))
 
@@ -150,7 +150,7 @@ def test_cables_take_the_colour_of_their_tension(kind):
 def test_colours_of_tension_end_where_the_scale_does_and_grow_darker():
     assert tension_colour(-1.0) == tension_colour(0.0) == (0x8F, 0xBF, 0xE0)
     assert tension_colour(7.0) == tension_colour(1.0) == (0x8C, 0x1C, 0x13)
-    luminance = [np.dot(tension_colour(share), (0.2126, 0.7152, 0.0722)) for share in np.linspace(0, 1, 5)]
+    luminance = [np.dot(tension_colour(fraction), (0.2126, 0.7152, 0.0722)) for fraction in np.linspace(0, 1, 5)]
     assert luminance[0] > luminance[1] > luminance[2] > luminance[4]
 
 
@@ -180,7 +180,7 @@ def test_trail_is_where_the_platform_has_been(kind):
     calm = painter.array(moment).astype(int)
     way = moment.pose - np.linspace(0, 0.3, 20)[:, None] * np.eye(len(moment.pose))[0]
     differs = np.any(painter.array(moment, way) != calm, axis=-1)
-    points = painter._camera.project(painter._lifted(way)) / 2
+    points = painter._camera.project(painter._points(way)) / 2
     rows, columns = np.nonzero(differs)
     assert len(rows) > 30
     assert columns.min() == pytest.approx(points[:, 0].min(), abs=3)

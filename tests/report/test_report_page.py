@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestCell, PolicyCell, Record, compute
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, compute
 from cablebot_gym.benchmark.leaderboard import results_json
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.cli import app as cli
@@ -29,7 +29,7 @@ def record(cell, **result):
 
 def best(motion, payload, **more):
     result = {"payload": payload, "total_mass": payload + 1, "verified": True}
-    return record(BestCell(env_id=PLANAR, trajectory=motion, **more), **result)
+    return record(BestKnownCell(env_id=PLANAR, trajectory=motion, **more), **result)
 
 
 def carried(cell, payload, **more):
@@ -38,7 +38,7 @@ def carried(cell, payload, **more):
         "applicable": True,
         "total_mass": 2.0,
         "resolution": 1e-3,
-        "limit": {"kind": "position", "index": None, "time": 0.5, "excess": 1e-6, "reason": ""},
+        "violation": {"kind": "position", "index": None, "time": 0.5, "excess": 1e-6, "reason": ""},
         "failures": {},
         "fallbacks": None,
     }
@@ -50,11 +50,11 @@ def results(tmp_path_factory):
     """A small benchmark: true payloads on the circle, made-up ones elsewhere."""
     folder = tmp_path_factory.mktemp("results")
     fl, adaptive = (PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy=name) for name in ("fl", "adaptive"))
-    wide = AXES["position"].put(fl, 0.02)
+    wide = AXES["position"].with_value(fl, 0.02)
     drawn = PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl", uncertainty="table6", draws=4)
     records = [
-        compute(BestCell(env_id=PLANAR, trajectory=CIRCLE)),
-        best(CIRCLE, 3.5, limits=dict(wide.limits)),
+        compute(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE)),
+        best(CIRCLE, 3.5, error_bounds=dict(wide.error_bounds)),
         *(best(motion, 4.0) for motion in LOOPS),
         *(compute(cell) for cell in (fl, adaptive)),
         carried(wide, 2.5),
@@ -132,7 +132,7 @@ def opened(browser, written):
 
 
 def policies(page):
-    return page.locator("#board tbody tr td:first-child").all_inner_texts()
+    return page.locator("#leaderboard-table tbody tr td:first-child").all_inner_texts()
 
 
 def picture(page):
@@ -143,24 +143,29 @@ def test_page_loads_without_complaint_or_network(opened):
     page = opened()
     assert "fl on CableBot-Planar-v0" in page.inner_text("#episode-title")
     assert page.inner_text("#verdict") == "1.92 kg: carried"
-    assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2  # demands, error, tensions, the map
+    assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2  # actions, error, tensions, the map
 
 
 def test_sorting_sorts_either_way_and_says_so(opened):
     page = opened()
-    assert policies(page) == ["best found", "adaptive", "fl", "nobody</script>"]
-    head = page.locator("#board th", has_text="policy")
+    assert policies(page) == ["best known payload", "adaptive", "fl", "nobody</script>"]
+    head = page.locator("#leaderboard-table th", has_text="policy")
     head.locator("button").click()
-    assert policies(page) == ["adaptive", "best found", "fl", "nobody</script>"]
+    assert policies(page) == ["adaptive", "best known payload", "fl", "nobody</script>"]
     assert head.get_attribute("aria-sort") == "ascending"
     head.locator("button").click()
-    assert policies(page) == ["nobody</script>", "fl", "best found", "adaptive"]
+    assert policies(page) == ["nobody</script>", "fl", "best known payload", "adaptive"]
     assert head.get_attribute("aria-sort") == "descending"
-    share = page.locator("#board th", has_text="share")
-    share.locator("button").click()
-    assert policies(page)[:2] == ["best found", "adaptive"]
-    share.locator("button").click()
-    assert policies(page) == ["fl", "adaptive", "best found", "nobody</script>"]  # what has no share is last either way
+    fraction = page.locator("#leaderboard-table th", has_text="fraction")
+    fraction.locator("button").click()
+    assert policies(page)[:2] == ["best known payload", "adaptive"]
+    fraction.locator("button").click()
+    assert policies(page) == [
+        "fl",
+        "adaptive",
+        "best known payload",
+        "nobody</script>",
+    ]  # what has no fraction is last either way
 
 
 def test_filters_leave_what_is_asked_for(opened):
@@ -171,19 +176,19 @@ def test_filters_leave_what_is_asked_for(opened):
     page.fill("#filter-policy", "ADAP")
     assert policies(page) == ["adaptive"]
     page.fill("#filter-policy", "")
-    page.select_option("#filter-condition", "told, table6")
+    page.select_option("#filter-condition", "payload known, table6")
     assert policies(page) == ["fl"]
-    assert page.locator("#board .text").get_attribute("title") == "35%, 17% to 35%"
+    assert page.locator("#leaderboard-table .text").get_attribute("title") == "35%, 17% to 35%"
 
 
 def test_slider_moves_the_robot_and_the_cursors(opened):
     page = opened()
-    before, cursor = picture(page), page.locator("#chart-demand .cursor").get_attribute("x1")
+    before, cursor = picture(page), page.locator("#chart-action .cursor").get_attribute("x1")
     page.focus("#time")
     page.keyboard.press("End")
     assert page.inner_text("#clock") == "1.00 s"
     assert picture(page) != before
-    assert page.locator("#chart-demand .cursor").get_attribute("x1") != cursor
+    assert page.locator("#chart-action .cursor").get_attribute("x1") != cursor
     page.keyboard.press("Home")
     assert page.inner_text("#clock") == "0.00 s"
     assert picture(page) == before
@@ -216,16 +221,16 @@ def test_playing_ends_at_the_end(opened):
     page.wait_for_function("document.getElementById('play').getAttribute('aria-pressed') === 'false'")
 
 
-def test_more_than_is_carried_shows_what_gives_way(opened):
+def test_more_than_is_carried_shows_the_limiting_violation(opened):
     page = opened()
-    page.get_by_label("more than it carries").check()
+    page.get_by_label("above the DLCC").check()
     page.wait_for_function("document.getElementById('verdict').className === 'bad'")
     assert page.inner_text("#verdict").startswith("2.02 kg: position at t = ")
 
 
 def test_row_is_chosen_by_keyboard_and_linked(opened):
     page = opened()
-    page.locator("#board tbody button", has_text="adaptive").focus()
+    page.locator("#leaderboard-table tbody button", has_text="adaptive").focus()
     page.keyboard.press("Enter")
     page.wait_for_function("document.getElementById('episode-title').textContent.startsWith('adaptive')")
     assert page.locator("tr[aria-current=true]").inner_text().startswith("adaptive")
@@ -236,7 +241,7 @@ def test_row_is_chosen_by_keyboard_and_linked(opened):
 def test_every_motion_of_a_family_can_be_seen(opened):
     page = opened()
     page.select_option("#filter-motion", "")
-    page.locator("#board tbody tr", has_text="2 held-out").filter(has_text="fl").locator("button").click()
+    page.locator("#leaderboard-table tbody tr", has_text="2 held-out").filter(has_text="fl").locator("button").click()
     assert page.locator("#motion option").count() == 2
     page.select_option("#motion", index=1)
     page.wait_for_function("document.getElementById('payloads').textContent.includes('2.00 kg')")
@@ -244,58 +249,58 @@ def test_every_motion_of_a_family_can_be_seen(opened):
 
 def test_policy_that_failed_says_why_and_is_no_markup(opened):
     page = opened()
-    page.locator("#board tbody button", has_text="nobody").click()
+    page.locator("#leaderboard-table tbody button", has_text="nobody").click()
     assert page.locator("#replay").is_hidden()
-    page.click("summary:has-text('How this number was made')")
+    page.click("summary:has-text('How this number is computed')")
     assert "it raised <b>" in page.inner_text("#recipe")
 
 
 def test_recipe_computes_the_number(opened):
     page = opened()
-    page.click("summary:has-text('How this number was made')")
+    page.click("summary:has-text('How this number is computed')")
     code = page.inner_text("#recipe pre")
-    said = []
-    exec(code, {"print": lambda result: said.append(result)})
-    assert said[0].payload == pytest.approx(1.92, abs=5e-3)
+    results = []
+    exec(code, {"print": lambda result: results.append(result)})
+    assert results[0].payload == pytest.approx(1.92, abs=5e-3)
 
 
-def test_best_found_is_carried_by_its_own_inputs_and_its_recipe_finds_it(opened):
+def test_best_known_payload_is_carried_by_its_own_inputs_and_its_recipe_finds_it(opened):
     page = opened()
-    page.locator("#board tbody button", has_text="best found").click()
+    page.locator("#leaderboard-table tbody button", has_text="best known payload").click()
     page.wait_for_function("document.getElementById('verdict').textContent === '2.87 kg: carried'")
     assert page.locator("#payloads input").count() == 1, "inputs are of one payload"
     page.focus("#time")
     page.keyboard.press("End")
     assert page.inner_text("#clock") == "1.00 s"
-    page.click("summary:has-text('How this number was made')")
-    said = []
-    exec(page.inner_text("#recipe pre"), {"print": lambda result: said.append(result)})
-    assert said[0].payload == pytest.approx(2.87, abs=5e-3)
+    page.click("summary:has-text('How this number is computed')")
+    results = []
+    exec(page.inner_text("#recipe pre"), {"print": lambda result: results.append(result)})
+    assert results[0].payload == pytest.approx(2.87, abs=5e-3)
 
 
-def test_best_found_whose_inputs_are_lost_says_how_to_find_them(opened):
+def test_best_known_payload_whose_inputs_are_lost_says_how_to_find_them(opened):
     page = opened()
     page.select_option("#filter-motion", "")
-    page.locator("#board tbody tr", has_text="2 held-out").filter(has_text="best").locator("button").click()
+    page.locator("#leaderboard-table tbody tr", has_text="2 held-out").filter(has_text="best").locator("button").click()
     assert page.locator("#replay").is_hidden()
-    assert "find them anew" in page.inner_text("#verdict")
-    page.click("summary:has-text('How this number was made')")
-    assert "best_found(" in page.inner_text("#recipe pre")
+    assert "not in the cache" in page.inner_text("#verdict")
+    page.click("summary:has-text('How this number is computed')")
+    assert "find_best_known(" in page.inner_text("#recipe pre")
 
 
 def test_map_has_both_bounds_and_its_numbers(opened):
     page = opened()
     page.click("#maps summary")
     assert [row.split() for row in page.locator("#maps tr").all_inner_texts()][-2:] == [
-        ["best", "found", "2.87", "3.50"],
+        ["best", "known", "payload", "2.87", "3.50"],
         ["fl", "1.92", "2.50"],
     ]
 
 
 def test_policy_looks_the_same_in_every_map(opened, tmp_path):
-    asked = {PLANAR: ("fl", "preview"), "CableBot-Spatial-v0": ("adaptive", "fl", "preview")}
+    asked = {PLANAR: ("fl", "apg-loops"), "CableBot-Spatial-v0": ("adaptive", "fl", "apg-loops")}
     records = [
-        carried(AXES["position"].put(PolicyCell(env_id=env_id, trajectory=motion, policy=name), bound), 1.0)
+        carried(AXES["position"].with_value(PolicyCell(env_id=env_id, trajectory=motion, policy=name), bound), 1.0)
         for (env_id, names), motion in zip(asked.items(), (CIRCLE, {"name": "paper-spatial"}), strict=True)
         for name in names
         for bound in (0.005, 0.01)
@@ -308,7 +313,7 @@ def test_policy_looks_the_same_in_every_map(opened, tmp_path):
           return [item.textContent.trim(), line.getAttribute("stroke") + line.getAttribute("stroke-dasharray")];
         })"""
     )
-    assert [name for name, _ in legends] == [name for names in asked.values() for name in sorted(names)]
+    assert [name for name, _ in legends] == [name for names in asked.values() for name in names]
     looks = {name: {look for other, look in legends if other == name} for name, _ in legends}
     assert all(len(found) == 1 for found in looks.values())
     assert len(set.union(*looks.values())) == 3
@@ -328,12 +333,12 @@ def test_page_without_episodes_has_the_table(results, command, browser, tmp_path
     assert command(results, "--out", out, "--no-episodes", capsys=capsys).status == 0
     page = browser.new_page()
     page.goto(out.as_uri())
-    assert page.locator("#board tbody tr").count() == 4
+    assert page.locator("#leaderboard-table tbody tr").count() == 4
     assert page.locator("#replay").is_hidden()
     page.close()
 
 
-def test_without_a_best_found_payloads_give_the_order(results, command, browser, tmp_path):
+def test_without_a_best_known_payload_payloads_give_the_order(results, command, browser, tmp_path):
     data = json.loads((results / "results.json").read_text(encoding="utf-8"))
     data["cells"] = [entry for entry in data["cells"] if entry["cell"]["kind"] == "policy"]
     (tmp_path / "results.json").write_text(json.dumps(data), encoding="utf-8")
@@ -342,9 +347,9 @@ def test_without_a_best_found_payloads_give_the_order(results, command, browser,
     page = browser.new_page()
     page.goto(out.as_uri())
     assert policies(page) == ["adaptive", "fl", "nobody</script>"]
-    rows = page.locator("#board tbody tr").all_inner_texts()
-    assert ["no best found" in row for row in rows] == [True, True, False], "what failed says so beside it"
-    page.locator("#board th", has_text="share").locator("button").click()
+    rows = page.locator("#leaderboard-table tbody tr").all_inner_texts()
+    assert ["no best known payload" in row for row in rows] == [True, True, False], "what failed says so beside it"
+    page.locator("#leaderboard-table th", has_text="fraction").locator("button").click()
     assert policies(page) == ["fl", "adaptive", "nobody</script>"]
     page.close()
 
@@ -378,8 +383,8 @@ def test_policy_that_is_gone_costs_its_episode_and_says_so(results, command, tmp
     ("arguments", "message"),
     [
         (["nowhere"], "cannot read 'nowhere'"),
-        (["wrong.json"], "'wrong.json' holds no results of a benchmark"),
-        (["results.json", "--out", "page.pdf"], "--out: the page's name has to end in .html, not 'page.pdf'"),
+        (["wrong.json"], "'wrong.json' does not hold benchmark results"),
+        (["results.json", "--out", "page.pdf"], "--out must end in .html, such as report.html, not 'page.pdf'"),
         (["results.json", "--out", "folder.html"], "cannot write 'folder.html': it is a folder"),
         (["results.json", "--workers", "0"], "workers must be at least 1, not 0"),
     ],

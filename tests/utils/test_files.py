@@ -7,7 +7,7 @@ import tempfile
 
 import pytest
 
-from cablebot_gym.utils.files import usable_folder, write_whole
+from cablebot_gym.utils.files import atomic_write, check_writable_dir
 
 INTERRUPTS = [RuntimeError("half way"), KeyboardInterrupt(), SystemExit(3), OSError(28, "No space left on device")]
 
@@ -25,7 +25,7 @@ def half(error):
 @pytest.mark.parametrize("error", INTERRUPTS, ids=lambda error: type(error).__name__)
 def test_failure_in_the_middle_does_not_leave_half_a_file(tmp_path, error):
     with pytest.raises(type(error)) as caught:
-        write_whole(tmp_path / "result.json", half(error))
+        atomic_write(tmp_path / "result.json", half(error))
     assert caught.value is error
     assert list(tmp_path.iterdir()) == []
 
@@ -36,7 +36,7 @@ def test_failure_in_the_middle_does_not_touch_the_old_file(tmp_path, error):
     path.write_text("old", encoding="utf-8")
     before = path.stat()
     with pytest.raises(type(error)):
-        write_whole(path, half(error))
+        atomic_write(path, half(error))
     assert [item.name for item in tmp_path.iterdir()] == ["result.json"]
     assert path.read_text(encoding="utf-8") == "old"
     assert (path.stat().st_ino, path.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
@@ -53,7 +53,7 @@ def test_old_file_is_not_gone_while_the_new_one_is_written(tmp_path):
         temporary.write_text("new", encoding="utf-8")
         seen.append(path.read_text(encoding="utf-8"))
 
-    write_whole(path, write)
+    atomic_write(path, write)
     assert seen == ["old"]
     assert path.read_text(encoding="utf-8") == "new"
     assert [item.name for item in tmp_path.iterdir()] == ["result.json"]
@@ -68,33 +68,33 @@ def test_temporary_name_does_not_lose_the_suffix(tmp_path, name):
         suffixes.append(temporary.suffix)
         temporary.write_bytes(b"all")
 
-    write_whole(path, write)
+    atomic_write(path, write)
     assert suffixes == [path.suffix]
     assert path.read_bytes() == b"all"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
 def test_file_is_not_readable_by_its_owner_alone(tmp_path):
-    write_whole(tmp_path / "result.json", lambda path: path.write_text("x", encoding="utf-8"))
+    atomic_write(tmp_path / "result.json", lambda path: path.write_text("x", encoding="utf-8"))
     assert (tmp_path / "result.json").stat().st_mode & 0o777 == 0o644
 
 
 def test_failed_rename_does_not_leave_the_temporary_file(tmp_path):
     (tmp_path / "result.json").mkdir()
     with pytest.raises(OSError, match="directory"):
-        write_whole(tmp_path / "result.json", lambda path: path.write_text("x", encoding="utf-8"))
+        atomic_write(tmp_path / "result.json", lambda path: path.write_text("x", encoding="utf-8"))
     assert [item.name for item in tmp_path.iterdir()] == ["result.json"]
 
 
 def test_folder_that_does_not_exist_is_not_refused(tmp_path):
     folder = tmp_path / "a" / "b"
-    usable_folder(folder)
+    check_writable_dir(folder)
     assert list(tmp_path.iterdir()) == []  # and it is not made before there is something to write
 
 
 def test_trying_a_folder_does_not_change_what_is_in_it(tmp_path):
     (tmp_path / "result.json").write_text("old", encoding="utf-8")
-    usable_folder(tmp_path)
+    check_writable_dir(tmp_path)
     assert [item.read_text(encoding="utf-8") for item in tmp_path.iterdir()] == ["old"]
 
 
@@ -103,7 +103,7 @@ def test_file_in_the_place_of_a_folder_is_not_accepted(tmp_path, below):
     file = tmp_path / "file"
     file.write_text("kept", encoding="utf-8")
     with pytest.raises(ValueError, match=r"cannot write to folder '.*file.*': .*; choose another") as caught:
-        usable_folder(file / below)
+        check_writable_dir(file / below)
     assert "\n" not in str(caught.value)
     assert file.read_text(encoding="utf-8") == "kept"
     assert list(tmp_path.iterdir()) == [file]
@@ -117,4 +117,4 @@ def test_folder_that_only_seems_writable_is_not_accepted(tmp_path, monkeypatch):
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     with pytest.raises(ValueError, match=r"cannot write to folder .*: Permission denied; choose another"):
-        usable_folder(tmp_path)
+        check_writable_dir(tmp_path)

@@ -9,7 +9,7 @@ from cablebot_gym.evaluation.constraints import find_criterion
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import find_uncertainty
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 
 @pytest.mark.parametrize(
@@ -31,6 +31,6 @@ def test_a_misspelt_name_is_not_left_without_the_one_that_was_meant(look_up, mea
 
 @pytest.mark.parametrize("name", ["zebra", 3, None, ["zebra"]])
 def test_what_is_like_none_of_the_names_gets_no_guess(name):
-    assert no_such("motion", name, ("circle", "line"), ", or your own") == (
+    assert str(unknown_name_error("motion", name, ("circle", "line"), ", or your own")) == (
         f"unknown motion {name!r}; choose one of circle, line, or your own"
     )

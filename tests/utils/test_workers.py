@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from cablebot_gym.policies.protocol import LaneError
+from cablebot_gym.policies.protocol import BatchItemError
 from cablebot_gym.utils.workers import WorkerDied, check_workers, cores, run
 
 
@@ -31,7 +31,7 @@ def raises(error):
 
 
 def raises_what_cannot_be_unpickled():
-    raise LaneError(3, "a lost lane")
+    raise BatchItemError(3, "a lost lane")
 
 
 def returns_a_lambda():

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import cablebot_gym.video.recording as films
+import cablebot_gym.video.recording as videos
 from cablebot_gym.cli import app as cli
 from cablebot_gym.rendering.painter import import_pygame
 from cablebot_gym.rendering.window import Window
-from cablebot_gym.video.recording import Projector, film, play, write_film
+from cablebot_gym.video.recording import VideoPainter, play, record_video, write_video
 
 pygame = import_pygame()
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
@@ -22,15 +22,15 @@ SMALL = (320, 240)
 
 @pytest.fixture(scope="module")
 def carried():
-    return film("fl", SPATIAL, payload=1.0)
+    return record_video("fl", SPATIAL, payload=1.0)
 
 
 @pytest.fixture(scope="module")
 def lost():
-    return film("fl", SPATIAL, payload=9.0)
+    return record_video("fl", SPATIAL, payload=9.0)
 
 
-def test_film_has_every_control_step_and_the_start(carried):
+def test_video_has_every_control_step_and_the_start(carried):
     times = [moment.time for moment in carried.moments]
     assert times == pytest.approx(np.arange(501) * 0.002)
     assert carried.scene.title == f"fl on {SPATIAL}"
@@ -45,20 +45,20 @@ def test_instants_are_those_not_later(carried):
 def test_nothing_is_said_before_it_is_known(carried, lost):
     assert [carried.note(place) for place in (0, 499, 500)] == ["", "", "carried"]
     first = next(place for place, _ in enumerate(lost.moments) if lost.note(place))
-    limit = lost.verdict.limit
-    assert lost.moments[first].time == pytest.approx(limit.time)
-    assert lost.note(first) == lost.note(len(lost.moments) - 1) == f"not carried: {limit}"
+    violation = lost.verdict.violation
+    assert lost.moments[first].time == pytest.approx(violation.time)
+    assert lost.note(first) == lost.note(len(lost.moments) - 1) == f"not carried: {violation}"
 
 
-def test_pictures_stand_side_by_side_in_the_order_of_the_films(carried, lost):
-    alone = [Projector([one], SMALL).array(0.3) for one in (carried, lost)]
-    both = Projector([carried, lost], SMALL)
+def test_pictures_stand_side_by_side_in_the_order_of_the_videos(carried, lost):
+    alone = [VideoPainter([one], SMALL).array(0.3) for one in (carried, lost)]
+    both = VideoPainter([carried, lost], SMALL)
     assert both.size == (640, 240)
     assert np.array_equal(both.array(0.3), np.concatenate(alone, axis=1))
 
 
 def test_a_quarter_of_the_speed_takes_four_times_as_long_and_the_end_stays(carried):
-    projector = Projector([carried], SMALL)
+    projector = VideoPainter([carried], SMALL)
     slow, real = projector.times(0.25, 30), projector.times(1.0, 30)
     assert (len(slow), len(real)) == (121 + 30, 31 + 30)
     assert slow[:3] == pytest.approx([0, 0.25 / 30, 0.5 / 30])
@@ -69,8 +69,8 @@ def test_a_quarter_of_the_speed_takes_four_times_as_long_and_the_end_stays(carri
 @pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), (".gif", 25)])
 def test_file_holds_every_picture_in_its_size_and_time(tmp_path, lost, suffix, rate):
     path, progress = tmp_path / f"lost{suffix}", []
-    write_film(path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done))
-    count = len(Projector([lost], SMALL).times(1.0, rate))
+    write_video(path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done))
+    count = len(VideoPainter([lost], SMALL).times(1.0, rate))
     assert progress == [(done, count) for done in range(1, count + 1)]
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     if suffix == ".mp4":
@@ -89,14 +89,14 @@ def test_file_holds_every_picture_in_its_size_and_time(tmp_path, lost, suffix, r
                 read.append(np.asarray(image.convert("RGB")))
                 lasting += image.info["duration"]
             assert lasting == pytest.approx(1000 * count / rate)
-    last = Projector([lost, lost], SMALL).array(9.0)
+    last = VideoPainter([lost, lost], SMALL).array(9.0)
     assert np.mean(np.abs(read[-1].astype(int) - last)) < 4  # both formats lose a little
     assert np.mean(np.abs(read[0].astype(int) - last)) > 1.2 * np.mean(np.abs(read[-1].astype(int) - last))
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_interrupt_leaves_what_was_there(tmp_path, lost, suffix):
-    path = tmp_path / f"film{suffix}"
+    path = tmp_path / f"video{suffix}"
     path.write_bytes(b"older")
 
     def interrupt(done, expected):
@@ -104,7 +104,7 @@ def test_interrupt_leaves_what_was_there(tmp_path, lost, suffix):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_film(path, [lost], size=SMALL, progress=interrupt)
+        write_video(path, [lost], size=SMALL, progress=interrupt)
     assert path.read_bytes() == b"older"
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -112,33 +112,33 @@ def test_interrupt_leaves_what_was_there(tmp_path, lost, suffix):
 @pytest.mark.parametrize(
     ("name", "keywords", "words"),
     [
-        ("film.avi", {}, r"film.avi'.*end in .mp4 or .gif"),
-        ("film.mp4", {"speed": 0.0}, "speed must lie between 0.01 and 10"),
-        ("film.mp4", {"speed": float("nan")}, "speed must lie between 0.01 and 10"),
-        ("film.mp4", {"size": (641, 480)}, "even number of pixels either way, not 641 × 480"),
-        ("film.gif", {"size": (64, 48)}, "at least 320 × 240"),
+        ("video.avi", {}, r"video.avi'.*end in .mp4 or .gif"),
+        ("video.mp4", {"speed": 0.0}, "speed must lie between 0.01 and 10"),
+        ("video.mp4", {"speed": float("nan")}, "speed must lie between 0.01 and 10"),
+        ("video.mp4", {"size": (641, 480)}, "even numbers of pixels, not 641 × 480"),
+        ("video.gif", {"size": (64, 48)}, "at least 320 × 240"),
     ],
 )
 def test_bad_input_is_refused_in_words_and_nothing_is_written(tmp_path, lost, name, keywords, words):
     with pytest.raises(ValueError, match=words):
-        write_film(tmp_path / name, [lost], **keywords)
+        write_video(tmp_path / name, [lost], **keywords)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_keys_stop_step_and_end(monkeypatch, lost):
     """Which picture is shown after which key."""
     shown, typed = [], iter([[], [], ["space"], [], ["right"], ["left"], ["r"], ["space"], [], ["q"]])
-    monkeypatch.setattr(Projector, "surfaces", lambda self, time: shown.append(time) or iter([]))
+    monkeypatch.setattr(VideoPainter, "surfaces", lambda self, time: shown.append(time) or iter([]))
     monkeypatch.setattr(Window, "show", lambda self, picture, rate: next(typed))
     play([lost], speed=1.0, size=SMALL)
-    times = Projector([lost], SMALL).times(1.0, 30)
+    times = VideoPainter([lost], SMALL).times(1.0, 30)
     assert [int(np.searchsorted(times, time)) for time in shown] == [0, 1, 2, 2, 2, 3, 2, 0, 0, 1]
 
 
-def test_film_begins_again_until_the_window_is_closed(monkeypatch, lost):
+def test_video_begins_again_until_the_window_is_closed(monkeypatch, lost):
     shown = []
-    monkeypatch.setattr(Projector, "surfaces", lambda self, time: shown.append(time) or iter([]))
-    times = Projector([lost], SMALL).times(10.0, 30)
+    monkeypatch.setattr(VideoPainter, "surfaces", lambda self, time: shown.append(time) or iter([]))
+    times = VideoPainter([lost], SMALL).times(10.0, 30)
 
     def show(window, picture, rate):
         window.closed = len(shown) == len(times) + 2
@@ -164,15 +164,15 @@ def cablebot(monkeypatch, capsys):
     return run
 
 
-def test_failure_in_a_film_names_the_policy_as_it_was_typed(cablebot, tmp_path, monkeypatch):
-    (tmp_path / "film_toys.py").write_text(
+def test_failure_in_a_video_names_the_policy_as_it_was_typed(cablebot, tmp_path, monkeypatch):
+    (tmp_path / "video_toys.py").write_text(
         "def broken(robot):\n    return lambda observation: None\n", encoding="utf-8"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    status, _, err = cablebot("video", PLANAR, tmp_path / "film.gif", "--policy", "film_toys:broken")
+    status, _, err = cablebot("video", PLANAR, tmp_path / "video.gif", "--policy", "video_toys:broken")
     assert status == 1
-    assert "policy 'film_toys:broken' failed at t = 0.000 s" in " ".join(err.split())
-    assert not (tmp_path / "film.gif").exists()
+    assert "policy 'video_toys:broken' failed at t = 0.000 s" in " ".join(err.split())
+    assert not (tmp_path / "video.gif").exists()
 
 
 def test_video_of_two_policies(cablebot, tmp_path):
@@ -187,16 +187,16 @@ def test_video_of_two_policies(cablebot, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("film.mp4",), "name one policy by --policy, or several by --policies"),
-        (("film.mp4", "--policy", "fl", "--policies", "fl"), "name one policy"),
-        (("film.mp4", "--policies", " , "), "name one policy"),
-        (("film.webm", "--policy", "fl"), "has to end in .mp4 or .gif"),
-        (("film.mp4", "--policy", "fl", "--size", "large"), "such as 640x480, not 'large'"),
-        (("film.mp4", "--policy", "fl", "--size", "642x481"), "even number"),
-        (("film.gif", "--policy", "fl", "--size", "100000x100000"), "at most 7680 × 4320 pixels"),
-        (("film.mp4", "--policy", "fl", "--speed", "-1"), "speed must lie between"),
-        (("film.mp4", "--policy", "flying"), "flying"),
-        (("film.mp4", "--policy", "fl", "--trajectory", "spiral"), "spiral"),
+        (("video.mp4",), "give either --policy with one name, or --policies with several"),
+        (("video.mp4", "--policy", "fl", "--policies", "fl"), "give either --policy"),
+        (("video.mp4", "--policies", " , "), "give either --policy"),
+        (("video.webm", "--policy", "fl"), "has to end in .mp4 or .gif"),
+        (("video.mp4", "--policy", "fl", "--size", "large"), "such as 640x480, not 'large'"),
+        (("video.mp4", "--policy", "fl", "--size", "642x481"), "even number"),
+        (("video.gif", "--policy", "fl", "--size", "100000x100000"), "at most 7680 × 4320 pixels"),
+        (("video.mp4", "--policy", "fl", "--speed", "-1"), "speed must lie between"),
+        (("video.mp4", "--policy", "flying"), "flying"),
+        (("video.mp4", "--policy", "fl", "--trajectory", "spiral"), "spiral"),
     ],
 )
 def test_mistakes_are_told_in_one_line(cablebot, tmp_path, monkeypatch, arguments, words):
@@ -210,7 +210,7 @@ def test_mistakes_are_told_in_one_line(cablebot, tmp_path, monkeypatch, argument
 
 def test_watch_plays_what_was_asked_for(cablebot, monkeypatch):
     asked = []
-    monkeypatch.setattr(films, "play", lambda shown, **keywords: asked.append((shown, keywords)))
+    monkeypatch.setattr(videos, "play", lambda shown, **keywords: asked.append((shown, keywords)))
     status, _, _ = cablebot(
         "watch", PLANAR, "--policy", "fl", "--payload", "1.5", "--speed", "0.5", "--size", "400x300"
     )
@@ -226,5 +226,8 @@ def test_watch_without_a_display_ends_with_one_sentence(cablebot, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     status, _, err = cablebot("watch", PLANAR, "--policy", "fl")
     assert status == 2
-    assert f"no display to open a window on: write a film instead, cablebot video {PLANAR}" in " ".join(err.split())
+    assert (
+        f"no display for a window. Write a video instead, with the same options: cablebot video {PLANAR}"
+        in " ".join(err.split())
+    )
     assert "Traceback" not in err

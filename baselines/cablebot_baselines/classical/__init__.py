@@ -1,4 +1,4 @@
-"""The paper's control laws, and laws that work where they do not."""
+"""The paper's control laws, and variants that also work where the paper's laws fail."""
 
 from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE, Adaptive
 from cablebot_baselines.classical.feedback_linearization import FL, FL_TUNED, FeedbackLinearization

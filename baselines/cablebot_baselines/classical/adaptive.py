@@ -1,4 +1,4 @@
-"""A law that weighs the payload while it moves, and does not let motors clip each on its own."""
+"""Adaptive control law: it estimates the payload during the motion and allocates saturated torques jointly."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_baselines.classical.allocation import attainable
+from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
@@ -21,131 +21,154 @@ from cablebot_gym.robots import STANDARD_GRAVITY, Robot
 from cablebot_gym.task import Task
 
 ADAPTIVE_GAINS = {"planar": (2000.0, 90.0), "spatial": (400.0, 40.0)}
-"""(K_P, K_D) of ``adaptive`` [1/s², 1/s], critically damped; stiffer ones carry no more and pass on more noise."""
+"""(K_P, K_D) of ``adaptive`` [1/s², 1/s], critically damped.
 
-LIGHTEST = 0.5
-"""Least estimate of platform and payload, relative to the nominal platform: noise must not make it negative."""
+Higher gains do not increase the DLCC and amplify sensor noise.
+"""
+
+MINIMUM_MASS_RATIO = 0.5
+"""Lower bound of the mass estimate as a fraction of the nominal platform mass. It keeps noisy estimates positive."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Memory:
-    """What one control instant leaves for the next; each array is (..., size)."""
+class EstimatorState:
+    """State of the payload estimator between two control steps; each array has shape (..., size)."""
 
     pose: Array
     """X [m, rad]."""
     velocity: Array
-    """Ẋ."""
-    pulley: Array
+    """Ẋ [m/s, rad/s]."""
+    pulley_speed: Array
     """β̇ [rad/s]."""
     torques: Array
-    """Rigid: asked of the motors. Flexible: κ of the springs [N·m]."""
-    time_left: Array
-    """The observation's clock [s]."""
-    impulse: Array
-    """Σ w·f, f the impulse of the cables [N·s · m/s²], (..., 1)."""
-    change: Array
-    """Σ w·y, y = Δṗ − g h what a kilogram of it changed [m/s · m/s²], (..., 1)."""
+    """Rigid robot: requested motor torques. Flexible robot: spring torques κ [N·m]."""
+    time_to_go: Array
+    """Observed time to go [s]."""
+    weighted_impulse: Array
+    """Σ w·f, where f is the impulse of the cable forces [N·s · m/s²], (..., 1)."""
+    weighted_change: Array
+    """Σ w·y, where y = Δṗ − g h is the impulse per unit mass [m/s · m/s²], (..., 1)."""
 
 
 class Adaptive(ClassicalLaw):
-    """Runs a law on an estimate of the mass of platform and payload, told or not (certainty equivalence).
+    """Runs a control law on an estimate of the mass of platform and payload (certainty equivalence).
 
-    Over a control period of length h momentum balances as m y = f, with y = Δṗ − g h and f = −∫ (SᵀT)_p dt, where
-    ∫ r T dt = ∫ (κ − c β̇) dt − J Δβ̇ and κ the motors' torques, clipped as the plant clips them, or the springs'.
-    The estimate m̂ = (λ m_told + Σ w·f)/(λ + Σ w·y) weighs the periods by the reference's w = p̈_d − g [m/s²], not by
-    y itself: y's noise then has no bias and mostly cancels from one period to the next. Nothing is differentiated.
-    What the balance does not know is taken for mass: 5 N downward for 0.3 kg, motors a tenth stronger than told for
-    −1.2 kg of 13, a delay of three control steps for 0.3 kg.
+    The estimator works with a known and with an unknown payload. Over a control period of length h the momentum
+    balance is m y = f with y = Δṗ − g h and f = −∫ (SᵀT)_p dt, where ∫ r T dt = ∫ (κ − c β̇) dt − J Δβ̇. κ is the
+    motor torque, saturated as in the plant, or the spring torque of a flexible robot.
+
+    The estimate is m̂ = (λ m_model + Σ w·f)/(λ + Σ w·y). The weight w = p̈_d − g [m/s²] comes from the reference and
+    not from y. Measurement noise of y therefore causes no bias and mostly cancels between consecutive periods. The
+    estimator differentiates no signal.
+
+    Effects outside the balance appear as mass. Examples for a platform and payload of 13 kg:
+
+    * A downward force of 5 N adds 0.3 kg.
+    * Motors that are 10 % stronger than in the model subtract 1.2 kg.
+    * A delay of three control steps adds 0.3 kg.
 
     Args:
-        law: without memory; asked for torques with the estimated mass.
-        prior: for how long the platform has to be weighed until the estimate counts as much as the told mass [s]; > 0.
-        allocation: the commands within ±1 that come closest to the acceleration that the law asks for, in place of
-            commands beyond ±1, where the robot has as many cables as coordinates. Commands are then clipped by the
-            law, and the paper's criterion says nothing.
+        law: control law without memory. Its torques are computed with the estimated mass.
+        estimator_prior_weight: estimation time after which the estimate and the model mass have equal weight [s]; > 0.
+        allocation: whether saturated actions are replaced by the actions within ±1 that come closest to the requested
+            acceleration. This needs as many cables as coordinates. The law then saturates its actions itself, and the
+            paper criterion does not apply.
 
     Raises:
-        ValueError: if ``prior`` is not positive.
+        ValueError: if ``estimator_prior_weight`` is not positive.
     """
 
-    def __init__(self, law: ClassicalLaw, *, prior: float = 0.01, allocation: bool = True) -> None:
-        if not 0 < prior < math.inf:
-            raise ValueError(f"prior must be a time greater than 0 s, not {prior}")
+    def __init__(self, law: ClassicalLaw, *, estimator_prior_weight: float = 0.01, allocation: bool = True) -> None:
+        if not 0 < estimator_prior_weight < math.inf:
+            raise ValueError(f"estimator_prior_weight must be a time greater than 0 s, not {estimator_prior_weight}")
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
-        self.law, self._told_weight = law, prior * STANDARD_GRAVITY**2
+        self.law, self._prior_weight = law, estimator_prior_weight * STANDARD_GRAVITY**2
         self._allocates = allocation and law.robot.cables == law.robot.coordinates
-        self.unclipped = law.unclipped and not self._allocates
+        self.unsaturated_actions = law.unsaturated_actions and not self._allocates
 
-    def begin(self, tasks: Sequence[Task]) -> None:
-        """Tells the law within of the episodes; it refuses those of another robot."""
-        self.law.begin(tasks)
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Passes the tasks to the inner law.
 
-    def mass(self, memory: Memory, told: Array) -> Array:
-        """m̂, platform and payload [kg], (...), for a told mass (...)."""
-        change = self._told_weight + memory.change[..., 0]
-        estimate = (self._told_weight * told + memory.impulse[..., 0]) / np.where(change > 0, change, 1.0)
-        return np.maximum(np.where(change > 0, estimate, told), LIGHTEST * self.robot.mass)
+        Raises:
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
+        """
+        self.law.reset(tasks)
 
-    def _control(self, part: dict[str, Array], mass: Array, state: Any, episode_start: Any) -> tuple[Array, Array, Any]:
+    def mass(self, memory: EstimatorState, model_mass: Array) -> Array:
+        """Estimated mass m̂ of platform and payload [kg], (...), for a model mass (...)."""
+        denominator = self._prior_weight + memory.weighted_change[..., 0]
+        positive = denominator > 0
+        numerator = self._prior_weight * model_mass + memory.weighted_impulse[..., 0]
+        estimate = numerator / np.where(positive, denominator, 1.0)
+        return np.maximum(np.where(positive, estimate, model_mass), MINIMUM_MASS_RATIO * self.robot.mass)
+
+    def _control(
+        self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
+    ) -> tuple[Array, Array, Any]:
         robot = self.robot
-        memory = self._weighed(part, state, episode_start)
-        estimate = np.asarray(self.mass(memory, mass))  # one observation's is indexed as a batch's
-        torques, speeds = self.law.torques(part, estimate)
-        command = self._command(torques, speeds)
-        hard = np.any(np.abs(command) > 1, axis=-1)
-        if self._allocates and np.any(hard):
-            slope = self.law.torque_slope(estimate[hard], part["pose"][hard]) / robot.stall_torque[:, None]
-            command[hard] = attainable(command[hard], slope)
-            torques = robot.stall_torque * command - robot.speed_slope * speeds
+        memory = self._updated_state(blocks, state, episode_start)
+        estimate = np.asarray(self.mass(memory, mass))  # an array also for a single observation, so it can be indexed
+        torques, speeds = self.law.torques(blocks, estimate)
+        action = self._action(torques, speeds)
+        saturated = np.any(np.abs(action) > 1, axis=-1)
+        if self._allocates and np.any(saturated):
+            slope = self.law.torque_slope(estimate[saturated], blocks["pose"][saturated]) / robot.stall_torque[:, None]
+            action[saturated] = allocate(action[saturated], slope)
+            torques = robot.stall_torque * action - robot.speed_slope * speeds
         return torques, speeds, memory if robot.flexible else replace(memory, torques=torques)
 
-    def _weighed(self, part: dict[str, Array], before: Memory | None, episode_start: Any) -> Memory:
-        """The memory after the control period that has just ended."""
-        robot, pose, velocity = self.robot, part["pose"], part["velocity"]
-        weight = part["reference_acceleration"][..., :3].copy()
+    def _updated_state(
+        self, blocks: dict[str, Array], before: EstimatorState | None, episode_start: Any
+    ) -> EstimatorState:
+        """Estimator state after the control period that has just ended."""
+        robot, pose, velocity = self.robot, blocks["pose"], blocks["velocity"]
+        weight = blocks["reference_acceleration"][..., :3].copy()
         if not robot.planar:
             weight[..., 2] -= robot.gravity
-        pulley = self.pulley_speed(pose, velocity)
-        torques, nothing = np.zeros_like(pulley), np.zeros_like(part["time_left"])
+        pulley_speed = self.pulley_speed(pose, velocity)
+        torques, zero = np.zeros_like(pulley_speed), np.zeros_like(blocks["time_to_go"])
         if robot.flexible:
-            torques = robot.stiffness * np.maximum(part["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
-        now = Memory(
+            torques = robot.stiffness * np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
+        now = EstimatorState(
             pose=pose.copy(),
             velocity=velocity.copy(),
-            pulley=pulley,
+            pulley_speed=pulley_speed,
             torques=torques,
-            time_left=part["time_left"].copy(),
-            impulse=nothing,
-            change=nothing,
+            time_to_go=blocks["time_to_go"].copy(),
+            weighted_impulse=zero,
+            weighted_change=zero,
         )
         if before is None:
             return now
         first = first_steps(before, episode_start, pose.shape[:-1])[..., None]
-        impulse, change = self._period(before, now, weight)
-        # The clock stands still once the reference has ended: the estimate stays what it was.
-        runs = now.time_left < before.time_left
+        impulse, change = self._weighted_balance(before, now, weight)
+        # The time to go stays constant after the end of the reference. The estimate is then frozen.
+        running = now.time_to_go < before.time_to_go
         return replace(
             now,
-            impulse=np.where(first, 0.0, before.impulse + np.where(runs, impulse, 0.0)),
-            change=np.where(first, 0.0, before.change + np.where(runs, change, 0.0)),
+            weighted_impulse=np.where(first, 0.0, before.weighted_impulse + np.where(running, impulse, 0.0)),
+            weighted_change=np.where(first, 0.0, before.weighted_change + np.where(running, change, 0.0)),
         )
 
-    def _period(self, before: Memory, now: Memory, weight: Array) -> tuple[Array, Array]:
-        """w·f and w·y of the control period between two memories, each (..., 1)."""
-        robot, h = self.robot, before.time_left - now.time_left
+    def _weighted_balance(self, before: EstimatorState, now: EstimatorState, weight: Array) -> tuple[Array, Array]:
+        """w·f and w·y of the control period between two states, each (..., 1)."""
+        robot, h = self.robot, before.time_to_go - now.time_to_go
         first, last = before.torques, now.torques
-        if not robot.flexible:  # held by the drive, clipped by the motor at its speed
-            first, last = (np.clip(before.torques, *textbook.torque_limits(robot, m.pulley)) for m in (before, now))
-        mean = (first + last - robot.damping * (before.pulley + now.pulley)) / 2
-        pulled = h * mean - robot.pulley_inertia * (now.pulley - before.pulley)
+        if not robot.flexible:  # the requested torque is constant over the period, but saturates at the motor speed
+            limits = (textbook.torque_limits(robot, state.pulley_speed) for state in (before, now))
+            first, last = (np.clip(before.torques, *limit) for limit in limits)
+        mean = (first + last - robot.damping * (before.pulley_speed + now.pulley_speed)) / 2
+        angular_impulse = h * mean - robot.pulley_inertia * (now.pulley_speed - before.pulley_speed)
         cables = cable_vectors(robot.base, robot.platform, (before.pose + now.pose) / 2)
-        along = pulled / robot.pulley_radius / np.linalg.norm(cables, axis=-1)
-        force = -np.sum(along[..., None] * cables, axis=-2)
+        scale = angular_impulse / robot.pulley_radius / np.linalg.norm(cables, axis=-1)
+        impulse = -np.sum(scale[..., None] * cables, axis=-2)
         change = (now.velocity - before.velocity)[..., :3]
         if not robot.planar:
             change[..., 2] -= robot.gravity * h[..., 0]
-        along_force, along_change = (np.sum(weight * value, axis=-1, keepdims=True) for value in (force, change))
-        return along_force, along_change
+        weighted_impulse, weighted_change = (
+            np.sum(weight * value, axis=-1, keepdims=True) for value in (impulse, change)
+        )
+        return weighted_impulse, weighted_change
 
 
 def _adaptive(robot: Robot) -> Adaptive:
@@ -161,7 +184,7 @@ ADAPTIVE = PolicyEntry(
     kind="classical",
     env_ids=RIGID_ENV_IDS,
     factory=_adaptive,
-    summary="feedback linearization that weighs its payload and shares out what the motors can give",
+    summary="feedback linearization that estimates the payload and allocates torque",
 )
 
 ADAPTIVE_COMPOSITE = PolicyEntry(
@@ -169,5 +192,5 @@ ADAPTIVE_COMPOSITE = PolicyEntry(
     kind="classical",
     env_ids=FLEXIBLE_ENV_IDS,
     factory=_adaptive_composite,
-    summary="composite-tuned that weighs its payload and shares out what the motors can give",
+    summary="composite-tuned that estimates the payload and allocates torque",
 )

@@ -10,21 +10,24 @@ from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 
 TUNED_GAINS = {"planar": (2000.0, 90.0), "spatial": (1600.0, 80.0)}
-"""(K_P, K_D) that carry most while the payload is not told [1/s², 1/s]; told, they carry what the paper's do."""
+"""(K_P, K_D) with the largest DLCC for an unknown payload [1/s², 1/s].
+
+With a known payload the DLCC is that of the paper's gains.
+"""
 
 
 class FeedbackLinearization(ClassicalLaw):
     """``τ = r T + J β̈ + c β̇`` with ``−Sᵀ T = D v + h`` and ``v = Ẍ_d + K_D ė + K_P e``, e = X_d − X.
 
-    Built from nominal parameters and the told payload. Planar: the least tensions that are all at least
-    ``minimum_tension`` (Eq. 11 with the least α). The drive command is not clipped, so that |a| > 1 is the paper's
-    torque violation.
+    The law uses the nominal parameters and the model payload. On a planar robot it selects the smallest tensions that
+    are all at least ``minimum_tension`` (Eq. 11 with the smallest α). The action is not saturated: |a| > 1 is the
+    paper's torque violation.
 
     Args:
         robot: nominal robot.
-        gains: (K_P, K_D), the same for each coordinate; None for the paper's. Sampling lowers K_D by about K_P h/2:
-            the planar gains need a control frequency well above 100 Hz.
-        minimum_tension: T_min of a planar robot [N]; ≥ 0. A spatial robot's tensions have no freedom.
+        gains: (K_P, K_D), the same for each coordinate; None for the paper's gains. Sampling with period h reduces the
+            effective K_D by about K_P h/2, so the planar gains need a control frequency well above 100 Hz.
+        minimum_tension: T_min of a planar robot [N]; ≥ 0. The tensions of a spatial robot are unique.
 
     Raises:
         ValueError: if a gain is not positive, or ``minimum_tension`` is negative.
@@ -40,10 +43,10 @@ class FeedbackLinearization(ClassicalLaw):
         super().__init__(robot, minimum_tension=minimum_tension)
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
 
-    def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
-        """Torques that the law asks for [N·m], and motor speeds [rad/s], each (..., m)."""
-        needed = self._inverse_dynamics(mass, part["pose"], part["velocity"], self.outer(part))
-        return needed.torques, needed.speeds
+    def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
+        required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], self.outer(blocks))
+        return required.torques, required.speeds
 
 
 def _tuned(robot: Robot) -> FeedbackLinearization:
@@ -55,7 +58,7 @@ FL = PolicyEntry(
     kind="classical",
     env_ids=RIGID_ENV_IDS,
     factory=FeedbackLinearization,
-    summary="the paper's feedback linearization, its gains",
+    summary="the paper's feedback linearization with the paper's gains",
 )
 
 FL_TUNED = PolicyEntry(
@@ -63,5 +66,5 @@ FL_TUNED = PolicyEntry(
     kind="classical",
     env_ids=RIGID_ENV_IDS,
     factory=_tuned,
-    summary="feedback linearization with gains for a payload that is not told",
+    summary="feedback linearization with gains for an unknown payload",
 )

@@ -1,4 +1,7 @@
-"""The paper's own law for joint springs (Eq. 22), which does not stabilise them: shipped to show that."""
+"""The paper's control law for joint springs (Eq. 22).
+
+The law does not stabilise the springs. The package includes it to demonstrate this instability.
+"""
 
 from __future__ import annotations
 
@@ -18,22 +21,26 @@ MotorAcceleration = Literal["commanded", "measured"]
 
 
 class PaperFlexible(FlexibleLaw):
-    """``τ = r T(v) + J β̈(v) + J′ β̈′ + c′ β̇`` (Eq. 22, sign of T corrected), v of Eq. 18, linearises nothing.
+    """``τ = r T(v) + J β̈(v) + J′ β̈′ + c′ β̇`` (Eq. 22, sign of T corrected) with v of Eq. 18.
 
-    Commanded, β̈′ := β̈(v): the loop M J′ s⁴ + K (M + J′)(s² + K_D s + K_P) has no s³ term, and is unstable for every K
-    and every K_D > 0, the fast pair near +K_D/2, unless the motors' own friction c′ exceeds about K_D J′. Measured, β̈′
-    cancels the motor's inertia with a gain of exactly 1, one sample late, s³ + K/(J′ h) = 0, and diverges at once.
+    The law does not linearise the plant. Its two variants differ in the motor acceleration β̈′:
+
+    * ``commanded``: β̈′ := β̈(v). The loop M J′ s⁴ + K (M + J′)(s² + K_D s + K_P) has no s³ term. It is unstable for
+      every K and every K_D > 0, with its fast pole pair near +K_D/2, unless the motor friction c′ exceeds about K_D J′.
+    * ``measured``: β̈′ cancels the motor inertia with a gain of exactly 1 and a delay of one sample. The loop
+      s³ + K/(J′ h) = 0 diverges immediately.
 
     Args:
         robot: nominal flexible robot.
-        motor_acceleration: ``commanded``: β̈′ of the pulley under v; ``measured``: the difference of the motors' speeds
-            at the last two control instants. That needs predict's ``state``; an episode's first step commands it.
-        as_printed: leaves out the terms of damping, which the paper drops from Eq. 4 on.
-        gains: (K_P, K_D); None for the paper's.
+        motor_acceleration: ``commanded``: β̈′ is the pulley acceleration for v. ``measured``: β̈′ is the difference
+            quotient of the motor speeds at the last two control steps. This variant needs the ``state`` of predict and
+            uses the commanded value in the first step of an episode.
+        as_printed: whether to omit the damping terms, as the paper does from Eq. 4 on.
+        gains: (K_P, K_D); None for the paper's gains.
         minimum_tension: T_min of a planar robot [N].
 
     Raises:
-        ValueError: if the robot has no springs, or an argument is not valid.
+        ValueError: if the robot has no joint springs, or an argument is invalid.
     """
 
     def __init__(
@@ -52,22 +59,26 @@ class PaperFlexible(FlexibleLaw):
         self.motor_acceleration = motor_acceleration
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
 
-    def _control(self, part: dict[str, Array], mass: Array, state: Any, episode_start: Any) -> tuple[Array, Array, Any]:
-        torques, winding, _ = self._as_rigid(mass, part, self.outer(part))
+    def _control(
+        self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
+    ) -> tuple[Array, Array, Any]:
+        torques, motor_acceleration, _ = self._rigid_torques(mass, blocks, self.outer(blocks))
         if self.motor_acceleration == "measured":
-            winding, state = _measured(part, state, episode_start, otherwise=winding)
-        return torques + self.robot.motor_inertia * winding, part["motor_speed"], state
+            motor_acceleration, state = _measured_acceleration(blocks, state, episode_start, default=motor_acceleration)
+        return torques + self.robot.motor_inertia * motor_acceleration, blocks["motor_speed"], state
 
 
-def _measured(part: dict[str, Array], state: Any, episode_start: Any, *, otherwise: Array) -> tuple[Array, Array]:
-    """β̈′ from the motors' last two speeds, and the state: these speeds and the time left."""
-    now = np.concatenate([part["motor_speed"], part["time_left"]], axis=-1)
+def _measured_acceleration(
+    blocks: dict[str, Array], state: Any, episode_start: Any, *, default: Array
+) -> tuple[Array, Array]:
+    """β̈′ from the last two motor speeds, and the new state: the motor speeds and the time to go."""
+    now = np.concatenate([blocks["motor_speed"], blocks["time_to_go"]], axis=-1)
     first = first_steps(state, episode_start, now.shape[:-1])[..., None]
     change = now - (now if state is None else state)
-    # The clock that the observation carries stands still once the reference has ended.
-    elapsed = np.where(first, 0.0, -change[..., -1:])
-    measured = change[..., :-1] / np.where(elapsed > 0, elapsed, 1.0)
-    return np.where(elapsed > 0, measured, otherwise), now
+    # The observed time to go stays constant after the end of the reference.
+    period = np.where(first, 0.0, -change[..., -1:])
+    measured = change[..., :-1] / np.where(period > 0, period, 1.0)
+    return np.where(period > 0, measured, default), now
 
 
 def _undamped(robot: Robot) -> Robot:
@@ -79,5 +90,5 @@ FLEX_EQ22 = PolicyEntry(
     kind="classical",
     env_ids=SPATIAL_ENV_IDS,
     factory=PaperFlexible,
-    summary="the paper's law for joint springs (Eq. 22), unstable without motor friction",
+    summary="the paper's law for joint springs (Eq. 22), unstable without friction",
 )

@@ -1,4 +1,4 @@
-"""What the classical laws share: nominal robot, told payload, inverse dynamics, observation, and the drive command."""
+"""Base class of the classical control laws: observation, inverse dynamics and action of the nominal robot."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics, drive_command
+from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics, normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
@@ -19,15 +19,19 @@ Array = NDArray[Any]
 
 
 class ClassicalLaw:
-    """A law that gives motor torques from the blocks of the observation and from nominal parameters.
+    """Control law that computes motor torques from the blocks of the observation and the nominal parameters.
 
-    Its drive command is not clipped, so that |a| > 1 is the paper's torque violation.
+    The action is not saturated: |a| > 1 is the paper's torque violation.
+
+    Args:
+        robot: nominal robot.
+        minimum_tension: T_min of a planar robot [N]; ≥ 0.
 
     Raises:
         ValueError: if ``minimum_tension`` is negative.
     """
 
-    unclipped = True
+    unsaturated_actions = True
 
     def __init__(self, robot: Robot, *, minimum_tension: float = MINIMUM_TENSION) -> None:
         if not 0 <= minimum_tension < math.inf:
@@ -35,17 +39,17 @@ class ClassicalLaw:
         self.robot, self.minimum_tension = robot, minimum_tension
         self._layout = observation_layout(robot)
 
-    def begin(self, tasks: Sequence[Task]) -> None:
-        """Refuses episodes of another robot. Other parameters, such as a mass, are a study of mismatch and welcome.
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Checks that the law fits the robots of the tasks. Other parameters, such as the mass, may differ.
 
         Raises:
-            ValueError: if a task's robot is of another kind, or has other anchors.
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         for robot in {task.robot for task in tasks}:
             if difference := _difference(self.robot, robot):
                 raise ValueError(
-                    f"{type(self).__name__} was built for robot {self.robot.name!r}, but the task's {robot.name!r} has "
-                    f"{difference}: build the law from the task's robot"
+                    f"{type(self).__name__} was built for robot {self.robot.name!r}, but the task's robot "
+                    f"{robot.name!r} has {difference}. Build the law from the task's robot."
                 )
 
     def predict(
@@ -55,12 +59,12 @@ class ClassicalLaw:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """Drive commands (m,) for one observation or (N, m) for a batch, and the state to pass next time.
+        """Actions (m,) for one observation or (N, m) for a batch, and the state to pass next time.
 
-        A law without memory passes ``state`` through.
+        A law without memory returns ``state`` unchanged.
 
         Raises:
-            ValueError: if the observation is not of this robot's layout.
+            ValueError: if the observation does not have this robot's layout.
         """
         return self.respond(self.split(observation), state, episode_start)
 
@@ -68,73 +72,80 @@ class ClassicalLaw:
         """The blocks of an observation by name, each (..., size).
 
         Raises:
-            ValueError: if the observation is not of this robot's layout.
+            ValueError: if the observation does not have this robot's layout.
         """
         return self._layout.split(self._layout.checked(observation, self.robot.name))
 
-    def respond(self, part: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
-        """What :meth:`predict` does, from an observation's blocks, in which others may have put their own reference."""
-        mass = self.robot.mass + part["told_payload"][..., 0]
-        torques, speeds, state = self._control(part, mass, state, episode_start)
-        return self._command(torques, speeds), state
+    def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
+        """Like :meth:`predict`, from the blocks of an observation. A caller may replace the reference in the blocks."""
+        mass = self.robot.mass + blocks["model_payload"][..., 0]
+        torques, speeds, state = self._control(blocks, mass, state, episode_start)
+        return self._action(torques, speeds), state
 
-    def _control(self, part: dict[str, Array], mass: Array, state: Any, episode_start: Any) -> tuple[Array, Array, Any]:
-        """Torques asked of the motors [N·m], the motors' speeds [rad/s], each (..., m), and the next state."""
-        return *self.torques(part, mass), state
+    def _control(
+        self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
+    ) -> tuple[Array, Array, Any]:
+        """Requested torques [N·m] and motor speeds [rad/s], each (..., m), and the next state."""
+        return *self.torques(blocks, mass), state
 
-    def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
-        """What a law without memory asks of the motors [N·m] and their speeds [rad/s], each (..., m).
+    def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Requested torques [N·m] and motor speeds [rad/s] of a law without memory, each (..., m).
 
         Args:
-            part: the blocks of the observation by name, each (..., size).
-            mass: of platform and payload [kg], (...).
+            blocks: blocks of the observation by name, each (..., size).
+            mass: mass of platform and payload [kg], (...).
         """
         raise NotImplementedError
 
-    def _command(self, torques: Array, speeds: Array) -> Array:
-        return drive_command(self.robot, torques, speeds)
+    def _action(self, torques: Array, speeds: Array) -> Array:
+        return normalised_action(self.robot, torques, speeds)
 
     def _inverse_dynamics(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> InverseDynamics:
-        """Tensions, torques, speeds and windings β̈ at the pulleys."""
+        """Tensions, torques, pulley speeds β̇ and pulley accelerations β̈ for a motion."""
         return inverse_dynamics(self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension)
 
     @property
-    def turning_inertia(self) -> Array:
-        """What the law's torque has to turn with the pulleys [kg·m²], (m,)."""
+    def rotor_inertia(self) -> Array:
+        """Inertia that the law's torque accelerates at the angular acceleration of the pulley [kg·m²], (m,)."""
         return self.robot.pulley_inertia
 
     def torque_slope(self, mass: Array, pose: Array) -> Array:
-        """∂(r T + J β̈)/∂Ẍ = −r S⁻ᵀ D − (J/r) S with as many cables as coordinates, (..., n, n).
+        """∂(r T + J β̈)/∂Ẍ = −r S⁻ᵀ D − (J/r) S for as many cables as coordinates, (..., n, n).
 
-        Column by column: both are affine in Ẍ, so that a unit of acceleration tells the column exactly.
+        T and β̈ are affine in Ẍ, so each column follows exactly from a unit acceleration.
         """
-        n, still = self.robot.coordinates, np.zeros_like(pose)
+        n, zero = self.robot.coordinates, np.zeros_like(pose)
         units = np.concatenate([np.zeros((1, n)), np.eye(n)]).reshape(n + 1, *(1,) * (pose.ndim - 1), n)
-        needed = self._inverse_dynamics(mass, pose, still, units)
-        torques = self.robot.pulley_radius * needed.tensions + self.turning_inertia * needed.windings
+        required = self._inverse_dynamics(mass, pose, zero, units)
+        torques = self.robot.pulley_radius * required.tensions + self.rotor_inertia * required.pulley_accelerations
         return np.moveaxis(torques[1:] - torques[0], 0, -1)
 
     def pulley_speed(self, pose: Array, velocity: Array) -> Array:
-        """β̇ [rad/s], (..., m)."""
+        """Pulley speeds β̇ [rad/s], (..., m)."""
         return self._inverse_dynamics(np.asarray(self.robot.mass), pose, velocity, np.zeros_like(pose)).speeds
 
 
 def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which observations of a batch of this shape have no past; without a state, all.
+    """Marks the observations of a batch that start an episode. Without a state, all do.
+
+    Args:
+        state: state of the previous step, or None.
+        episode_start: one boolean, also in an array of any shape, or one boolean for each observation; None for False.
+        shape: shape of the batch.
 
     Raises:
-        ValueError: if ``episode_start`` is neither one boolean, in an array of any shape, nor one for each observation.
+        ValueError: if the shape of ``episode_start`` is invalid.
     """
     start = np.asarray(False if episode_start is None else episode_start, np.bool_)
-    if start.size == 1:  # Stable-Baselines3 has an array of one for a single observation
+    if start.size == 1:  # Stable-Baselines3 passes an array of one element for a single observation
         start = start.reshape(())
     elif start.shape != shape:
-        raise ValueError(f"episode_start must be one boolean or have shape {shape}, not {start.shape}")
+        raise ValueError(f"episode_start must be one boolean or have shape {shape}, not shape {start.shape}")
     return np.broadcast_to(start if state is not None else np.True_, shape)
 
 
 def _difference(robot: Robot, other: Robot) -> str | None:
-    """What another robot has that a law for ``robot`` cannot cope with."""
+    """Property of ``other`` that a law for ``robot`` does not support, or None."""
     if other.flexible != robot.flexible:
         return "joint springs" if other.flexible else "no joint springs"
     if other.cables != robot.cables or other.planar != robot.planar:
@@ -142,5 +153,5 @@ def _difference(robot: Robot, other: Robot) -> str | None:
     if not (np.array_equal(other.base, robot.base) and np.array_equal(other.platform, robot.platform)):
         return "other anchors"
     if robot.flexible and not np.array_equal(other.home, robot.home):
-        return "another home pose, from which its motor angles are measured"
+        return "another home pose, which is the zero of its motor angles"
     return None

@@ -1,6 +1,6 @@
-"""Outer loops: the acceleration v that a law asks of the platform, from an observation (Eqs. 13, 18 and 26–36).
+"""Outer loops: the requested acceleration v of the platform as a function of the observation (Eqs. 13, 18 and 26–36).
 
-Errors are e = z_d − z, reference less state.
+Errors are e = z_d − z, reference minus state.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 
 
 def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[float, float]:
-    """The gains (K_P, K_D), the paper's for None.
+    """The gains (K_P, K_D); the paper's gains for None.
 
     Raises:
-        ValueError: if they are not two positive numbers.
+        ValueError: if ``gains`` are not two positive numbers.
     """
     if gains is None:
         return PAPER_GAINS["planar" if robot.planar else "spatial"]
@@ -37,10 +37,10 @@ def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[floa
 
 
 class OuterLoop(Protocol):
-    """From the blocks of an observation to v (..., n) [m/s², rad/s²]."""
+    """Function from the blocks of an observation to the requested acceleration v, (..., n) [m/s², rad/s²]."""
 
-    def __call__(self, part: dict[str, Array]) -> Array:
-        """The acceleration to ask for."""
+    def __call__(self, blocks: dict[str, Array]) -> Array:
+        """The requested acceleration v, (..., n)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,27 +50,29 @@ class PD:
     gains: tuple[float, float]
     """(K_P, K_D), the same for each coordinate [1/s², 1/s]."""
 
-    def __call__(self, part: dict[str, Array]) -> Array:
+    def __call__(self, blocks: dict[str, Array]) -> Array:
         """The acceleration v, shape (..., n)."""
         stiffness, damping = self.gains
-        error, rate = errors(part)
+        error, rate = errors(blocks)
         correction: Array = damping * rate + stiffness * error
-        return part["reference_acceleration"] + correction
+        return blocks["reference_acceleration"] + correction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobustPD:
     """PD plus the paper's robust term: ``v = z̈_d + k_d ė + k_p e + Δv`` (Eqs. 31–36, signs as derived here).
 
-    A law built from wrong parameters leaves ``ë + k_d ė + k_p e = −η − Δv`` with η = (γ⁻¹γ̂ − 1) v + γ⁻¹Δα (Eqs. 30
-    and 32). For each coordinate A = [[0, 1], [−k_p, −k_d]], B = (0, 1)ᵀ and AᵀP + PA = −Q (Eq. 35); s = BᵀPe is taken
-    over all coordinates together. Along V = eᵀPe, V̇ = −eᵀQe − 2 sᵀ(η + Δv), so that
+    With wrong parameters the error dynamics are ``ë + k_d ė + k_p e = −η − Δv`` with η = (γ⁻¹γ̂ − 1) v + γ⁻¹Δα (Eqs. 30
+    and 32). For each coordinate A = [[0, 1], [−k_p, −k_d]], B = (0, 1)ᵀ and AᵀP + PA = −Q (Eq. 35). The vector
+    s = BᵀPe contains all coordinates. For V = eᵀPe the derivative is V̇ = −eᵀQe − 2 sᵀ(η + Δv), so
 
         Δv = ρ s / max(‖s‖, ε),   ρ = (ζ (‖z̈_d‖ + ‖Ae‖) + φ)/(1 − ζ)
 
-    makes V fall outside the boundary layer ‖s‖ < ε if ‖γ⁻¹γ̂ − 1‖ ≤ ζ and ‖γ⁻¹Δα‖ ≤ φ. The paper's γ̄ is taken into φ.
-    As in the paper, norms mix metres and radians. Within the layer the term is linear, a stiffer PD; the thinner the
-    layer, the smaller the error, and the sooner sampling makes it chatter. At ε → ∞ the term is gone.
+    makes V decrease outside the boundary layer ‖s‖ < ε if ‖γ⁻¹γ̂ − 1‖ ≤ ζ and ‖γ⁻¹Δα‖ ≤ φ. The paper's γ̄ is part of φ.
+    As in the paper, norms mix metres and radians.
+
+    Inside the layer the term is linear and acts as a stiffer PD. A thinner layer gives a smaller error, but the sampled
+    law then chatters already at a shorter control period. For ε → ∞ the term vanishes.
 
     Raises:
         ValueError: if a parameter is out of its range.
@@ -79,27 +81,27 @@ class RobustPD:
     gains: tuple[float, float]
     """(k_p, k_d), the same for each coordinate [1/s², 1/s]."""
     boundary_layer: float = 1e-3
-    """ε, on ‖s‖; > 0. The paper has none, that is 0, which chatters."""
+    """ε, bound of ‖s‖ in the boundary layer; > 0. The paper has no layer (ε = 0), which chatters."""
     zeta: float = 0.12
     """ζ, bound of ‖γ⁻¹γ̂ − 1‖, the relative error of the nominal inertia; 0 ≤ ζ < 1."""
     phi: float = 1.2
-    """φ, bound of ‖γ⁻¹Δα‖, the acceleration that the nominal forces are wrong by [m/s², rad/s²]; ≥ 0."""
+    """φ, bound of ‖γ⁻¹Δα‖, the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥ 0."""
     q: ArrayLike = 1.0
-    """Q of Eq. 35 for each coordinate's (e, ė): a positive number times the identity, or a symmetric positive definite
+    """Q of Eq. 35 for (e, ė) of each coordinate: a positive factor of the identity, or a symmetric positive definite
     2×2 matrix."""
 
     def __post_init__(self) -> None:
         if not self.boundary_layer > 0:
-            raise ValueError(f"boundary_layer must be greater than 0 (it divides), not {self.boundary_layer}")
+            raise ValueError(f"boundary_layer must be greater than 0, not {self.boundary_layer}")
         if not 0 <= self.zeta < 1:
-            raise ValueError(f"zeta must be at least 0 and below 1, where ρ has its pole, not {self.zeta}")
+            raise ValueError(f"zeta must be at least 0 and below 1, not {self.zeta}")
         if not 0 <= self.phi < math.inf:
-            raise ValueError(f"phi must be an acceleration of at least 0, not {self.phi}")
+            raise ValueError(f"phi must be a finite acceleration of at least 0, not {self.phi}")
         q = np.asarray(self.q)
         if q.dtype.kind not in "iuf" or q.shape not in ((), (2, 2)) or not np.all(np.isfinite(q)):
             raise ValueError(f"q must be a positive number or a 2×2 matrix, not {self.q!r}")
         if not np.array_equal(self.weight, self.weight.T) or np.linalg.eigvalsh(self.weight)[0] <= 0:
-            raise ValueError(f"q must be symmetric and positive definite, or P is no Lyapunov matrix, not {self.q!r}")
+            raise ValueError(f"q must be symmetric and positive definite, not {self.q!r}")
 
     @cached_property
     def weight(self) -> Array:
@@ -118,26 +120,26 @@ class RobustPD:
         solution: Array = solve_continuous_lyapunov(self.system.T, -self.weight)
         return solution
 
-    def lyapunov_value(self, part: dict[str, Array]) -> Array:
+    def lyapunov_value(self, blocks: dict[str, Array]) -> Array:
         """V = eᵀPe over all coordinates, shape (...)."""
-        e = np.stack(errors(part), axis=-1)
+        e = np.stack(errors(blocks), axis=-1)
         return np.sum(e * (e @ self.lyapunov), axis=(-2, -1))
 
-    def switching(self, part: dict[str, Array]) -> Array:
+    def switching(self, blocks: dict[str, Array]) -> Array:
         """s = BᵀPe, shape (..., n)."""
-        value: Array = np.stack(errors(part), axis=-1) @ self.lyapunov[1]
+        value: Array = np.stack(errors(blocks), axis=-1) @ self.lyapunov[1]
         return value
 
-    def __call__(self, part: dict[str, Array]) -> Array:
+    def __call__(self, blocks: dict[str, Array]) -> Array:
         """The acceleration v, shape (..., n)."""
-        e, s = np.stack(errors(part), axis=-1), self.switching(part)
+        e, s = np.stack(errors(blocks), axis=-1), self.switching(blocks)
         drift = np.linalg.norm(e @ self.system.T, axis=(-2, -1))
-        asked = np.linalg.norm(part["reference_acceleration"], axis=-1)
-        rho = (self.zeta * (asked + drift) + self.phi) / (1 - self.zeta)
+        reference = np.linalg.norm(blocks["reference_acceleration"], axis=-1)
+        rho = (self.zeta * (reference + drift) + self.phi) / (1 - self.zeta)
         length = np.maximum(np.linalg.norm(s, axis=-1), self.boundary_layer)
-        return PD(gains=self.gains)(part) + (rho / length)[..., None] * s
+        return PD(gains=self.gains)(blocks) + (rho / length)[..., None] * s
 
 
-def errors(part: dict[str, Array]) -> tuple[Array, Array]:
-    """e and ė, each (..., n)."""
-    return part["reference_pose"] - part["pose"], part["reference_velocity"] - part["velocity"]
+def errors(blocks: dict[str, Array]) -> tuple[Array, Array]:
+    """Pose error e and velocity error ė, each (..., n)."""
+    return blocks["reference_pose"] - blocks["pose"], blocks["reference_velocity"] - blocks["velocity"]

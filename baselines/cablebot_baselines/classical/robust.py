@@ -1,4 +1,4 @@
-"""The paper's robust control (Eqs. 26–36, signs corrected) on the rigid law and on the composite law."""
+"""The paper's robust control (Eqs. 26–36, signs corrected) for the rigid law and for the composite law."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from cablebot_gym.robots import Robot
 
 
 class Robust(FeedbackLinearization):
-    """Feedback linearization whose outer loop is :class:`~cablebot_baselines.classical.outer_loop.RobustPD`.
+    """Feedback linearization with the outer loop :class:`~cablebot_baselines.classical.outer_loop.RobustPD`.
 
     Args:
         robot: nominal robot.
-        gains: (k_p, k_d), the same for each coordinate; None for the paper's.
-        boundary_layer: ε on ‖BᵀPe‖; > 0. The paper does not say its own, on which the gain in accuracy depends.
-        zeta: ζ, bound of the relative error of the inertia; 0 ≤ ζ < 1. Ours, as φ: the paper gives no values.
+        gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
+        boundary_layer: ε, bound of ‖BᵀPe‖ in the boundary layer; > 0. The accuracy depends on it. The paper gives no
+            value.
+        zeta: ζ, bound of the relative error of the inertia; 0 ≤ ζ < 1. The paper gives no values for ζ and φ; the
+            defaults are our choice.
         phi: φ, bound of the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥ 0.
         q: Q of the Lyapunov equation, a positive number or a symmetric positive definite 2×2 matrix.
         minimum_tension: T_min of a planar robot [N].
@@ -45,16 +47,16 @@ class Robust(FeedbackLinearization):
 
 
 class RobustComposite(Composite):
-    """The composite law whose outer loop is :class:`~cablebot_baselines.classical.outer_loop.RobustPD`.
+    """Composite law with the outer loop :class:`~cablebot_baselines.classical.outer_loop.RobustPD`.
 
     Args:
         robot: nominal robot.
-        gains: (k_p, k_d), the same for each coordinate; None for the paper's.
-        boundary_layer: ε on ‖BᵀPe‖; > 0.
+        gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
+        boundary_layer: ε, bound of ‖BᵀPe‖ in the boundary layer; > 0.
         zeta: ζ, bound of the relative error of the inertia; 0 ≤ ζ < 1.
         phi: φ, bound of the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥ 0.
         q: Q of the Lyapunov equation, a positive number or a symmetric positive definite 2×2 matrix.
-        spring_damping: K_v in units of √(K J′).
+        spring_damping: largest K_v in units of √(K J′); ≥ 0.
         minimum_tension: T_min of a planar robot [N].
 
     Raises:
@@ -78,7 +80,11 @@ class RobustComposite(Composite):
 
 
 def _tuned(robot: Robot) -> Robust:
-    """φ = g/2 is what half the platform's weight too much amounts to. A layer this thin does not bear sensor noise."""
+    """Robust law for an unknown payload.
+
+    φ = g/2 corresponds to a payload of half the platform's weight. The law does not tolerate sensor noise, because the
+    boundary layer is thin.
+    """
     return Robust(robot, boundary_layer=1e-3, zeta=0.5, phi=5.0)
 
 
@@ -93,9 +99,9 @@ ROBUST = PolicyEntry(
 ROBUST_TUNED = PolicyEntry(
     name="robust-tuned",
     kind="classical",
-    env_ids=tuple(env_id for env_id in RIGID_ENV_IDS if "Spatial" in env_id),  # planar cables go slack
+    env_ids=tuple(env_id for env_id in RIGID_ENV_IDS if "Spatial" in env_id),  # planar: cables go slack
     factory=_tuned,
-    summary="robust with ζ and φ for a payload that is not told",
+    summary="robust with ζ and φ for an unknown payload",
 )
 
 ROBUST_COMPOSITE = PolicyEntry(
@@ -103,5 +109,5 @@ ROBUST_COMPOSITE = PolicyEntry(
     kind="classical",
     env_ids=SPATIAL_ENV_IDS,
     factory=RobustComposite,
-    summary="composite law with the paper's robust term",
+    summary="composite with the paper's robust term",
 )

@@ -1,4 +1,4 @@
-"""Learned policies: what trains them, and what runs them without torch."""
+"""Learned policies: training (needs torch) and evaluation (does not need torch)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from cablebot_gym.robots import Robot
 
 
 def load_bundle(path: Path, robot: Robot) -> Policy | None:
-    """The policy in a bundle, for a nominal robot; None if the file is no bundle.
+    """Loads a policy from a bundle for a nominal robot; returns None if the file is not a bundle.
 
     Raises:
-        ValueError: if the bundle is damaged, or its policy was trained on another observation than the robot's.
+        ValueError: if the bundle is damaged, or its policy was trained on an observation other than the robot's.
     """
-    from cablebot_baselines.learned.bundle import Bundle, is_bundle  # not at import: what trains does not need them
+    from cablebot_baselines.learned.bundle import Bundle, is_bundle  # imported here: training does not need them
     from cablebot_baselines.learned.policy import LearnedPolicy
 
     return LearnedPolicy(Bundle.load(path), robot) if is_bundle(path) else None

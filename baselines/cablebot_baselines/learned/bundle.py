@@ -1,4 +1,4 @@
-"""What a learned policy is kept in: plain arrays and JSON in one file, nothing in which is ever run."""
+"""Bundles: the file format of learned policies. A bundle holds plain arrays and JSON; loading it executes no code."""
 
 from __future__ import annotations
 
@@ -15,47 +15,53 @@ import numpy as np
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.base import Base, find_base
 from cablebot_baselines.learned.network import Network
-from cablebot_baselines.learned.steering import Residual, Shift, Steering, find_way, way_to_plain
+from cablebot_baselines.learned.steering import (
+    Residual,
+    Shift,
+    Steering,
+    action_mapping_to_jsonable,
+    find_action_mapping,
+)
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.utils.files import write_whole
+from cablebot_gym.utils.files import atomic_write
 
 FORMAT = 1
-"""Of bundles; one that is newer is refused."""
+"""Format number of bundles; a newer number is rejected."""
 
 _MEMBER = "bundle"
-"""Array that holds the JSON."""
+"""Name of the array that holds the JSON."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bundle:
-    """All that a learned policy is.
+    """A learned policy: base law, action mapping, features and network.
 
     Raises:
-        ValueError: if the parts do not fit each other.
+        ValueError: if these are inconsistent.
     """
 
     env_id: str
-    """Environment that it was trained for."""
+    """Id of the training environment."""
     base: Base
-    """The classical law that is steered."""
-    way: Shift | Residual
-    """How the network's actions steer it."""
+    """Classical law that the network steers."""
+    action_mapping: Shift | Residual
+    """Mapping from the network's actions to the base law."""
     features: tuple[str, ...]
-    """What the network reads, see :mod:`cablebot_baselines.learned.features`."""
+    """Names of the network's inputs, see :mod:`cablebot_baselines.learned.features`."""
     network: Network
-    """From features to an action in [−1, 1]ⁿ; its normalisation is part of it."""
+    """Network from features to an action in [−1, 1]ⁿ, including the normalisation of its inputs."""
     card: Mapping[str, Any] = field(default_factory=dict)
-    """How it was made, JSON-able: command, seed, steps, wall time, versions."""
+    """Training record, JSON-able: command, seed, steps, wall time, versions."""
 
     def __post_init__(self) -> None:
         steering = self.steering(_trained_on(self.env_id))
         if self.network.inputs != steering.inputs:
-            raise ValueError(f"the network reads {self.network.inputs} numbers, its features are {steering.inputs}")
+            raise ValueError(f"the network has {self.network.inputs} inputs, but its features have {steering.inputs}")
         if self.network.outputs != steering.actions:
-            given = f"the network gives {self.network.outputs} numbers"
-            raise ValueError(f"{given}, an action on {self.env_id} has {steering.actions}")
+            outputs = f"the network has {self.network.outputs} outputs"
+            raise ValueError(f"{outputs}, but an action on {self.env_id} has {steering.actions}")
         if not isinstance(self.card, Mapping):
             raise ValueError(f"the card must be a dict, not {self.card!r}")
         try:
@@ -64,16 +70,16 @@ class Bundle:
             raise ValueError(f"the card must be JSON-able: {error}") from error
 
     def steering(self, robot: Robot) -> Steering:
-        """What the network steers, on a nominal robot.
+        """The steered base law for a nominal robot.
 
         Raises:
-            ValueError: if the robot has another observation than the policy was trained on.
+            ValueError: if the robot's observation differs from the one that the policy was trained on.
         """
         check_layout(self.env_id, _trained_on(self.env_id), robot)
-        return Steering(robot, base=self.base, way=self.way, features=self.features)
+        return Steering(robot, base=self.base, action_mapping=self.action_mapping, features=self.features)
 
     def save(self, path: Path) -> None:
-        """Writes the bundle, whole or not at all.
+        """Writes the bundle atomically.
 
         Raises:
             OSError: if it cannot be written.
@@ -83,7 +89,7 @@ class Bundle:
             "env_id": self.env_id,
             "observation": _layout(_trained_on(self.env_id)),
             "base": asdict(self.base),
-            "steering": way_to_plain(self.way),
+            "steering": action_mapping_to_jsonable(self.action_mapping),
             "features": list(self.features),
             "card": dict(self.card),
         }
@@ -94,15 +100,15 @@ class Bundle:
         def write(temporary: Path) -> None:
             temporary.write_bytes(buffer.getvalue())
 
-        write_whole(path, write)
+        atomic_write(path, write)
 
     @classmethod
     def load(cls, path: Path) -> Bundle:
-        """A bundle that was saved.
+        """Loads a bundle.
 
         Raises:
-            ValueError: if the file is no bundle, is damaged, is newer than this package, or was made for another
-                observation than its environment gives now.
+            ValueError: if the file is not a bundle, is damaged, has a newer format, or was trained on an observation
+                that differs from that of its environment in this version.
         """
         if not path.is_file():
             raise ValueError(f"policy file {str(path)!r} does not exist")
@@ -114,41 +120,41 @@ class Bundle:
             return cls(
                 env_id=env_id,
                 base=find_base(data["base"]),
-                way=find_way(data["steering"]),
+                action_mapping=find_action_mapping(data["steering"]),
                 features=tuple(features) if isinstance(features, list) else features,
                 network=Network.from_arrays(arrays),
                 card=data["card"],
             )
-        except Exception as error:  # damage brings up errors of zipfile, its decompressors, numpy and json
+        except Exception as error:  # damaged files raise errors of zipfile, its decompressors, numpy and json
             raise ValueError(f"policy bundle {str(path)!r} cannot be used: {_reason(error)}") from error
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The description in a file, of a format that is known, and the network's arrays.
+    """Reads the JSON and the network's arrays from a file.
 
     Raises:
-        Exception: whatever a damaged file brings about.
+        Exception: of any type if the file is damaged.
     """
-    with zipfile.ZipFile(path) as whole:
-        if broken := whole.testzip():
-            raise ValueError(f"its part {broken!r} is damaged")
+    with zipfile.ZipFile(path) as archive:
+        if broken := archive.testzip():
+            raise ValueError(f"its member {broken!r} is damaged")
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     for name, array in arrays.items():
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiubU":
-            raise ValueError(f"its part {name!r} is no array of numbers or text")
+            raise ValueError(f"its member {name!r} is not an array of numbers or text")
     data = json.loads(str(arrays.pop(_MEMBER)))
     if not isinstance(data, dict):
-        raise ValueError(f"its part {_MEMBER!r} is no JSON object")
+        raise ValueError(f"its member {_MEMBER!r} is not a JSON object")
     if not isinstance(data["format"], int) or data["format"] < 1:
-        raise ValueError(f"its format is {data['format']!r}, no whole number from 1 to {FORMAT}")
+        raise ValueError(f"its format must be a whole number from 1 to {FORMAT}, not {data['format']!r}")
     if data["format"] > FORMAT:
-        raise ValueError(f"its format {data['format']} is newer than this package reads, {FORMAT}: upgrade")
+        raise ValueError(f"its format {data['format']} is newer than {FORMAT}: upgrade cablebot-gym")
     return data, arrays
 
 
 def _reason(error: Exception) -> str:
-    """An error's words in one line."""
+    """The text of an error in one line."""
     words = " ".join(str(error).split())
     if isinstance(error, KeyError):
         return f"{words} is missing"
@@ -156,7 +162,7 @@ def _reason(error: Exception) -> str:
 
 
 def is_bundle(path: Path) -> bool:
-    """Whether a file claims to be a bundle: a zip with the member that holds its JSON."""
+    """Whether a file looks like a bundle: a zip with the member that holds the JSON."""
     try:
         with zipfile.ZipFile(path) as file:
             return f"{_MEMBER}.npy" in file.namelist()
@@ -165,17 +171,17 @@ def is_bundle(path: Path) -> bool:
 
 
 def check_layout(env_id: str, trained: Robot, robot: Robot) -> None:
-    """Refuses a robot whose observation is laid out otherwise than that of the robot trained on.
+    """Checks that a robot has the same observation layout as the robot of the training.
 
     Raises:
-        ValueError: with both layouts.
+        ValueError: if the layouts differ; the message names both.
     """
     _compare(env_id, _layout(trained), f"robot {robot.name!r}", _layout(robot))
 
 
 def _trained_on(env_id: str) -> Robot:
     if not isinstance(env_id, str):
-        raise ValueError(f"env_id must be the name of an environment, not {env_id!r}")
+        raise ValueError(f"env_id must be the id of an environment, not {env_id!r}")
     return find_robot(env_robot(env_id))
 
 
@@ -187,9 +193,9 @@ def _compare(env_id: str, read: Any, other: str, present: list[list[Any]]) -> No
     if read == present:
         return
     if not isinstance(read, list) or not all(isinstance(block, list) and len(block) == 2 for block in read):
-        raise ValueError(f"its observation must be pairs of a name and a size, not {read!r}")
+        raise ValueError(f"its observation must be a list of pairs [name, size], not {read!r}")
     texts = [", ".join(f"{name} {size}" for name, size in layout) for layout in (read, present)]
     raise ValueError(
-        f"the policy was trained on {env_id} and reads ({texts[0]}), but {other} gives ({texts[1]}): "
+        f"the policy was trained on {env_id} with observation ({texts[0]}), but {other} has ({texts[1]}): "
         "evaluate it on the environment that it was trained on"
     )

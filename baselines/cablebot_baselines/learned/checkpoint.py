@@ -1,8 +1,7 @@
-"""Checkpoints of training runs: everything that the next rollout depends on, in one file, to the bit.
+"""Checkpoints of training runs: the complete state of a run in one file, so that a resumed run is bit-exact.
 
-That is weights, optimiser, replay buffer, normalisation, environments in the middle of their episodes, and random
-generators. A checkpoint is read with ``pickle``, as Stable-Baselines3's own files are: read only those of which you
-know where they come from.
+The state consists of weights, optimiser, replay buffer, normalisation, environments within their episodes, and random
+generators. Loading a checkpoint uses ``pickle``, as Stable-Baselines3 does: load only files that you trust.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ try:
 except ImportError as error:
     raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
-from cablebot_baselines.learned.runs import Evaluation, Trained
-from cablebot_gym.utils.files import write_whole
+from cablebot_baselines.learned.runs import Evaluation, TrainingResult
+from cablebot_gym.utils.files import atomic_write
 
 FORMAT = 1
-"""Of checkpoints."""
+"""Format number of checkpoints."""
 
 _STATE, _MODEL, _ENV, _RANDOM, _REPLAY = "state.json", "model.zip", "env.pkl", "random.pkl", "replay.npz"
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -44,30 +43,30 @@ _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "do
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What a run was started with."""
+    """Settings of a run."""
 
     env_id: str
     algorithm: str
-    """As ``cablebot train --algo`` has it."""
+    """Name of the algorithm, as for ``cablebot train --algo``."""
     seed: int
-    """Of weights, exploration and environments."""
+    """Seed of the weights, the exploration and the environments."""
     timesteps: int
-    """Actions over all environments."""
+    """Number of actions, summed over all environments."""
     eval_every: int
-    """Timesteps from one evaluation to the next."""
+    """Timesteps between two evaluations."""
     checkpoint_every: int
-    """Timesteps from one checkpoint to the next."""
+    """Timesteps between two checkpoints."""
     threads: int
-    """Of torch. Weights depend on it in their last digits, which training makes more of."""
+    """Number of torch's threads. It affects the last digits of the weights, and training amplifies the difference."""
     evaluation: Mapping[str, Any]
-    """Keywords of :func:`cablebot_gym.evaluation.evaluate_dlcc`."""
+    """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
     config: Mapping[str, Any]
-    """RL-Zoo's keys, as the file has them."""
+    """Hyperparameters in RL-Zoo's keys, as in the file."""
     config_file: str | None
-    """Its name; None for the one that ships."""
+    """Name of the file of hyperparameters; None for the shipped one."""
 
     def command(self) -> str:
-        """What to type for the same run, but for ``--out``."""
+        """The command line that repeats the run, without ``--out``."""
         words = ["cablebot", "train", self.env_id, "--algo", self.algorithm]
         words += [] if self.config_file is None else ["--config", self.config_file]
         words += ["--seed", str(self.seed), "--timesteps", str(self.timesteps)]
@@ -79,24 +78,24 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Checkpoint:
-    """Where a run stands between two rollouts."""
+    """State of a run between two rollouts."""
 
     settings: Settings
     timesteps: int
-    """Done so far."""
+    """Number of timesteps so far."""
     wall_s: float
-    """Spent so far, pauses left out [s]."""
+    """Wall time so far, without pauses [s]."""
     base_payload_kg: float | None
-    """What the base law carries alone; None if not even zero."""
+    """DLCC of the base law alone [kg]; None if it fails unloaded."""
     evaluations: tuple[Evaluation, ...]
-    """Made so far."""
+    """Evaluations so far."""
     versions: Mapping[str, str]
-    """Of Python and packages."""
-    parts: Mapping[str, bytes] = field(repr=False)
-    """Members of the file but its state."""
+    """Versions of Python and of the packages."""
+    members: Mapping[str, bytes] = field(repr=False)
+    """Members of the file other than the JSON state."""
 
     def save(self, path: Path) -> None:
-        """Writes it whole or not at all."""
+        """Writes the checkpoint atomically."""
         names = ("timesteps", "wall_s", "base_payload_kg", "versions")
         state: dict[str, Any] = {"format": FORMAT} | {name: getattr(self, name) for name in names}
         state |= {"settings": asdict(self.settings), "evaluations": [asdict(item) for item in self.evaluations]}
@@ -104,44 +103,42 @@ class Checkpoint:
         def write(temporary: Path) -> None:
             with zipfile.ZipFile(temporary, "w") as file:
                 file.writestr(_STATE, json.dumps(state, ensure_ascii=False))
-                for name, data in self.parts.items():
+                for name, data in self.members.items():
                     file.writestr(name, data)
 
-        write_whole(path, write)
+        atomic_write(path, write)
 
     @classmethod
     def load(cls, path: Path) -> Checkpoint:
-        """A checkpoint that was saved.
+        """Loads a checkpoint.
 
         Raises:
-            ValueError: if there is none, or it is damaged.
+            ValueError: if the file does not exist or is damaged.
         """
         if not path.is_file():
-            raise ValueError(
-                f"there is no run to resume, {str(path)!r} does not exist: leave --resume out to start one"
-            )
+            raise ValueError(f"there is no run to resume: {str(path)!r} does not exist. Omit --resume to start a run")
         try:
             with zipfile.ZipFile(path) as file:
                 if (broken := file.testzip()) is not None:
-                    raise ValueError(f"{broken} is not what was written")
-                parts = {name: file.read(name) for name in file.namelist()}
-            state = json.loads(parts.pop(_STATE))
+                    raise ValueError(f"{broken} is damaged")
+                members = {name: file.read(name) for name in file.namelist()}
+            state = json.loads(members.pop(_STATE))
             if state.pop("format") != FORMAT:
-                raise ValueError("it is of another version of this package")
-            if missing := [name for name in (_MODEL, _ENV, _RANDOM) if name not in parts]:
+                raise ValueError("another version of this package wrote it")
+            if missing := [name for name in (_MODEL, _ENV, _RANDOM) if name not in members]:
                 raise ValueError(f"{missing[0]} is missing")
             settings = Settings(**state.pop("settings"))
             evaluations = tuple(Evaluation(**item) for item in state.pop("evaluations"))
-            return cls(settings=settings, evaluations=evaluations, parts=parts, **state)
+            return cls(settings=settings, evaluations=evaluations, members=members, **state)
         except (OSError, EOFError, KeyError, TypeError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
             raise ValueError(
-                f"checkpoint {str(path)!r} cannot be resumed ({error}); nothing was changed: "
-                "start again with another --out"
+                f"checkpoint {str(path)!r} cannot be resumed ({error}); no file was changed. "
+                "Start a new run with another --out"
             ) from error
 
-    def trained(self, out: Path) -> Trained:
-        """What has come of the run in the folder ``out``."""
-        return Trained(
+    def result(self, out: Path) -> TrainingResult:
+        """Result of the run in the folder ``out``."""
+        return TrainingResult(
             out=out,
             timesteps=self.timesteps,
             wall_s=self.wall_s,
@@ -150,36 +147,36 @@ class Checkpoint:
         )
 
     def environments(self) -> Any:
-        """What was given as ``environments`` to :func:`model_parts`."""
-        return pickle.loads(self.parts[_ENV])
+        """The ``environments`` that were given to :func:`model_members`."""
+        return pickle.loads(self.members[_ENV])
 
-    def model(self, made: type[BaseAlgorithm], env: VecEnv) -> BaseAlgorithm:
-        """The model, of class ``made``, with its replay buffer; random generators are set to where they stood."""
-        model = made.load(io.BytesIO(self.parts[_MODEL]), env=env, device="cpu", force_reset=False)
+    def model(self, model_class: type[BaseAlgorithm], env: VecEnv) -> BaseAlgorithm:
+        """Restores the model and its replay buffer, and sets the random generators to their saved states."""
+        model = model_class.load(io.BytesIO(self.members[_MODEL]), env=env, device="cpu", force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):
-            _set_replay(self.parts[_REPLAY], model)
-        _set_random_state(pickle.loads(self.parts[_RANDOM]), model)
+            _set_replay(self.members[_REPLAY], model)
+        _set_random_state(pickle.loads(self.members[_RANDOM]), model)
         return model
 
 
-def model_parts(model: BaseAlgorithm, environments: Any) -> dict[str, bytes]:
-    """Members of a checkpoint: a model with its replay buffer, its environments, and random generators."""
+def model_members(model: BaseAlgorithm, environments: Any) -> dict[str, bytes]:
+    """Members of a checkpoint: model, replay buffer, environments, and random generators."""
     buffer = io.BytesIO()
     model.save(buffer)
-    parts = {
+    members = {
         _MODEL: buffer.getvalue(),
         _ENV: pickled(environments),
         _RANDOM: pickled(_random_state(model)),
     }
     if isinstance(model, OffPolicyAlgorithm):
-        parts[_REPLAY] = _replay(model)
-    return parts
+        members[_REPLAY] = _replay(model)
+    return members
 
 
 class _Pickler(pickle.Pickler):
-    """Keeps arrays that are views of one another views, and compiled functions the module's own.
+    """A pickler that preserves views of arrays, and references compiled functions by name.
 
-    The environments write through such views; and a copy of a function would be compiled once more.
+    The environments write through such views, and a copied function would be compiled again.
     """
 
     def reducer_override(self, value: Any) -> Any:
@@ -203,7 +200,7 @@ def _view(owner: Any, dtype: Any, shape: Any, strides: Any, offset: int) -> Any:
 
 
 def pickled(value: Any) -> bytes:
-    """Bytes of a value for ``pickle.loads`` that keep views and compiled functions."""
+    """Pickles a value for ``pickle.loads``, preserving views and compiled functions."""
     buffer = io.BytesIO()
     _Pickler(buffer, protocol=pickle.HIGHEST_PROTOCOL).dump(value)
     return buffer.getvalue()
@@ -216,7 +213,7 @@ def _random_state(model: BaseAlgorithm) -> Any:
 
 def _set_random_state(state: Any, model: BaseAlgorithm) -> None:
     torch.set_rng_state(torch.from_numpy(state[0]))
-    np.random.set_state(state[1])  # noqa: NPY002 - where SB3 draws from
+    np.random.set_state(state[1])  # noqa: NPY002 - SB3 draws from this generator
     random.setstate(state[2])
     model.action_space.np_random.bit_generator.state = state[3]
 

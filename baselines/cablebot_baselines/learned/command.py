@@ -10,39 +10,46 @@ from typing import Annotated, Any
 import typer
 
 from cablebot_gym.utils.console import counting, notes_console
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 
 def train(
     env_id: Annotated[str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0.")],
     out: Annotated[Path, typer.Option(help="Folder of the run: checkpoint, policies, evaluations, logs.")],
-    algo: Annotated[str | None, typer.Option(help="ppo, sac, tqc or gradient; ppo if not given.")] = None,
+    algo: Annotated[
+        str | None, typer.Option(help="ppo, sac, tqc or gradient (analytic policy gradient, APG). Default: ppo.")
+    ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="YAML file of hyperparameters by environment, or the name of one that ships."),
+        typer.Option(help="YAML file of hyperparameters by environment, or the name of a shipped one."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of weights, exploration and environments; 0 if not given.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of weights, exploration and environments. Default: 0.")] = None,
     timesteps: Annotated[
-        int | None, typer.Option(help="Actions over all environments, instead of the configuration's n_timesteps.")
+        int | None,
+        typer.Option(help="Number of actions over all environments. Default: n_timesteps of the configuration."),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out, as it was started.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Resume the run in --out with the settings it was started with.")
+    ] = False,
     eval_every: Annotated[
-        int | None, typer.Option(help="Timesteps from one evaluation to the next: a twentieth of all.")
+        int | None, typer.Option(help="Timesteps between two evaluations. Default: 1/20 of all timesteps.")
     ] = None,
     checkpoint_every: Annotated[
-        int | None, typer.Option(help="Timesteps from one checkpoint to the next: a twentieth of all.")
+        int | None, typer.Option(help="Timesteps between two checkpoints. Default: 1/20 of all timesteps.")
     ] = None,
     evaluation: Annotated[
         str | None,
-        typer.Option(help='Keywords of evaluate_dlcc as JSON, such as \'{"uncertainty": "table6", "draws": 32}\'.'),
+        typer.Option(
+            help='Keyword arguments of evaluate_dlcc as JSON, such as \'{"uncertainty": "table6", "draws": 32}\'.'
+        ),
     ] = None,
-    threads: Annotated[int | None, typer.Option(help="Of torch; 1 if not given.")] = None,
+    threads: Annotated[int | None, typer.Option(help="Number of torch's threads. Default: 1.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the evaluations as JSON.")] = False,
 ) -> None:
-    """Trains a learned policy; the best by payload ends up in best.zip.
+    """Trains a learned policy and writes the one with the largest DLCC to best.zip.
 
-    The same seed on the same machine gives the same policy. Ctrl-C leaves a checkpoint; --resume goes on from there as
-    if nothing had happened.
+    The same seed on the same machine gives the same policy. Ctrl-C writes a checkpoint; --resume continues from the
+    checkpoint and gives the same policy as an uninterrupted run.
 
     Examples:
 
@@ -57,7 +64,7 @@ def train(
     from cablebot_baselines.learned.runs import Interrupted
 
     if algo not in (None, *ALGORITHMS, gradient_run.ALGORITHM):
-        raise ValueError(no_such("algorithm", algo, (*ALGORITHMS, gradient_run.ALGORITHM)))
+        raise unknown_name_error("algorithm", algo, (*ALGORITHMS, gradient_run.ALGORITHM))
     console = notes_console()
     with counting(console, "timesteps") as bar:
         task = bar.add_task("starting", total=1)
@@ -66,31 +73,35 @@ def train(
             bar.update(task, description=text, completed=done, total=total)
 
         common: dict[str, Any] = {"out": out, "config": config, "seed": seed, "resume": resume, "threads": threads}
-        asked: dict[str, Any] = {"timesteps": timesteps, "eval_every": eval_every, "checkpoint_every": checkpoint_every}
-        asked |= {"evaluation": _mapping(evaluation)}
+        options: dict[str, Any] = {
+            "timesteps": timesteps,
+            "eval_every": eval_every,
+            "checkpoint_every": checkpoint_every,
+            "evaluation": _mapping(evaluation),
+        }
         try:
             if algo == gradient_run.ALGORITHM:
-                if given := [name for name, value in asked.items() if value is not None]:
+                if given := [name for name, value in options.items() if value is not None]:
                     option = f"--{given[0].replace('_', '-')}"
-                    raise ValueError(f"{option} is for ppo, sac and tqc: gradient takes it from its --config")
-                trained = gradient_run.train_gradient(env_id, progress=step, **common)
+                    raise ValueError(f"{option} is for ppo, sac and tqc: for gradient, set it in the --config file")
+                result = gradient_run.train_gradient(env_id, progress=step, **common)
             else:
-                trained = training.train(env_id, algorithm=algo, progress=step, say=console.print, **common, **asked)
+                result = training.train(env_id, algorithm=algo, progress=step, say=console.print, **common, **options)
         except Interrupted as stop:
             words = ["cablebot", "train", env_id, *([] if algo is None else ["--algo", algo]), "--out", str(out)]
-            console.print(f"stopped after {stop.timesteps} timesteps; to go on: {shlex.join([*words, '--resume'])}")
+            console.print(f"stopped after {stop.timesteps} timesteps; to resume: {shlex.join([*words, '--resume'])}")
             raise
     if as_json:
-        print(json.dumps(trained.to_dict(), indent=2))
+        print(json.dumps(result.to_dict(), indent=2))
         return
-    print(trained)
+    print(result)
 
 
 def _mapping(text: str | None) -> dict[str, Any] | None:
     try:
         data = None if text is None else json.loads(text)
     except json.JSONDecodeError as error:
-        raise ValueError(f"--evaluation is no valid JSON: {error}") from error
+        raise ValueError(f"--evaluation is not valid JSON: {error}") from error
     if data is not None and not isinstance(data, dict):
-        raise ValueError(f'--evaluation has to be a JSON object, {{"keyword": value}}, not {text}')
+        raise ValueError(f'--evaluation must be a JSON object, {{"keyword": value}}, not {text}')
     return data

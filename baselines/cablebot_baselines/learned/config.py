@@ -1,6 +1,6 @@
-"""How to train, read from RL-Zoo's YAML: by environment, the algorithm's numbers and the wrappers.
+"""Training configurations in RL-Zoo's YAML format: hyperparameters and wrappers by environment.
 
-A file that is valid here trains unchanged with ``python -m rl_zoo3.train --conf-file``.
+A file that is valid here also works with ``python -m rl_zoo3.train --conf-file``.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ except ImportError as error:
 from cablebot_baselines.learned.base import Base, find_base
 from cablebot_baselines.learned.features import check_features
 from cablebot_baselines.learned.network import Network
-from cablebot_baselines.learned.steering import Residual, Shift, find_way
+from cablebot_baselines.learned.steering import Residual, Shift, find_action_mapping
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
-from cablebot_gym.utils.suggestions import no_such
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 ALGORITHMS = ("ppo", "sac", "tqc")
-"""Names of ``--algo``; each has a file of its name in :data:`HYPERPARAMS`."""
+"""Names for ``--algo``; each has a file of the same name in :data:`HYPERPARAMS`."""
 
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
-"""Folder of the configurations that ship."""
+"""Folder of the shipped configurations."""
 
 STEERED = "cablebot_baselines.learned.wrappers.Steered"
-"""The wrapper that every configuration has, and what it is made with is what a bundle keeps."""
+"""Wrapper that every configuration must have; a bundle stores its arguments."""
 
 _OWN = ("n_timesteps", "n_envs", "policy", "normalize", "env_wrapper", "env_kwargs")
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
@@ -50,33 +50,33 @@ _ACTIVATIONS: dict[str, type[nn.Module]] = {"Tanh": nn.Tanh, "ReLU": nn.ReLU}
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """A configuration that was checked."""
+    """A checked configuration."""
 
     env_id: str
     algorithm: str
     """One of :data:`ALGORITHMS`."""
     timesteps: int
-    """Steps of training, over all environments; each is one action of the learner."""
+    """Number of training steps over all environments; each step is one action of the learner."""
     n_envs: int
-    """Environments at once, N."""
+    """Number of parallel environments, N."""
     policy: str
-    """Stable-Baselines3's name; ``MlpPolicy``."""
+    """Name of the policy class in Stable-Baselines3; ``MlpPolicy``."""
     model: Mapping[str, Any]
-    """The algorithm's other keywords, schedules and classes made."""
+    """Other keyword arguments of the algorithm, with schedules and classes created."""
     normalize: Mapping[str, Any]
-    """``VecNormalize``'s keywords."""
+    """Keyword arguments of ``VecNormalize``."""
     wrappers: tuple[tuple[type[Any], Mapping[str, Any]], ...]
-    """Wrappers of one environment and their keywords, the innermost first; each class has its ``vector`` twin."""
+    """Wrapper classes and their keyword arguments, innermost first; each class has a vector form, ``vector``."""
     env_kwargs: Mapping[str, Any]
-    """The environment's own keywords."""
+    """Keyword arguments of the environment."""
     base: Base
-    """The law that is steered, from the wrapper's keywords."""
-    way: Shift | Residual
-    """How actions become what steers the law."""
+    """Base law, from the wrapper's arguments."""
+    action_mapping: Shift | Residual
+    """Mapping from actions to the base law, from the wrapper's arguments."""
     features: tuple[str, ...]
-    """What the network reads."""
+    """Names of the network's inputs, from the wrapper's arguments."""
     plain: Mapping[str, Any] = field(repr=False)
-    """What the file says, JSON-able."""
+    """Content of the file for this environment, JSON-able."""
 
 
 def algorithm_class(name: str) -> type[BaseAlgorithm]:
@@ -84,10 +84,10 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
 
     Raises:
         ValueError: if the name is unknown.
-        ImportError: if it needs a package that is not there, naming the extra.
+        ImportError: if a required package is missing; the message names the extra.
     """
     if name not in ALGORITHMS:
-        raise ValueError(no_such("algorithm", name, ALGORITHMS))
+        raise unknown_name_error("algorithm", name, ALGORITHMS)
     if name == "tqc":
         try:
             from sb3_contrib import TQC
@@ -98,60 +98,60 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
 
 
 def read_config(env_id: str, algorithm: str, path: Path | None = None) -> dict[str, Any]:
-    """What a file says of an environment, unchecked; its key ``default`` stands for those that it does not name.
+    """Reads the unchecked configuration of an environment; the key ``default`` holds for environments without a key.
 
     Args:
-        env_id: of the environment.
+        env_id: id of the environment.
         algorithm: one of :data:`ALGORITHMS`.
-        path: the file; None for the one that ships.
+        path: YAML file; None for the shipped one.
 
     Raises:
-        ValueError: if the file cannot be read, or says nothing of this environment.
+        ValueError: if the file cannot be read, or has no configuration for this environment.
     """
     algorithm_class(algorithm)
     return read_yaml(env_id, Path(algorithm) if path is None else path)
 
 
 def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
-    """What a file says of an environment, unchecked; its key ``default`` stands for those that it does not name.
+    """Reads the unchecked configuration of an environment; the key ``default`` holds for environments without a key.
 
     Args:
-        env_id: of the environment.
-        path: the file, or the name of one that ships, without ending.
+        env_id: id of the environment.
+        path: YAML file, or the name of a shipped one without its suffix.
 
     Raises:
-        ValueError: if the file cannot be read, or says nothing of this environment.
+        ValueError: if the file cannot be read, or has no configuration for this environment.
     """
     shipped = sorted(file.stem for file in HYPERPARAMS.glob("*.yaml"))
-    if str(path) in shipped:  # whatever a folder of that name holds
+    if str(path) in shipped:  # even if a folder of that name exists
         path = HYPERPARAMS / f"{path}.yaml"
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(
-            f"--config: cannot read {str(path)!r} ({error}); name a YAML file, or {', '.join(shipped)}"
+            f"--config: cannot read {str(path)!r} ({error}); give a YAML file, or one of {', '.join(shipped)}"
         ) from error
     except yaml.YAMLError as error:
-        raise ValueError(f"--config: {str(path)!r} is no valid YAML: {' '.join(str(error).split())}") from error
+        raise ValueError(f"--config: {str(path)!r} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict) or not all(isinstance(value, dict) for value in data.values()):
-        raise ValueError(f"--config: {path.name} has to hold, by environment, the hyperparameters: 'ID: {{n_envs: …}}'")
+        raise ValueError(f"--config: {path.name} must map environments to hyperparameters: 'ID: {{n_envs: …}}'")
     if env_id not in data and "default" not in data:
-        raise ValueError(f"--config: {path.name} says nothing of {env_id}; it has {', '.join(data)}")
-    found: dict[str, Any] = data[env_id if env_id in data else "default"]
-    return found
+        raise ValueError(f"--config: {path.name} has no key {env_id} and no key default; it has {', '.join(data)}")
+    configuration: dict[str, Any] = data[env_id if env_id in data else "default"]
+    return configuration
 
 
 def make_config(env_id: str, algorithm: str, plain: Mapping[str, Any], *, timesteps: int | None = None) -> Config:
-    """Checks what a file says and makes of it what Stable-Baselines3 takes.
+    """Checks a configuration and converts it to arguments of Stable-Baselines3.
 
     Args:
-        env_id: of the environment.
+        env_id: id of the environment.
         algorithm: one of :data:`ALGORITHMS`.
-        plain: RL-Zoo's keys, from :func:`read_config`.
-        timesteps: instead of ``n_timesteps``.
+        plain: configuration in RL-Zoo's keys, from :func:`read_config`.
+        timesteps: replacement for ``n_timesteps``.
 
     Raises:
-        ValueError: if a key is unknown, or a value is not valid; the message says what is.
+        ValueError: if a key is unknown, or a value is invalid; the message names the valid ones.
     """
     robot = find_robot(env_robot(env_id))
     known = [name for name in inspect.signature(algorithm_class(algorithm)).parameters]
@@ -160,13 +160,13 @@ def make_config(env_id: str, algorithm: str, plain: Mapping[str, Any], *, timest
         raise ValueError(f"hyperparameters of {algorithm}: unknown key {unknown[0]!r}; it takes {', '.join(known)}")
     policy = plain.get("policy")
     if policy != "MlpPolicy":
-        raise ValueError(f"policy must be 'MlpPolicy', whose network can be exported, not {policy!r}")
+        raise ValueError(f"policy must be 'MlpPolicy', the only one that can be exported, not {policy!r}")
     env_kwargs = _mapping("env_kwargs", plain.get("env_kwargs", {}))
     wrappers = _wrappers(plain.get("env_wrapper"))
     steered = _steered(plain["env_wrapper"])
     model = {name: _model_value(name, value) for name, value in plain.items() if name not in _OWN}
     if model.get("use_sde") and algorithm != "ppo":
-        raise ValueError(f"use_sde cannot be exported from {algorithm}: leave it out, or choose ppo")
+        raise ValueError(f"use_sde cannot be exported from {algorithm}: remove it, or use ppo")
     return Config(
         env_id=env_id,
         algorithm=algorithm,
@@ -180,7 +180,7 @@ def make_config(env_id: str, algorithm: str, plain: Mapping[str, Any], *, timest
         wrappers=wrappers,
         env_kwargs=env_kwargs,
         base=find_base(steered["base"]),
-        way=find_way(steered["steering"]),
+        action_mapping=find_action_mapping(steered["steering"]),
         features=check_features(steered["features"], robot),
         plain=dict(plain),
     )
@@ -203,16 +203,16 @@ def _model_value(name: str, value: Any) -> Any:
         raise ValueError(f"{name} must be a number, not {value!r}")
     if isinstance(value, str) and not value.startswith("auto"):
         raise ValueError(
-            f"{name} must be a number, not the text {value!r}: YAML reads 1.0e-3 as a number, 1e-3 as text"
+            f"{name} must be a number, not the text {value!r}: YAML reads 1.0e-3 as a number, but 1e-3 as text"
         )
     return value
 
 
 def schedule(name: str, value: Any) -> Any:
-    """The value of a hyperparameter: a number, or ``lin_1e-3`` as a schedule that falls linearly to 0.
+    """Converts a hyperparameter: a number stays, ``lin_1e-3`` becomes a schedule that decreases linearly to 0.
 
     Raises:
-        ValueError: if it is neither.
+        ValueError: if the value is neither.
     """
     if value is None and name == "clip_range_vf":
         return None
@@ -226,32 +226,34 @@ def schedule(name: str, value: Any) -> Any:
             number = math.nan
         if 0 < number < math.inf:
             return LinearSchedule(number, 0.0, 1.0)
-    raise ValueError(f"{name} must be a number above 0, such as 1.0e-3, or fall linearly, 'lin_1e-3', not {value!r}")
+    raise ValueError(
+        f"{name} must be a number above 0, such as 1.0e-3, or a linear schedule such as 'lin_1e-3', not {value!r}"
+    )
 
 
 def policy_keywords(value: Any) -> dict[str, Any]:
-    """``policy_kwargs`` from a value: a mapping, or RL-Zoo's text, ``dict(net_arch=[64, 64], activation_fn=nn.ReLU)``.
+    """Returns ``policy_kwargs`` from a mapping or from RL-Zoo's text, ``dict(net_arch=[64, 64])``.
 
-    Nothing in the text is run: it may hold numbers, lists, dicts, and the names of two activations.
+    The text is parsed, not executed: it may contain numbers, lists, dicts, ``nn.Tanh`` and ``nn.ReLU``.
 
     Raises:
-        ValueError: if it is something else.
+        ValueError: if the value is neither, or contains anything else.
     """
     keywords = _mapping("policy_kwargs", value)
     activation = keywords.get("activation_fn", nn.Tanh)
     if activation not in _ACTIVATIONS.values():
-        named = '"dict(activation_fn=nn.ReLU)"'
+        example = '"dict(activation_fn=nn.ReLU)"'
         raise ValueError(
-            f"policy_kwargs: activation_fn must be nn.Tanh or nn.ReLU, as text: {named}, not {activation!r}"
+            f"policy_kwargs: activation_fn must be nn.Tanh or nn.ReLU, as in {example}, not {activation!r}"
         )
     for name in ("features_extractor_class", "squash_output"):
         if name in keywords:
-            raise ValueError(f"policy_kwargs: {name!r} cannot be exported to a bundle: leave it out")
+            raise ValueError(f"policy_kwargs: {name!r} cannot be exported to a bundle: remove it")
     return keywords
 
 
 def _mapping(name: str, value: Any) -> dict[str, Any]:
-    """A mapping, or the text of one: literals, ``dict(…)`` and activations."""
+    """Returns a mapping from a mapping or its text, which may contain literals, ``dict(…)`` and activations."""
     if isinstance(value, str):
         try:
             value = _literal(ast.parse(value.strip(), mode="eval").body)
@@ -278,35 +280,35 @@ def _literal(node: ast.expr) -> Any:
 
 
 def _normalize(value: Any) -> dict[str, Any]:
-    """``VecNormalize``'s keywords; observations have to be normalised, for the exported network does it."""
+    """Keyword arguments of ``VecNormalize``; observations must be normalised because the exported network does so."""
     keywords = {} if value is True else {"norm_obs": False} if not value else _mapping("normalize", value)
     if keywords.get("clip_obs", Network.CUT) != Network.CUT:
-        raise ValueError(f"normalize: clip_obs is {Network.CUT:g} in an exported network: leave it out")
+        raise ValueError(f"normalize: clip_obs is {Network.CUT:g} in an exported network: remove it")
     keywords.pop("clip_obs", None)
     if unknown := [name for name in keywords if name not in _NORMALIZE]:
         raise ValueError(f"normalize: unknown key {unknown[0]!r}; it takes {', '.join(_NORMALIZE)}")
     if keywords.get("norm_obs", True) is not True:
-        raise ValueError("normalize must be true, or a mapping with norm_obs true: the exported network normalises")
+        raise ValueError("normalize must be true, or a mapping with norm_obs: true")
     return keywords
 
 
 def _wrappers(value: Any) -> tuple[tuple[type[Any], Mapping[str, Any]], ...]:
-    """The classes of ``env_wrapper`` and their keywords."""
-    made = []
+    """Classes and keyword arguments of ``env_wrapper``."""
+    wrappers = []
     for name, keywords in _named(value):
         module_name, _, class_name = name.rpartition(".")
         try:
-            found = getattr(importlib.import_module(module_name), class_name)
+            wrapper = getattr(importlib.import_module(module_name), class_name)
         except (ImportError, AttributeError, ValueError) as error:
-            raise ValueError(f"env_wrapper: cannot import {name!r} ({error}); name package.module.Class") from error
-        if not hasattr(found, "vector"):
-            raise ValueError(f"env_wrapper: {name!r} has no twin for batches, an attribute 'vector': train with RL-Zoo")
-        made.append((found, keywords))
-    return tuple(made)
+            raise ValueError(f"env_wrapper: cannot import {name!r} ({error}); give package.module.Class") from error
+        if not hasattr(wrapper, "vector"):
+            raise ValueError(f"env_wrapper: {name!r} has no vector form (attribute 'vector'): train with RL-Zoo")
+        wrappers.append((wrapper, keywords))
+    return tuple(wrappers)
 
 
 def _named(value: Any) -> list[tuple[str, dict[str, Any]]]:
-    """Dotted names and keywords of ``env_wrapper``: a name, ``{name: keywords}``, or a list of these."""
+    """Dotted names and keyword arguments of ``env_wrapper``: a name, ``{name: keywords}``, or a list of these."""
     entries = value if isinstance(value, list) else [] if value is None else [value]
     named = []
     for entry in entries:
@@ -316,13 +318,13 @@ def _named(value: Any) -> list[tuple[str, dict[str, Any]]]:
         ((name, keywords),) = one.items()
         named.append((name, _mapping(f"env_wrapper {name}", keywords or {})))
     if [name for name, _ in named].count(STEERED) != 1:
-        raise ValueError(f"env_wrapper has to name {STEERED} once: what it steers is what a policy's file keeps")
+        raise ValueError(f"env_wrapper must contain {STEERED} exactly once: the policy's file stores its arguments")
     return named
 
 
 def _steered(value: Any) -> dict[str, Any]:
-    """Keywords of the wrapper that steers."""
+    """Keyword arguments of the wrapper ``Steered``."""
     keywords = dict(_named(value))[STEERED]
     if missing := [name for name in ("base", "steering", "features") if name not in keywords]:
-        raise ValueError(f"env_wrapper {STEERED}: give {', '.join(missing)} too, so that the file says all")
+        raise ValueError(f"env_wrapper {STEERED}: {', '.join(missing)} must be given explicitly")
     return keywords

@@ -1,7 +1,7 @@
-"""What a motion asks of the motors, as torch tensors with gradients: the textbook's own equations.
+"""Differentiable inverse dynamics in torch, computed with the equations in ``physics.textbook``.
 
-The textbook calculates with arrays of any objects that calculate. Here each coordinate is a tensor over a batch of
-instants, so that there is no second copy of the physics.
+The textbook functions accept object arrays. Here each element of such an array is a tensor over a batch of instants,
+so that the physics is not implemented twice.
 """
 
 from __future__ import annotations
@@ -26,80 +26,86 @@ from cablebot_gym.robots import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Asked:
-    """What a motion asks of cables and motors, each (B, m)."""
+class RequiredActuation:
+    """Tensions and actions that a motion requires, each (B, m)."""
 
     tensions: Tensor
-    """T [N]."""
-    demand: Tensor
-    """Drive commands; the motors can do what is within ±1."""
+    """Cable tensions T [N]."""
+    action: Tensor
+    """Normalised actions; the motors can apply actions within ±1."""
 
 
-def asked(
+def required_actuation(
     robot: Robot, motion: Sequence[Tensor], mass: Tensor, *, minimum: float = 0.0, softness: float = 0.0
-) -> Asked:
-    """What a motion asks with a mass.
+) -> RequiredActuation:
+    """Tensions and actions that a motion with a given mass requires.
 
     Args:
-        robot: any.
-        motion: X and its derivatives, each a float64 tensor (B, n): to the second, with joint springs to the fourth.
-        mass: of platform and payload [kg], (B,).
-        minimum: least tension of a planar robot [N].
-        softness: of these tensions [N], see :func:`~cablebot_gym.physics.textbook.soft_tensions`; 0 for the least.
+        robot: any robot.
+        motion: X and its derivatives up to the second, with joint springs up to the fourth; float64 tensors (B, n).
+        mass: mass of platform and payload [kg], (B,).
+        minimum: minimum tension of a planar robot [N].
+        softness: smoothing of a planar robot's tensions [N], see
+            :func:`~cablebot_gym.physics.textbook.smooth_tension_distribution`; 0 for none.
     """
-    pulled = partial(_pulled, robot, mass=mass, minimum=minimum, softness=softness)
-    tensions, torque = pulled(motion[:3])
+    tensions_and_torques = partial(_tensions_and_torques, robot, mass=mass, minimum=minimum, softness=softness)
+    tensions, torque = tensions_and_torques(motion[:3])
     pose, velocity, acceleration = (_objects(value) for value in motion[:3])
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
     if robot.flexible:
         names = [item.name for item in fields(Motion)]
         series, step = Motion(**cast(Any, dict(zip(names, motion, strict=True)))), DIFFERENCE_STEP
-        winding = _tensor(textbook.pulley_acceleration(robot, pose, velocity, acceleration))
-        before, after = (pulled(cast(Any, series.after(time)))[1] for time in (-step, step))
+        pulley_acceleration = _tensor(textbook.pulley_acceleration(robot, pose, velocity, acceleration))
+        before, after = (tensions_and_torques(cast(Any, series.after(time)))[1] for time in (-step, step))
         stiffness, inertia, damping = (
             torch.tensor(value) for value in (robot.stiffness, robot.motor_inertia, robot.motor_damping)
         )
         speed = speed + (after - before) / (2 * step) / stiffness
-        winding = winding + (after - 2 * torque + before) / step**2 / stiffness
-        torque = torque + inertia * winding + damping * speed
-    demand = _tensor(textbook.drive_command(robot, _objects(torque), _objects(speed)))
-    return Asked(tensions=tensions, demand=demand)
+        motor_acceleration = pulley_acceleration + (after - 2 * torque + before) / step**2 / stiffness
+        torque = torque + inertia * motor_acceleration + damping * speed
+    action = _tensor(textbook.normalised_action(robot, _objects(torque), _objects(speed)))
+    return RequiredActuation(tensions=tensions, action=action)
 
 
-def _pulled(
+def _tensions_and_torques(
     robot: Robot, motion: Sequence[Tensor], mass: Tensor, minimum: float, softness: float
 ) -> tuple[Tensor, Tensor]:
-    """T, by ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and r T + J β̈ + c β̇: torques, or κ of joint springs."""
+    """Tensions T from ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and torques r T + J β̈ + c β̇ (of the springs if flexible)."""
     pose, velocity, acceleration = (_objects(value) for value in motion)
     lines = textbook.jacobian(robot, pose)
     structure = _tensor(lines)
     load = _tensor(textbook.load(robot, _objects(mass[:, None])[:, 0], pose, velocity, acceleration))
-    tensions = _least(structure, load, minimum) if robot.planar else torch.linalg.solve(-structure.mT, load)
+    tensions = (
+        _tension_distribution(structure, load, minimum) if robot.planar else torch.linalg.solve(-structure.mT, load)
+    )
     if softness:
-        tensions = _tensor(textbook.soft_tensions(lines, _objects(tensions), minimum, softness))
+        tensions = _tensor(textbook.smooth_tension_distribution(lines, _objects(tensions), minimum, softness))
     return tensions, _tensor(textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration))
 
 
-def _least(structure: Tensor, load: Tensor, minimum: float) -> Tensor:
-    """The least tensions: the textbook says which two cables pull more than the minimum, and these are solved for."""
+def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Tensor:
+    """The textbook's tension distribution of a planar robot.
+
+    The textbook selects the two cables with more than the minimum tension; their tensions are solved for here.
+    """
     with torch.no_grad():
-        least = textbook.least_tensions(structure.numpy(), load.numpy(), minimum, strict=False)
-    pulling = torch.tensor(np.argsort(least, axis=-1)[..., -2:])
-    pair = torch.gather(structure, 1, pulling[..., None].expand(-1, -1, structure.shape[-1]))
-    more = torch.linalg.solve(-pair.mT, load + minimum * structure.sum(dim=-2))
-    return minimum + torch.zeros_like(structure[..., 0]).scatter(1, pulling, more)
+        distribution = textbook.tension_distribution(structure.numpy(), load.numpy(), minimum, strict=False)
+    active = torch.tensor(np.argsort(distribution, axis=-1)[..., -2:])
+    pair = torch.gather(structure, 1, active[..., None].expand(-1, -1, structure.shape[-1]))
+    excess = torch.linalg.solve(-pair.mT, load + minimum * structure.sum(dim=-2))
+    return minimum + torch.zeros_like(structure[..., 0]).scatter(1, active, excess)
 
 
 def _objects(values: Tensor) -> Array:
-    """A batch of vectors (B, n) as one vector (1, n) of objects, each a tensor (B,)."""
+    """Converts a batch of vectors (B, n) to an object array (1, n) of tensors (B,)."""
     array = np.empty((1, values.shape[1]), dtype=object)
-    for place, value in enumerate(values.unbind(1)):
-        array[0, place] = value
+    for index, value in enumerate(values.unbind(1)):
+        array[0, index] = value
     return array
 
 
 def _tensor(array: Array) -> Tensor:
-    """Objects (1, …), each a tensor (B,) or a number, as a tensor (B, …)."""
+    """Converts an object array (1, …) of tensors (B,) or numbers to a tensor (B, …)."""
     flat = array.reshape(-1)
     size = next(item for item in flat if isinstance(item, Tensor)).shape
     columns = [torch.as_tensor(item, dtype=torch.float64).expand(size) for item in flat]

@@ -1,4 +1,4 @@
-"""From a model of Stable-Baselines3 to the arrays that ship: the actor's mean behind the normalisation it was given."""
+"""Export from Stable-Baselines3 to a bundle: the mean of the actor, including the normalisation of its inputs."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def network_from_sb3(model: BaseAlgorithm, normalize: VecNormalize) -> Network:
-    """The deterministic actor of an ``MlpPolicy`` of PPO, SAC or TQC: what ``predict(…, deterministic=True)`` gives.
+    """The deterministic actor of an ``MlpPolicy`` of PPO, SAC or TQC, as ``predict(…, deterministic=True)`` uses it.
 
-    PPO's means beyond ±1 stay: whoever acts on them cuts them, as SB3 does.
+    PPO's means beyond ±1 are kept; the action mapping clips them, as SB3 does.
 
     Args:
-        model: trained.
-        normalize: what it saw its observations through.
+        model: trained model.
+        normalize: normalisation of the model's observations.
 
     Raises:
-        ValueError: if the policy has parts that a :class:`Network` cannot have, or observations are not normalised.
+        ValueError: if a :class:`Network` cannot represent the policy, or observations are not normalised.
     """
     policy: Any = model.policy
     if hasattr(policy, "actor"):
@@ -41,7 +41,7 @@ def network_from_sb3(model: BaseAlgorithm, normalize: VecNormalize) -> Network:
     elif hasattr(policy, "action_net"):
         layers, head, squash = list(policy.mlp_extractor.policy_net), policy.action_net, "none"
         if policy.squash_output:
-            raise ValueError("a PPO policy with squash_output cannot be exported: leave squash_output out")
+            raise ValueError("a PPO policy with squash_output cannot be exported: remove squash_output")
     else:
         raise ValueError(f"a policy of {type(model).__name__} cannot be exported: train with PPO, SAC or TQC")
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
@@ -50,7 +50,7 @@ def network_from_sb3(model: BaseAlgorithm, normalize: VecNormalize) -> Network:
     if not regular or any(kind not in _ACTIVATIONS for kind in between):
         raise ValueError("only linear layers with nn.Tanh or with nn.ReLU between them can be exported")
     if not normalize.norm_obs or normalize.clip_obs != Network.CUT:
-        raise ValueError(f"observations must be normalised, with norm_obs and clip_obs = {Network.CUT:g}")
+        raise ValueError(f"observations must be normalised with norm_obs=True and clip_obs={Network.CUT:g}")
     statistics: Any = normalize.obs_rms
     return Network(
         mean=np.array(statistics.mean, float),
@@ -68,21 +68,23 @@ def bundle_from_sb3(
     *,
     env_id: str,
     base: Base,
-    way: Shift | Residual,
+    action_mapping: Shift | Residual,
     features: tuple[str, ...],
     card: Mapping[str, Any],
 ) -> Bundle:
-    """A model with what it steers; arguments as for :class:`Bundle` and :func:`network_from_sb3`.
+    """Creates a bundle from a model; arguments as for :class:`Bundle` and :func:`network_from_sb3`.
 
     Raises:
-        ValueError: if the model cannot be exported, or the parts do not fit each other.
+        ValueError: if the model cannot be exported, or the arguments are inconsistent.
     """
     network = network_from_sb3(model, normalize)
-    return Bundle(env_id=env_id, base=base, way=way, features=features, network=network, card=card)
+    return Bundle(
+        env_id=env_id, base=base, action_mapping=action_mapping, features=features, network=network, card=card
+    )
 
 
-def silent_network(features: int, actions: int) -> Network:
-    """A network of so many features and actions that says 0 whatever it reads: its policy is the base law alone."""
+def zero_network(features: int, actions: int) -> Network:
+    """A network of the given sizes with output 0 for every input; its policy is the base law alone."""
     zeros = (np.zeros((actions, features)),)
     return Network(mean=np.zeros(features), scale=np.ones(features), weights=zeros, biases=(np.zeros(actions),))
 

@@ -1,4 +1,4 @@
-"""What a network reads: blocks of an observation, and numbers made from them and from what has been done so far."""
+"""Inputs of a network: blocks of an observation, and features derived from them and from past actions."""
 
 from __future__ import annotations
 
@@ -11,90 +11,101 @@ from cablebot_baselines.classical.law import Array
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot
 
-CLOCK = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Time constants of a clock's numbers exp(−t/τ) [s]."""
+TIME_CONSTANTS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Time constants τ of the decays exp(−t/τ) [s]."""
 
-BELLS = 60
-"""Bells of ``bells``, over the first second."""
-
-
-def _clock(time: Array) -> Array:
-    return np.exp(-time / np.array(CLOCK))
+RBF_COUNT = 60
+"""Number of Gaussian radial basis functions (RBF) of ``rbf_time``, over the first second."""
 
 
-def _bells(time: Array) -> Array:
-    centres = np.linspace(0.0, 1.0, BELLS)
-    return np.exp(-0.5 * ((time - centres) * (BELLS - 1)) ** 2)
+def _decays(time: Array) -> Array:
+    return np.exp(-time / np.array(TIME_CONSTANTS))
 
 
-_MADE: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]] = {
-    "shift": lambda part, made: made["shift"],
-    "shift_velocity": lambda part, made: made["shift_velocity"],
-    "actions": lambda part, made: made["actions"],
-    "error": lambda part, made: made["error"],
-    "elapsed": lambda part, made: _clock(made["elapsed"]),
-    "bells": lambda part, made: _bells(made["elapsed"]),
-    "ending": lambda part, made: _clock(part["time_left"]),
+def _rbf_time(time: Array) -> Array:
+    centres = np.linspace(0.0, 1.0, RBF_COUNT)
+    return np.exp(-0.5 * ((time - centres) * (RBF_COUNT - 1)) ** 2)
+
+
+_DERIVED: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]] = {
+    "shift": lambda blocks, derived: derived["shift"],
+    "shift_velocity": lambda blocks, derived: derived["shift_velocity"],
+    "actions": lambda blocks, derived: derived["actions"],
+    "error": lambda blocks, derived: derived["error"],
+    "time_since_start": lambda blocks, derived: _decays(derived["time_since_start"]),
+    "rbf_time": lambda blocks, derived: _rbf_time(derived["time_since_start"]),
+    "time_to_go_decays": lambda blocks, derived: _decays(blocks["time_to_go"]),
 }
-"""Features that are not blocks of the observation. ``shift`` and ``shift_velocity`` are of the shifted reference, in
-units of its bounds and of these by hold; ``actions`` the last ones that count; ``error`` that of the shifted reference
-[m, rad]; ``elapsed`` and ``ending`` :data:`CLOCK` numbers of the time since the start and until the end; ``bells``
-bells over the first second."""
+"""Features that are not blocks of the observation.
 
-OF_SHIFTS = ("shift", "shift_velocity")
-"""Features that only a shifted reference has."""
+* ``shift``, ``shift_velocity``: shift of the reference, in units of its bounds and of its bounds per action period.
+* ``actions``: past actions that still affect the spline.
+* ``error``: shifted reference minus pose [m, rad].
+* ``time_since_start``, ``time_to_go_decays``: decays with :data:`TIME_CONSTANTS` of the time since the start of the
+  episode and of the time to go.
+* ``rbf_time``: Gaussian radial basis functions of the time since the start, over the first second.
+"""
 
-PREVIEWED = (
+SHIFT_FEATURES = ("shift", "shift_velocity")
+"""Features that exist only with a shifted reference."""
+
+REFERENCE_FEATURES = (
     "reference_velocity",
     "reference_acceleration",
     *("preview_20ms", "preview_50ms", "preview_100ms", "preview_200ms"),
     "reference_pose",
-    "elapsed",
-    "ending",
+    "time_since_start",
+    "time_to_go_decays",
 )
-"""What there is to know of the motion ahead; neither the payload nor the platform's own errors."""
+"""Features of the reference and its preview; they contain neither the payload nor the tracking error."""
 
 
 def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
-    """The names of features.
+    """Checks names of features for a robot and returns them.
 
     Raises:
-        ValueError: if there are none, or one is unknown for this robot; the message lists those there are.
+        ValueError: if there is none, or one is unknown for this robot; the message lists the known ones.
     """
-    known = [*observation_layout(robot).slices(), *_MADE]
+    known = [*observation_layout(robot).slices(), *_DERIVED]
     if not isinstance(names, Sequence) or isinstance(names, str) or not names:
-        raise ValueError(f"features must be several names out of {', '.join(known)}, not {names!r}")
+        raise ValueError(f"features must be a list of names from {', '.join(known)}, not {names!r}")
     for name in names:
         if name not in known:
-            raise ValueError(f"unknown feature {name!r}; choose out of {', '.join(known)}")
+            raise ValueError(f"unknown feature {name!r}; choose from {', '.join(known)}")
     return tuple(names)
 
 
-def feature_values(names: Sequence[str], part: Mapping[str, Array], made: Mapping[str, Array]) -> Array:
-    """The features one after the other, (..., count).
+def feature_values(names: Sequence[str], blocks: Mapping[str, Array], derived: Mapping[str, Array]) -> Array:
+    """Concatenates the features, (..., count).
 
     Args:
-        names: of the features.
-        part: blocks of the observation, each (..., size).
-        made: ``elapsed`` (..., 1) [s], ``error`` and ``actions``; with a shift ``shift`` and ``shift_velocity``.
+        names: names of the features.
+        blocks: blocks of the observation, each (..., size).
+        derived: ``time_since_start`` (..., 1) [s], ``error`` and ``actions``; with a shift also ``shift`` and
+            ``shift_velocity``.
     """
-    values = [_MADE[name](part, made) if name in _MADE else part[name] for name in names]
+    values = [_DERIVED[name](blocks, derived) if name in _DERIVED else blocks[name] for name in names]
     return np.concatenate(values, axis=-1)
 
 
-def feature_symmetry(names: Sequence[str], robot: Robot, move: Array) -> Array:
-    """What a turn or mirror image of the plane does to features of the motion ahead: a matrix (count, count).
+def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Array:
+    """Matrix (count, count) that a rotation or reflection of the plane applies to features of the reference.
 
     Args:
-        names: of the features.
-        robot: planar.
-        move: (2, 2), orthogonal.
+        names: names of the features.
+        robot: planar robot.
+        transform: orthogonal matrix (2, 2).
 
     Raises:
         ValueError: if a feature is neither a vector of the reference nor a time.
     """
-    times = {"time_left": 1, "elapsed": len(CLOCK), "ending": len(CLOCK), "bells": BELLS}
+    times = {
+        "time_to_go": 1,
+        "time_since_start": len(TIME_CONSTANTS),
+        "time_to_go_decays": len(TIME_CONSTANTS),
+        "rbf_time": RBF_COUNT,
+    }
     vectors = [name for name in observation_layout(robot).slices() if name.startswith(("reference_", "preview_"))]
     if other := [name for name in names if name not in times and name not in vectors]:
-        raise ValueError(f"it is not known how feature {other[0]!r} turns: leave it out, or leave symmetric out")
-    return block_diag(*(move if name in vectors else np.eye(times[name]) for name in names))
+        raise ValueError(f"feature {other[0]!r} is invalid with symmetric: remove the feature, or remove symmetric")
+    return block_diag(*(transform if name in vectors else np.eye(times[name]) for name in names))

@@ -1,14 +1,15 @@
-"""Training by gradients through the inverse dynamics: no episodes, no noise, and the payload itself as the objective.
+"""Analytic policy gradient (APG): training by gradients through the inverse dynamics, with the payload as objective.
 
-The base law tracks a shifted reference almost exactly, so that demands and tensions follow from the shifted motion
-alone. Each training motion i has a payload m_i, a variable like the network's weights θ, and what is minimised is
+Training uses no episodes and no noise. The base law tracks a shifted reference almost exactly, so that actions and
+tensions follow from the shifted motion alone. Each training motion i has a payload m_i, which is optimised together
+with the network's weights θ. The objective to minimise is
 
-    −mean m_i / scale + ρ · mean of squared violations,
+    −mean m_i / scale + ρ · mean of squared violations
 
-of ``|demand| ≤ 1`` with the payload and without it, and of ``tension ≥ minimum`` likewise, at instants between the
-decisions; ρ rises from round to round. On a fixed motion demands and tensions are affine in the mass, so that what
-holds at both ends holds between them. Rounds are L-BFGS with a strong Wolfe search over all motions at once: what is
-sought is the edge of a feasible set, on which first-order steps crawl.
+of ``|action| ≤ 1`` and ``tension ≥ minimum``, both with and without payload, at instants between the decisions. ρ
+increases from round to round. On a fixed motion, actions and tensions are affine in the mass, so that constraints that
+hold at both ends hold in between. Each round runs L-BFGS with a strong Wolfe line search over all motions at once: the
+optimum lies on the boundary of the feasible set, where first-order steps converge slowly.
 """
 
 from __future__ import annotations
@@ -27,74 +28,76 @@ except ImportError as error:
     raise ImportError("training needs torch: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.learned.differentiable import asked
+from cablebot_baselines.learned.differentiable import required_actuation
 from cablebot_baselines.learned.features import feature_symmetry, feature_values
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import SymmetricLayers, symmetries
 from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 
 PAYLOAD_SCALE = 10.0
-"""Of payloads in the objective [kg]."""
+"""Scale of the payloads in the objective [kg]."""
 
 VIOLATION_WEIGHT = 20.0
-"""Of violations in the objective, with ρ."""
+"""Weight of the violations in the objective; multiplied by ρ."""
 
 HISTORY = 50
-"""Of L-BFGS."""
+"""History size of L-BFGS."""
 
 SHORTEST = 5
-"""Evaluations; a search that ends sooner has nothing left to find."""
+"""Number of evaluations; a search that ends sooner has converged."""
 
 _EDGE = 1e-9
-"""First and last instant of a decision lie within it by this share: derivatives of a spline jump at its knots."""
+"""Inset of a decision's first and last instant, as a fraction of it: a spline's derivatives jump at its knots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GradientSettings:
-    """Hyperparameters.
+    """Hyperparameters of the training.
 
     Raises:
         ValueError: if a number is out of its range.
     """
 
     hidden: tuple[int, ...] = ()
-    """Units of the network's layers; none for a linear one. A ``symmetric`` one has as many for each symmetry."""
+    """Hidden units of each layer; empty for a linear network. With ``symmetric`` per element of the symmetry group."""
     symmetric: bool = False
-    """Whether the network turns and mirrors with a planar robot, see :mod:`cablebot_baselines.learned.symmetry`."""
+    """Whether the network is equivariant to a planar robot's symmetries, see
+    :mod:`cablebot_baselines.learned.symmetry`."""
     rounds: tuple[float, ...] = (30.0, 100.0, 300.0, 1000.0, 3000.0)
-    """ρ of each round."""
+    """Penalty weight ρ of each round."""
     softness: tuple[float, ...] = ()
-    """Of a planar robot's tensions in each round [N], see :func:`~cablebot_baselines.learned.differentiable.asked`; none for the
-    least ones that the laws have: with joint springs their kinks are jumps of a demand, where no search gets past."""
+    """Smoothing of a planar robot's tensions in each round [N], see
+    :func:`~cablebot_baselines.learned.differentiable.required_actuation`; empty for none. With joint springs, a kink of
+    an unsmoothed tension is a jump of the action, which stops the line search."""
     iterations: int = 250
-    """Evaluations of the objective in each round, a few more or less. Where a kink ends a search, it starts anew."""
+    """Approximate number of evaluations of the objective in each round. A search that stops at a kink is restarted."""
     instants: int = 3
-    """Per decision at which limits are looked at; ≥ 2."""
-    demand: float = 0.998
-    """Largest drive command; > 0. What is left is for feedback."""
+    """Number of instants per decision at which constraints are evaluated; ≥ 2."""
+    action_limit: float = 0.998
+    """Largest action; > 0. The remainder is left for feedback."""
     tension: float = 2.0
-    """Least tension without payload and with it [N]."""
+    """Minimum tension, with and without payload [N]."""
     tension_scale: float = 20.0
-    """Of tensions that are too low [N]; a demand's is 1."""
+    """Scale of violations of the minimum tension [N]; the scale of actions is 1."""
     lighter: float = 0.0
-    """By how much of itself the platform may be lighter than told."""
+    """Fraction of its mass by which the platform may be lighter than its model."""
     decay: float = 1e-6
-    """On the squared weights of the network."""
+    """Weight of the squared network weights in the objective."""
     spread: float = 0.01
-    """Of the last layer's first weights."""
+    """Standard deviation of the last layer's initial weights."""
 
     def __post_init__(self) -> None:
         if min(self.iterations, self.instants - 1, *self.hidden) < 1 or not self.rounds:
-            raise ValueError("hidden and iterations must be at least 1, instants at least 2, rounds not empty")
+            raise ValueError("hidden and iterations must be at least 1, instants at least 2, and rounds not empty")
         if self.softness and len(self.softness) != len(self.rounds):
-            raise ValueError(f"softness must have a number for each of the {len(self.rounds)} rounds, or none")
+            raise ValueError(f"softness must be empty or have one number for each of the {len(self.rounds)} rounds")
         if not all(0 <= value < math.inf for value in self.softness):
             raise ValueError(f"softness must be at least 0, not {self.softness}")
-        for name in ("demand", "spread", "tension_scale"):
+        for name in ("action_limit", "spread", "tension_scale"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be greater than 0, not {getattr(self, name)!r}")
         if not 0 <= self.lighter < 1:
@@ -103,78 +106,80 @@ class GradientSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Where training stands."""
+    """Progress of the training."""
 
     round: int
-    """From 1."""
+    """Number of the round, from 1."""
     evaluations: int
-    """Of the objective, in this round."""
+    """Evaluations of the objective in this round."""
     payload: float
     """Mean of the motions' payloads [kg]."""
     violation: float
-    """Largest."""
+    """Largest violation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Motions:
-    """Training motions at all decisions; each of M motions is filled up to the most decisions D."""
+    """Training motions at all decisions; each of the M motions is padded to the largest number of decisions D."""
 
     inputs: Tensor
     """Features, (M, D, features)."""
     anchors: Tensor
-    """What control points are counted from, from ``degree`` ones before the start on, (M, degree + D, n)."""
+    """Origins of the control points, from ``degree`` points before the start on, (M, degree + D, n)."""
     reference: Tensor
     """X_d and its derivatives, (M, D, instants, order + 1, n)."""
     inside: Tensor
-    """Whether the instant belongs to the motion, (M, D, instants)."""
+    """Whether an instant is within the motion, (M, D, instants)."""
 
 
 @dataclass(kw_only=True, eq=False)
 class GradientTraining:
-    """A network that shifts references so that the most is carried along them.
+    """Training of a network that shifts references to maximise the payload.
 
     Raises:
-        ValueError: if a feature depends on what the policy does: then decisions would not be known at once; or a
-            softness is given for a spatial robot.
+        ValueError: if a feature depends on the state or on past actions, so that the actions cannot be computed in
+            one pass; or if ``softness`` is given for a spatial robot.
     """
 
     robot: Robot
-    """Nominal."""
+    """Nominal robot."""
     trajectories: Sequence[Trajectory]
-    """To train on."""
-    way: Shift
-    """How actions become shifts."""
+    """Training motions."""
+    action_mapping: Shift
+    """Mapping from actions to shifts."""
     features: tuple[str, ...]
-    """What the network reads."""
+    """Names of the network's inputs."""
     seed: int = 0
-    """Of the network's first weights."""
+    """Seed of the network's initial weights."""
     settings: GradientSettings = field(default_factory=GradientSettings)
-    limits: Limits = field(default_factory=Limits)
-    """Bounds that the shift stays in."""
+    error_bounds: ErrorBounds = field(default_factory=ErrorBounds)
+    """Bounds of the shift."""
     minimum_tension: float = 5.0
-    """T_min of the base law of a planar robot [N]."""
+    """Minimum tension T_min of the base law of a planar robot [N]."""
     payload: float = 1.0
-    """Of each motion, at first [kg]."""
+    """Initial payload of each motion [kg]."""
 
     def __post_init__(self) -> None:
         own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
-        if wrong := [name for name in self.features if name in (*own, "told_payload", "payload_known")]:
-            raise ValueError(f"gradients go through the reference alone: feature {wrong[0]!r} says more, leave it out")
+        if wrong := [name for name in self.features if name in (*own, "model_payload", "payload_known")]:
+            raise ValueError(f"features must depend on the reference and time alone: remove {wrong[0]!r}")
         if self.settings.softness and not self.robot.planar:
-            raise ValueError(f"softness is for planar cables, and {self.robot.name!r} is spatial: leave it out")
+            raise ValueError(f"softness is for planar robots, but {self.robot.name!r} is spatial: remove it")
         torch.manual_seed(self.seed)
         n = self.robot.coordinates
         self._order = 4 if self.robot.flexible else 2
-        self._bounds = torch.tensor(self.way.bounds(self.limits, n))
-        within = self.way.hold * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
+        self._bounds = torch.tensor(self.action_mapping.bounds(self.error_bounds, n))
+        within = self.action_mapping.action_period * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
         self._within = within
-        self._weights = torch.tensor(self.way.weights(within, self.way.hold)[:, : self._order + 1])
+        self._weights = torch.tensor(
+            self.action_mapping.weights(within, self.action_mapping.action_period)[:, : self._order + 1]
+        )
         self._motions = self._tabulated()
-        seen = self._motions.inputs[self._motions.inside[..., 0]]
-        moves = symmetries(self.robot) if self.settings.symmetric else np.eye(n)[None]
-        reads = [feature_symmetry(self.features, self.robot, move) for move in moves]
-        self._layers = SymmetricLayers(np.array(reads), moves, self.settings.hidden)
-        self._mean, scale = self._layers.statistics(seen)
+        inputs = self._motions.inputs[self._motions.inside[..., 0]]
+        transforms = symmetries(self.robot) if self.settings.symmetric else np.eye(n)[None]
+        input_transforms = [feature_symmetry(self.features, self.robot, transform) for transform in transforms]
+        self._layers = SymmetricLayers(np.array(input_transforms), transforms, self.settings.hidden)
+        self._mean, scale = self._layers.statistics(inputs)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
         last = self._layers.layers[-1]
         with torch.no_grad():
@@ -183,21 +188,23 @@ class GradientTraining:
         self._variables = [parameter for layer in self._layers.layers for parameter in layer.parameters()]
         self._payloads = torch.full((len(self.trajectories),), self.payload, dtype=torch.float64, requires_grad=True)
         self.evaluations = 0
-        """Of the objective, in the present round."""
+        """Evaluations of the objective in the current round."""
         self._softness = 0.0
 
     def _tabulated(self) -> _Motions:
-        hold, degree, n = self.way.hold, self.way.degree, self.robot.coordinates
-        most = max(math.ceil(trajectory.duration / hold - 1e-9) for trajectory in self.trajectories)
-        decisions = np.arange(most) * hold
+        action_period, degree, n = self.action_mapping.action_period, self.action_mapping.degree, self.robot.coordinates
+        most = max(math.ceil(trajectory.duration / action_period - 1e-9) for trajectory in self.trajectories)
+        decisions = np.arange(most) * action_period
         instants = decisions[:, None] + self._within
         inputs, anchors, references, inside = [], [], [], []
         for trajectory in self.trajectories:
             blocks = observed_reference(trajectory, decisions, to_snap=self.robot.flexible)
-            inputs.append(feature_values(self.features, blocks, {"elapsed": decisions[:, None]}))
+            inputs.append(feature_values(self.features, blocks, {"time_since_start": decisions[:, None]}))
             start = np.repeat(trajectory(np.zeros(1)).position, degree, axis=0)
-            ahead = trajectory(decisions + self.way.lead).position
-            anchors.append(np.concatenate([start, ahead]) if self.way.lead else np.zeros((degree + most, n)))
+            ahead = trajectory(decisions + self.action_mapping.preview).position
+            anchors.append(
+                np.concatenate([start, ahead]) if self.action_mapping.preview else np.zeros((degree + most, n))
+            )
             motion = trajectory(instants)
             derivatives = (motion.position, motion.velocity, motion.acceleration, motion.jerk, motion.snap)
             references.append(np.stack(derivatives[: self._order + 1], axis=-2))
@@ -212,9 +219,9 @@ class GradientTraining:
     def _actions(self, inputs: Tensor) -> Tensor:
         values = ((inputs - self._mean) / self._scale).clamp(-Network.CUT, Network.CUT)
         weights = self._layers.weights()
-        for place, (weight, bias) in enumerate(weights):
+        for index, (weight, bias) in enumerate(weights):
             values = nn.functional.linear(values, weight, bias)
-            if place < len(weights) - 1:
+            if index < len(weights) - 1:
                 values = torch.tanh(values)
         lines = min(3, values.shape[-1])
         square = values[..., :lines].square().sum(-1, keepdim=True)
@@ -222,46 +229,46 @@ class GradientTraining:
         return torch.cat([values[..., :lines] / (1 + square).sqrt(), rest / (1 + rest.square()).sqrt()], dim=-1)
 
     def motion(self) -> Tensor:
-        """The motions to be followed and their derivatives, (M, D, instants, order + 1, n)."""
+        """The shifted motions and their derivatives, (M, D, instants, order + 1, n)."""
         motions = self._motions
         actions = self._actions(motions.inputs)
-        before = torch.zeros((len(actions), self.way.degree, actions.shape[-1]), dtype=torch.float64)
+        before = torch.zeros((len(actions), self.action_mapping.degree, actions.shape[-1]), dtype=torch.float64)
         points = torch.cat([before, actions * self._bounds], dim=1) + motions.anchors
-        pieces = points.unfold(1, self.way.degree + 1, 1)
+        pieces = points.unfold(1, self.action_mapping.degree + 1, 1)
         spline = torch.einsum("jod,mknd->mkjon", self._weights, pieces)
-        return spline if self.way.lead else motions.reference + spline
+        return spline if self.action_mapping.preview else motions.reference + spline
 
     def _violations(self) -> list[Tensor]:
-        """By how much limits are broken, each ≥ 0."""
+        """Violations of the constraints, each ≥ 0."""
         settings, robot, inside = self.settings, self.robot, self._motions.inside
         flat = self.motion()[inside]
         payloads = self._payloads[:, None, None].expand(inside.shape)[inside]
         light = torch.full_like(payloads, robot.mass * (1 - settings.lighter))
-        asks = asked(
+        required = required_actuation(
             robot,
             [level.repeat(2, 1) for level in flat.unbind(1)],
             torch.cat([light, robot.mass + payloads]),
             minimum=self.minimum_tension,
             softness=self._softness,
         )
-        broken = [torch.relu(asks.demand.abs() - settings.demand)]
-        if not robot.planar:  # least tensions of a planar robot keep the minimum by themselves
-            broken.append(torch.relu(settings.tension - asks.tensions) / settings.tension_scale)
-        if self.way.lead:  # then nothing else keeps the motion in the tube
-            away = (flat - self._motions.reference[inside])[:, 0] / self._bounds * self.way.share
-            broken.append(torch.relu(torch.linalg.norm(away[:, :3], dim=1) - self.way.share))
-            broken.append(torch.relu(away[:, 3:].abs() - self.way.share))
-        return [value.flatten() for value in broken]
+        violations = [torch.relu(required.action.abs() - settings.action_limit)]
+        if not robot.planar:  # the tension distribution of a planar robot keeps the minimum by construction
+            violations.append(torch.relu(settings.tension - required.tensions) / settings.tension_scale)
+        if self.action_mapping.preview:  # without a preview the shift stays within the error bounds by construction
+            error = (flat - self._motions.reference[inside])[:, 0] / self._bounds * self.action_mapping.fraction
+            violations.append(torch.relu(torch.linalg.norm(error[:, :3], dim=1) - self.action_mapping.fraction))
+            violations.append(torch.relu(error[:, 3:].abs() - self.action_mapping.fraction))
+        return [value.flatten() for value in violations]
 
     def run(self, report: Callable[[Progress], None] = lambda _: None) -> None:
-        """All rounds, with a report of each. After an interrupt the network is what the last evaluation made of it."""
+        """Runs all rounds. After an interrupt the network has the weights of the last evaluation."""
         for number in range(len(self.settings.rounds)):
             self.round(number, report)
 
     def round(self, number: int, report: Callable[[Progress], None] = lambda _: None) -> None:
-        """The round of this number, from 0 on, with reports of its progress.
+        """Runs round ``number``, counted from 0, and reports its progress.
 
-        It depends on weights and payloads alone, so that a run can go on between two.
+        A round depends on weights and payloads alone, so that a run can be resumed between two rounds.
         """
         variables, weight = [*self._variables, self._payloads], self.settings.rounds[number]
         self.evaluations = 0
@@ -270,8 +277,8 @@ class GradientTraining:
         def objective() -> Tensor:
             for variable in variables:
                 variable.grad = None
-            broken = torch.cat(self._violations())
-            loss = VIOLATION_WEIGHT * weight * broken.square().mean() - self._payloads.mean() / PAYLOAD_SCALE
+            violations = torch.cat(self._violations())
+            loss = VIOLATION_WEIGHT * weight * violations.square().mean() - self._payloads.mean() / PAYLOAD_SCALE
             loss = loss + self.settings.decay * sum(value.square().sum() for value in self._variables)
             torch.autograd.backward(loss)
             self.evaluations += 1
@@ -280,7 +287,7 @@ class GradientTraining:
                     round=number + 1,
                     evaluations=self.evaluations,
                     payload=float(self._payloads.detach().mean()),
-                    violation=float(broken.detach().max()),
+                    violation=float(violations.detach().max()),
                 )
             )
             return loss
@@ -301,32 +308,32 @@ class GradientTraining:
                 break
 
     def state(self) -> dict[str, Array]:
-        """What training changes, as arrays by name; :meth:`restore` reads them."""
-        values = {f"variable{place}": value.detach().numpy().copy() for place, value in enumerate(self._variables)}
+        """State of the training as arrays by name, for :meth:`restore`."""
+        values = {f"variable{index}": value.detach().numpy().copy() for index, value in enumerate(self._variables)}
         return values | {"payloads": self.payloads}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
-        """Goes back to a state.
+        """Restores a state.
 
         Raises:
-            ValueError: if it is another training's.
+            ValueError: if the state belongs to another configuration.
         """
-        here = self.state()
-        if {name: value.shape for name, value in here.items()} != {name: np.shape(arrays[name]) for name in arrays}:
-            raise ValueError("the checkpoint's arrays are those of another training: start again with another --out")
+        shapes = {name: value.shape for name, value in self.state().items()}
+        if shapes != {name: np.shape(arrays[name]) for name in arrays}:
+            raise ValueError("the checkpoint belongs to another configuration: start a new run with another --out")
         with torch.no_grad():
-            for place, value in enumerate(self._variables):
-                value.copy_(torch.tensor(arrays[f"variable{place}"]))
+            for index, value in enumerate(self._variables):
+                value.copy_(torch.tensor(arrays[f"variable{index}"]))
             self._payloads.copy_(torch.tensor(arrays["payloads"]))
 
     @property
     def payloads(self) -> Array:
-        """Of each motion, by the equations [kg]."""
+        """Optimised payload of each motion [kg]."""
         return self._payloads.detach().numpy().copy()
 
     @property
     def network(self) -> Network:
-        """As plain arrays."""
+        """The network as plain arrays."""
         layers = [tuple(value.detach().numpy().copy() for value in layer) for layer in self._layers.weights()]
         return Network(
             mean=self._mean.numpy().copy(),

@@ -1,4 +1,4 @@
-"""A small network as plain arrays: what ships, and what runs without torch."""
+"""A small neural network in NumPy arrays, for policies that run without torch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cablebot_baselines.classical.law import Array
 
 
 def _ball(values: Array) -> Array:
-    """x/√(1 + |x|²) of the first three or fewer numbers together, and of each of the others on its own."""
+    """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other number on its own."""
     lines = min(3, values.shape[-1])
     square = values**2
     square[..., :lines] = np.sum(square[..., :lines], axis=-1, keepdims=True)
@@ -20,35 +20,35 @@ def _ball(values: Array) -> Array:
 
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
-"""After each layer but the last, by name."""
+"""Activation functions after each layer except the last, by name."""
 
 SQUASHES: dict[str, Callable[[Array], Array]] = {"none": lambda values: values, "tanh": np.tanh, "ball": _ball}
-"""After the last layer, by name; ``ball`` keeps a position within the unit ball, and angles within ±1."""
+"""Functions after the last layer, by name; ``ball`` keeps a position within the unit ball, and angles within ±1."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """Inputs are normalised and cut; layers follow, and a linear one whose outputs may be squashed.
+    """A multilayer perceptron with normalised and clipped inputs, and a linear last layer with an optional squash.
 
     Raises:
-        ValueError: if the shapes of the arrays do not fit each other, or a number is not finite.
+        ValueError: if the shapes of the arrays are inconsistent, or a number is not finite.
     """
 
     mean: Array
-    """Of the inputs, (inputs,)."""
+    """Mean of the inputs, (inputs,)."""
     scale: Array
-    """Of the inputs, (inputs,); > 0."""
+    """Scale of the inputs, (inputs,); > 0."""
     weights: tuple[Array, ...]
-    """Of each layer, (out, in)."""
+    """Weights of each layer, (out, in)."""
     biases: tuple[Array, ...]
-    """Of each layer, (out,)."""
+    """Biases of each layer, (out,)."""
     activation: str = "tanh"
-    """One of :data:`ACTIVATIONS`."""
+    """Activation function, one of :data:`ACTIVATIONS`."""
     squash: str = "tanh"
-    """One of :data:`SQUASHES`."""
+    """Function after the last layer, one of :data:`SQUASHES`."""
 
     CUT = 10.0
-    """Largest normalised input."""
+    """Bound at which normalised inputs are clipped."""
 
     def __post_init__(self) -> None:
         for name, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
@@ -60,52 +60,52 @@ class Network:
             fits = fits and weight.ndim == 2 and weight.shape[1] == size and bias.shape == (weight.shape[0],)
             size = weight.shape[0]
         if not fits:
-            raise ValueError("the layers of the network do not fit each other")
+            raise ValueError("the shapes of the network's layers are inconsistent")
         arrays = (self.mean, self.scale, *self.weights, *self.biases)
         if not all(np.all(np.isfinite(array)) for array in arrays) or not np.all(self.scale > 0):
-            raise ValueError("the network's numbers must be finite, and the scale of its inputs greater than 0")
+            raise ValueError("the network's numbers must be finite, and the scale of its inputs must be above 0")
 
     @property
     def inputs(self) -> int:
-        """Size of what it reads."""
+        """Number of inputs."""
         return len(self.mean)
 
     @property
     def outputs(self) -> int:
-        """Size of what it gives."""
+        """Number of outputs."""
         return len(self.biases[-1])
 
     def __call__(self, values: Array) -> Array:
         """Outputs (..., outputs) for inputs (..., inputs)."""
         values = np.clip((values - self.mean) / self.scale, -self.CUT, self.CUT)
         last = len(self.weights) - 1
-        for place, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight.T + bias
-            if place < last:
+            if index < last:
                 values = ACTIVATIONS[self.activation](values)
         return SQUASHES[self.squash](values)
 
     def to_arrays(self) -> dict[str, Array]:
-        """Everything as arrays by name; :meth:`from_arrays` reads them."""
-        layers = {f"weight{place}": values for place, values in enumerate(self.weights)}
-        layers |= {f"bias{place}": values for place, values in enumerate(self.biases)}
+        """The network as arrays by name, for :meth:`from_arrays`."""
+        layers = {f"weight{index}": values for index, values in enumerate(self.weights)}
+        layers |= {f"bias{index}": values for index, values in enumerate(self.biases)}
         names = {"activation": np.array(self.activation), "squash": np.array(self.squash)}
         return {"mean": self.mean, "scale": self.scale, **names, **layers}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array]) -> Network:
-        """A network from :meth:`to_arrays`, or from a file of them.
+        """Creates a network from the arrays of :meth:`to_arrays`.
 
         Raises:
             KeyError: if an array is missing.
-            ValueError: if they are no network's.
+            ValueError: if the arrays are not those of a network.
         """
         count = sum(name.startswith("weight") for name in arrays)
         if count == 0:
             raise KeyError("weight0")
 
         def layers(kind: str) -> Sequence[Array]:
-            return [np.asarray(arrays[f"{kind}{place}"], float) for place in range(count)]
+            return [np.asarray(arrays[f"{kind}{index}"], float) for index in range(count)]
 
         return cls(
             mean=np.asarray(arrays["mean"], float),

@@ -1,4 +1,4 @@
-"""A learned policy at work: its network decides, its steering does the rest."""
+"""Policy of a bundle: the network selects actions, and the action mapping applies them to the base law."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from cablebot_gym.task import Task
 
 
 class LearnedPolicy:
-    """Runs a bundle; needs neither torch nor Stable-Baselines3.
+    """Policy of a bundle; needs neither torch nor Stable-Baselines3.
 
     Args:
-        bundle: what it is.
-        robot: nominal.
+        bundle: learned policy.
+        robot: nominal robot.
 
     Raises:
-        ValueError: if the robot has another observation than the policy was trained on.
+        ValueError: if the robot's observation differs from the one that the policy was trained on.
     """
 
-    unclipped = False
+    unsaturated_actions = False
 
     def __init__(self, bundle: Bundle, robot: Robot) -> None:
         self.bundle, self.robot = bundle, robot
         self._steering = bundle.steering(robot)
 
-    def begin(self, tasks: Sequence[Task]) -> None:
-        """Reads limits and control frequency.
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Reads the error bounds and the control frequency of the tasks.
 
         Raises:
-            ValueError: if the tasks differ in these, or a task's robot does not fit.
+            ValueError: if the tasks differ in these, or a task's robot is not supported.
         """
-        self._steering.begin(tasks)
+        self._steering.reset(tasks)
 
     def predict(
         self,
@@ -47,15 +47,15 @@ class LearnedPolicy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Array, Memory]:
-        """Drive commands (m,) or (N, m), and the state to pass next time.
+        """Returns actions (m,) or (N, m) and the state for the next call.
 
         Raises:
-            ValueError: if the observation is not of this robot's layout.
+            ValueError: if the observation does not have this robot's layout.
         """
         steering = self._steering
-        part = steering.split(observation)
-        memory = steering.remembered(part, state, episode_start)
+        blocks = steering.split(observation)
+        memory = steering.reset_memory(blocks, state, episode_start)
         action = memory.actions[..., -1, :]
         if np.any(steering.due(memory)):
-            action = self.bundle.network(steering.seen(part, memory))
-        return steering.respond(part, action, memory, episode_start)
+            action = self.bundle.network(steering.observe(blocks, memory))
+        return steering.respond(blocks, action, memory, episode_start)

@@ -1,4 +1,4 @@
-"""What every training run leaves in its folder, whatever the algorithm: names, evaluations, what came of it."""
+"""Folder of a training run, the same for all algorithms: names of the files, evaluations, and the result."""
 
 from __future__ import annotations
 
@@ -11,56 +11,51 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-try:
-    import torch
-except ImportError as error:
-    raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
-
-from cablebot_gym.utils.files import write_whole
+from cablebot_gym.utils.files import atomic_write
 
 CHECKPOINT, BEST, LAST = "checkpoint.zip", "best.zip", "last.zip"
 EVALUATIONS, PROGRESS, TENSORBOARD = "evaluations.csv", "progress.csv", "tensorboard"
-"""Files and folders of a run."""
+"""Names of the files and folders of a run."""
 
 RESOLUTION = 0.05
-"""Of payloads in evaluations while training [kg]; ``evaluation`` may say otherwise."""
+"""Resolution of payloads in evaluations during training [kg]; ``evaluation`` may override it."""
 
 _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib", "cablebot-gym")
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, timesteps done and wanted."""
+"""Function called with a text, the number of timesteps so far, and the total."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """What a policy on the way carried."""
+    """An evaluation during training."""
 
     timesteps: int
-    """Done by then."""
+    """Timesteps before the evaluation."""
     wall_s: float
-    """Since the run began, pauses left out [s]."""
+    """Wall time since the start of the run, without pauses [s]."""
     payload_kg: float | None
-    """None where not even zero payload is carried."""
+    """DLCC [kg]; None if the policy fails unloaded."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trained:
-    """What came of a run."""
+class TrainingResult:
+    """Result of a run."""
 
     out: Path
     """Folder of the run."""
     timesteps: int
-    """Done."""
+    """Number of timesteps."""
     wall_s: float
-    """Pauses left out [s]."""
+    """Wall time without pauses [s]."""
     base_payload_kg: float | None
-    """What the base law carries alone."""
+    """DLCC of the base law alone [kg]; None if it fails unloaded."""
     evaluations: tuple[Evaluation, ...]
-    """In the order of time."""
+    """Evaluations in chronological order."""
 
     @property
     def best(self) -> Evaluation | None:
-        """The evaluation of ``best.zip``; None if there was none yet."""
+        """Evaluation of ``best.zip``; None if there is none yet."""
         return max(self.evaluations, key=lambda item: rank(item.payload_kg), default=None)
 
     def to_dict(self) -> dict[str, Any]:
@@ -68,40 +63,40 @@ class Trained:
         return asdict(self) | {"out": str(self.out)}
 
     def __str__(self) -> str:
-        done = f"{self.timesteps} timesteps in {self.wall_s:.0f} s; its base law, with the gains of the configuration, "
-        done += f"carries {kg(self.base_payload_kg)} alone"
+        text = f"{self.timesteps} timesteps in {self.wall_s:.0f} s; DLCC of the base law alone, with the gains of the "
+        text += f"configuration: {kg(self.base_payload_kg)}"
         if self.best is None:
-            return done
-        return f"{done}, the best policy {kg(self.best.payload_kg)}: {self.out / BEST}"
+            return text
+        return f"{text}; of the best policy: {kg(self.best.payload_kg)} ({self.out / BEST})"
 
 
 def rank(payload: float | None) -> float:
-    """By which payloads are ordered: where not even zero is carried, below zero."""
+    """Sort key of payloads; None (fails unloaded) is below zero."""
     return -1.0 if payload is None else payload
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was stopped by a signal after ``timesteps``, and its checkpoint is written."""
+    """A signal stopped the run after ``timesteps``; the checkpoint is written."""
 
     def __init__(self, timesteps: int) -> None:
         super().__init__(f"stopped at {timesteps} timesteps")
         self.timesteps = timesteps
 
 
-def check_new(out: Path) -> None:
-    """Refuses a folder ``out`` that has a run.
+def check_no_run(out: Path) -> None:
+    """Checks that the folder ``out`` contains no run.
 
     Raises:
-        ValueError: saying what to type.
+        ValueError: if it does; the message names the options to use.
     """
     for name in (CHECKPOINT, BEST, LAST, EVALUATIONS, PROGRESS):
         if (out / name).exists():
-            go_on = "add --resume to go on with it, or choose" if (out / CHECKPOINT).exists() else "choose"
-            raise ValueError(f"folder {str(out)!r} already holds a run ({name}): {go_on} another --out")
+            advice = "add --resume to resume it, or choose" if (out / CHECKPOINT).exists() else "choose"
+            raise ValueError(f"folder {str(out)!r} already contains a run ({name}): {advice} another --out")
 
 
 def write_evaluations(out: Path, evaluations: Sequence[Evaluation]) -> None:
-    """Writes ``evaluations.csv`` into the folder ``out``, whole or not at all."""
+    """Writes ``evaluations.csv`` into the folder ``out`` atomically."""
 
     def write(temporary: Path) -> None:
         with temporary.open("w", newline="", encoding="utf-8") as file:
@@ -109,12 +104,14 @@ def write_evaluations(out: Path, evaluations: Sequence[Evaluation]) -> None:
             rows.writeheader()
             rows.writerows(asdict(item) for item in evaluations)
 
-    write_whole(out / EVALUATIONS, write)
+    atomic_write(out / EVALUATIONS, write)
 
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Has torch use so many threads meanwhile."""
+    """Sets the number of torch's threads within the context."""
+    import torch  # imported here: reading cards uses this module without torch
+
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -124,16 +121,16 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 def kg(payload: float | None) -> str:
-    """A payload in words; None is where not even zero is carried."""
-    return "nothing" if payload is None else f"{payload:.2f} kg"
+    """A payload as text; None means that the policy fails unloaded."""
+    return "fails unloaded" if payload is None else f"{payload:.2f} kg"
 
 
 def versions() -> dict[str, str]:
-    """Of Python and of every package that a training depends on and that is installed."""
-    found = {"python": platform.python_version()}
+    """Versions of Python and of the installed packages that training depends on."""
+    numbers = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return numbers

@@ -1,4 +1,4 @@
-"""The learned policies that ship: their table, and how a name becomes a policy by the weights beside; no torch."""
+"""The shipped learned policies: their table, and loading them by name. This module does not need torch."""
 
 from __future__ import annotations
 
@@ -10,40 +10,41 @@ from types import MappingProxyType
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.policies import Policy, PolicyEntry
 from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.utils.suggestions import unknown_name_error
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Folder of the files that ship: ``NAME-KIND.zip``, a bundle, and its card ``NAME-KIND.json``; see :func:`stem`."""
+"""Folder of the shipped files: the bundles ``NAME-KIND.zip`` and their cards ``NAME-KIND.json``; see :func:`stem`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """What a policy knows while it is judged on the paper's circle."""
+    """Condition of an evaluation on the paper's circle."""
 
-    told: bool = True
-    """Whether it is told the payload."""
+    payload_known: bool = True
+    """Whether the policy's model contains the payload."""
     uncertainty: str | None = None
-    """Name of what else it does not know, over draws; None for nothing."""
+    """Name of an uncertainty model, sampled in each draw; None for no uncertainty."""
 
 
-TOLD, UNTOLD = Condition(), Condition(told=False)
+KNOWN, UNKNOWN = Condition(), Condition(payload_known=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shipped:
-    """A learned policy that ships: how it is trained, where, and how it is judged."""
+    """A shipped learned policy: its training, environments and evaluation."""
 
     name: str
-    """What to type after ``--policy``."""
+    """Name for ``--policy``."""
     algorithm: str
-    """Of ``cablebot train --algo``."""
+    """Name for ``cablebot train --algo``."""
     config: str | None
-    """Name of its file of hyperparameters; None for the one that its algorithm reads anyway."""
+    """Name of the file of hyperparameters; None for the algorithm's default file."""
     env_ids: tuple[str, ...]
-    """Environments with weights of their own."""
+    """Ids of the environments with weights."""
     summary: str
-    """One line."""
+    """Description in one line."""
     conditions: tuple[Condition, ...]
-    """Under which it is judged; by the first one the seed that ships is chosen."""
+    """Conditions of the evaluation; the first one selects the shipped seed."""
 
 
 SHIPPED = MappingProxyType(
@@ -51,78 +52,78 @@ SHIPPED = MappingProxyType(
         one.name: one
         for one in (
             Shipped(
-                name="ppo",
+                name="ppo-circle",
                 algorithm="ppo",
                 config=None,
                 env_ids=("CableBot-Spatial-v0",),
-                summary="PPO: shifts the reference of the base law on the paper's circle, whose payload it is told",
-                conditions=(TOLD, UNTOLD),
+                summary="PPO: shifts the reference on the paper's circle, payload known",
+                conditions=(KNOWN, UNKNOWN),
             ),
             Shipped(
-                name="curve",
+                name="apg-circle",
                 algorithm="gradient",
                 config="gradient",
                 env_ids=("CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"),
-                summary="by gradients: a shift of the paper's circle that knows the time alone",
-                conditions=(TOLD, UNTOLD),
+                summary="analytic policy gradient (APG): time-based shift of the paper's circle",
+                conditions=(KNOWN, UNKNOWN),
             ),
             Shipped(
-                name="curve-safe",
+                name="apg-circle-margin",
                 algorithm="gradient",
-                config="gradient-safe",
+                config="gradient-margin",
                 env_ids=("CableBot-Spatial-v0",),
-                summary="curve with margins, on a law that weighs its payload: for table6 and noisy sensors",
+                summary="apg-circle with margins for table6 and noise; estimates the payload",
                 conditions=(
-                    UNTOLD,
-                    TOLD,
-                    Condition(told=False, uncertainty="sensors"),
+                    UNKNOWN,
+                    KNOWN,
+                    Condition(payload_known=False, uncertainty="sensors"),
                     Condition(uncertainty="sensors"),
-                    Condition(told=False, uncertainty="table6"),
+                    Condition(payload_known=False, uncertainty="table6"),
                     Condition(uncertainty="table6"),
                 ),
             ),
             Shipped(
-                name="preview",
+                name="apg-loops",
                 algorithm="gradient",
-                config="gradient-preview",
+                config="gradient-loops",
                 env_ids=ENV_IDS,
-                summary="by gradients on many random loops: reads what is ahead, on motions that it has never seen too",
-                conditions=(TOLD, UNTOLD),
+                summary="APG on random loops: uses the preview, also works on unseen motions",
+                conditions=(KNOWN, UNKNOWN),
             ),
         )
     }
 )
-"""By name."""
+"""Shipped policies by name."""
 
 
 def find_shipped(name: str) -> Shipped:
-    """A policy that ships by name.
+    """Returns a shipped policy by name.
 
     Raises:
-        ValueError: if there is none of this name, naming those there are.
+        ValueError: if the name is unknown; the message lists the known ones.
     """
     if name not in SHIPPED:
-        raise ValueError(f"no learned policy {name!r} ships; choose one of {', '.join(SHIPPED)}")
+        raise unknown_name_error("learned policy", name, SHIPPED)
     return SHIPPED[name]
 
 
 def stem(name: str, env_id: str) -> str:
-    """Name of a policy's files without their suffix, such as ``curve-flexspatial``."""
+    """Name of a policy's files without their suffix, such as ``apg-circle-flexspatial``."""
     return f"{name}-{short_id(env_id).lower()}"
 
 
 def weights_file(name: str, env_id: str, folder: Path = WEIGHTS) -> Path:
-    """Of a policy's bundle."""
+    """Path of a policy's bundle."""
     return folder / f"{stem(name, env_id)}.zip"
 
 
 def short_id(env_id: str) -> str:
-    """An environment's id without what all ids share."""
+    """An environment's id without the common prefix and suffix."""
     return env_id.removeprefix("CableBot-").removesuffix("-v0")
 
 
 def env_id_of(robot: Robot) -> str:
-    """The environment whose robots are of this one's kind."""
+    """Id of the environment with the same kind of robot: planar or spatial, rigid or flexible."""
 
     def kind(one: Robot) -> tuple[bool, bool]:
         return one.planar, one.flexible
@@ -131,18 +132,18 @@ def env_id_of(robot: Robot) -> str:
 
 
 def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
-    """A policy that ships, for a nominal robot: the weights of the robot's kind.
+    """Loads a shipped policy for a nominal robot; the robot's kind selects the weights.
 
     Args:
-        name: of :data:`SHIPPED`.
-        robot: nominal.
-        folder: of the weights.
+        name: name in :data:`SHIPPED`.
+        robot: nominal robot.
+        folder: folder of the weights.
 
     Raises:
-        ValueError: if the name is unknown, there are no weights for robots of this kind, they are damaged, or the
-            robot's observation is another one than that of the robot trained on.
+        ValueError: if the name is unknown, the weights for this kind of robot are missing or damaged, or the robot's
+            observation differs from the one that the policy was trained on.
     """
-    from cablebot_baselines.learned.bundle import Bundle  # not at import: listing policies does not need them
+    from cablebot_baselines.learned.bundle import Bundle  # imported here: listing policies does not need them
     from cablebot_baselines.learned.policy import LearnedPolicy
 
     shipped, env_id = find_shipped(name), env_id_of(robot)
@@ -150,15 +151,15 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
     if env_id not in shipped.env_ids:
         others = ", ".join(other.name for other in SHIPPED.values() if env_id in other.env_ids)
         raise ValueError(
-            f"policy {name!r} ships for {', '.join(shipped.env_ids)}, not for {env_id}: choose {others}, or train it "
-            f"with `cablebot train {env_id} --algo {shipped.algorithm} --out FOLDER` and name FOLDER/best.zip"
+            f"policy {name!r} has weights for {', '.join(shipped.env_ids)}, not for {env_id}. Choose {others}, or "
+            f"train it with `cablebot train {env_id} --algo {shipped.algorithm} --out FOLDER` and use FOLDER/best.zip"
         )
     if not path.is_file():
         files = [weights_file(name, one, folder) for one in shipped.env_ids]
-        there = ", ".join(one.name for one in files if one.is_file()) or "none"
+        present = ", ".join(one.name for one in files if one.is_file()) or "none"
         raise ValueError(
-            f"policy {name!r} has no weights for {env_id}: of its files {path.name} is missing (there: {there}); "
-            f"install the package anew, or make them: python scripts/train_shipped.py --policy {name} --id {env_id}"
+            f"policy {name!r} has no weights for {env_id}: {path.name} is missing (present: {present}). Reinstall the "
+            f"package, or train the policy: python scripts/train_shipped.py --policy {name} --id {env_id}"
         )
     return LearnedPolicy(Bundle.load(path), robot)
 
@@ -175,7 +176,7 @@ def _entry(name: str) -> PolicyEntry:
     )
 
 
-PPO = _entry("ppo")
-CURVE = _entry("curve")
-CURVE_SAFE = _entry("curve-safe")
-PREVIEW = _entry("preview")
+PPO_CIRCLE = _entry("ppo-circle")
+APG_CIRCLE = _entry("apg-circle")
+APG_CIRCLE_MARGIN = _entry("apg-circle-margin")
+APG_LOOPS = _entry("apg-loops")

@@ -1,7 +1,7 @@
-"""How a learner's actions steer: they shift the reference of a classical law, or add to its drive commands.
+"""Action mappings: a learner's actions shift the reference of a classical law, or add to the law's actions.
 
-Here is what one control period does with an observation and an action, for one episode or a batch. Wrappers train
-through it and policies run through it, so that a bundle does in an evaluation what it did in training.
+This module computes one control period from an observation and an action, for one episode or a batch. The wrappers for
+training and the policies for evaluation both use it, so that a policy behaves the same in both.
 """
 
 from __future__ import annotations
@@ -17,83 +17,91 @@ from scipy.interpolate import BSpline
 
 from cablebot_baselines.classical.law import Array, first_steps
 from cablebot_baselines.learned.base import Base, is_number
-from cablebot_baselines.learned.features import OF_SHIFTS, check_features, feature_values
+from cablebot_baselines.learned.features import SHIFT_FEATURES, check_features, feature_values
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits, Task
+from cablebot_gym.task import ErrorBounds, Task
 
 DERIVATIVES = ("pose", "velocity", "acceleration", "jerk", "snap")
-"""Of the reference, in an observation's blocks ``reference_…``; rigid robots have the first three."""
+"""Suffixes of the observation's blocks ``reference_…``; rigid robots have the first three."""
 
 DEFAULT_PERIOD = 1 / 500
-"""Control period until :meth:`Steering.begin` has told it [s]."""
+"""Control period before :meth:`Steering.reset` sets it [s]."""
 
-LONGEST_HOLD = 10.0
+LONGEST_ACTION_PERIOD = 10.0
 """Largest time between two actions [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
-    """Actions in [−1, 1]ⁿ shift the reference inside the tube, along a spline that a law can track.
+    """Actions in [−1, 1]ⁿ shift the reference within the error bounds, along a smooth spline that a law can track.
 
-    Action k, taken at k · ``hold``, is the k-th control point of a uniform B-spline, the position part cut to the unit
-    ball and scaled by the position bound, the rotation part by the rotation bound, both times ``share``. A control
-    point has no weight yet when it is taken, and most of it ``(degree + 1)/2 · hold`` later. Before an episode all are
-    0. A spline stays in the convex hull of its control points: the shift never leaves the tube.
+    Action k, taken at k · ``action_period``, is the k-th control point of a uniform B-spline. Its position is clipped
+    to the unit ball and scaled by the position bound; its rotation is scaled by the rotation bound; both are multiplied
+    by ``fraction``. The weight of a control point is zero when the action is taken, and largest
+    ``(degree + 1)/2 · action_period`` later. Before an episode all control points are 0. A spline stays in the convex
+    hull of its control points, so that the shift never exceeds the error bounds.
 
-    With a ``lead`` the spline does not shift the reference but takes its place: each control point is the reference so
-    far ahead, plus the action. Where the reference's acceleration jumps, the motion's then does not; but the spline
-    cuts corners, and that can leave the tube.
+    With a ``preview``, the spline replaces the reference: each control point is the reference at this time ahead, plus
+    the action. The motion's acceleration is then continuous where the reference's acceleration jumps. However, the
+    spline cuts corners, which can exceed the error bounds.
 
     Raises:
         ValueError: if a number is out of its range.
     """
 
-    hold: float = 0.04
-    """Time between two actions [s]; > 0. Rounded to whole control periods."""
-    share: float = 0.95
-    """Of the bounds of position and rotation, what a shift may use; in (0, 1]."""
+    action_period: float = 0.04
+    """Time between two actions [s]; > 0. It is rounded to whole control periods."""
+    fraction: float = 0.95
+    """Largest shift as a fraction of the bounds of position and rotation; in (0, 1]."""
     degree: int = 3
-    """Of the spline, 2 to 5. Rigid torques follow the second derivative, those of joint springs the fourth."""
-    lead: float = 0.0
-    """0, or how far ahead the reference is read [s]: one of the observation's previews."""
+    """Degree of the spline, 2 to 5. Torques depend on its second derivative, with joint springs on its fourth."""
+    preview: float = 0.0
+    """Preview time of the reference [s]: 0, or one of the observation's previews."""
 
     def __post_init__(self) -> None:
-        _check_hold_and_share(self)
+        _check_period_and_fraction(self)
         if not isinstance(self.degree, Integral) or self.degree not in (2, 3, 4, 5):
             raise ValueError(f"degree must be 2, 3, 4 or 5, not {self.degree!r}")
-        if not is_number(self.lead) or self.lead not in (0.0, *PREVIEWS):
-            raise ValueError(f"lead must be 0 or a preview, {', '.join(map(str, PREVIEWS))} s, not {self.lead!r}")
+        if not is_number(self.preview) or self.preview not in (0.0, *PREVIEWS):
+            raise ValueError(f"preview must be one of 0, {', '.join(map(str, PREVIEWS))} s, not {self.preview!r}")
         object.__setattr__(self, "degree", int(self.degree))
-        object.__setattr__(self, "lead", float(self.lead))
+        object.__setattr__(self, "preview", float(self.preview))
 
     def actions(self, robot: Robot) -> int:
         """Size of an action."""
         return robot.coordinates
 
     @property
-    def remembered(self) -> int:
-        """How many of the last actions count."""
+    def memory_length(self) -> int:
+        """Number of past actions that affect the spline."""
         return self.degree + 1
 
-    def bounds(self, limits: Limits, coordinates: int) -> Array:
+    def bounds(self, error_bounds: ErrorBounds, coordinates: int) -> Array:
         """Largest shift of each coordinate, (n,) [m, rad]."""
-        return self.share * np.array([limits.position] * min(coordinates, 3) + [limits.rotation] * 3)[:coordinates]
+        return (
+            self.fraction
+            * np.array([error_bounds.position] * min(coordinates, 3) + [error_bounds.rotation] * 3)[:coordinates]
+        )
 
-    def weights(self, times: Array, hold: float) -> Array:
-        """Of the last control points in the spline and its derivatives to snap, (..., 5, degree + 1), oldest first.
+    def weights(self, times: Array, action_period: float) -> Array:
+        """Weights of the last control points in the spline and its derivatives up to snap.
 
         Args:
-            times: since the last action, (...) [s]; from 0 to ``hold``.
-            hold: as whole control periods give it [s].
+            times: time since the last action, (...) [s]; from 0 to ``action_period``.
+            action_period: action period in whole control periods [s].
+
+        Returns:
+            (..., 5, degree + 1), oldest control point first.
         """
         basis = BSpline.basis_element(np.arange(self.degree + 2.0), extrapolate=False)
         age = np.arange(self.degree, -1.0, -1.0)
-        places = np.asarray(times)[..., None] / hold + age
-        # A knot belongs to the piece before it as well: the last one to the last piece, beyond which nothing is left.
-        places = np.minimum(places, np.nextafter(age + 1, 0))
+        parameters = np.asarray(times)[..., None] / action_period + age
+        # A knot is evaluated on the piece before it, because the basis function ends at its last knot.
+        parameters = np.minimum(parameters, np.nextafter(age + 1, 0))
         orders = [
-            np.nan_to_num(basis.derivative(order)(places) if order <= self.degree else 0 * places) / hold**order
+            np.nan_to_num(basis.derivative(order)(parameters) if order <= self.degree else 0 * parameters)
+            / action_period**order
             for order in range(5)
         ]
         return np.stack(orders, axis=-2)
@@ -101,58 +109,64 @@ class Shift:
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """Actions in [−1, 1]ᵐ are added to the drive commands of a law.
+    """Actions in [−1, 1]ᵐ, scaled by ``fraction``, are added to the actions of a law.
 
     Raises:
         ValueError: if a number is out of its range.
     """
 
-    hold: float = 0.02
-    """Time between two actions [s]; > 0. Rounded to whole control periods."""
-    share: float = 0.3
-    """Largest addition to a drive command; in (0, 1]."""
+    action_period: float = 0.02
+    """Time between two actions [s]; > 0. It is rounded to whole control periods."""
+    fraction: float = 0.3
+    """Largest addition to an action; in (0, 1]."""
 
     def __post_init__(self) -> None:
-        _check_hold_and_share(self)
+        _check_period_and_fraction(self)
 
     def actions(self, robot: Robot) -> int:
         """Size of an action."""
         return robot.cables
 
     @property
-    def remembered(self) -> int:
-        """How many of the last actions count."""
+    def memory_length(self) -> int:
+        """Number of past actions in the memory."""
         return 1
 
 
-def _check_hold_and_share(way: Shift | Residual) -> None:
-    if not is_number(way.hold) or not 0 < way.hold <= LONGEST_HOLD:
-        raise ValueError(f"hold must be a time above 0 s and at most {LONGEST_HOLD:g} s, not {way.hold!r}")
-    if not is_number(way.share) or not 0 < way.share <= 1:
-        raise ValueError(f"share must be above 0 and at most 1, not {way.share!r}")
-    for name in ("hold", "share"):
-        object.__setattr__(way, name, float(getattr(way, name)))  # of numpy's numbers too, JSON knows only these
+def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
+    if not is_number(action_mapping.action_period) or not 0 < action_mapping.action_period <= LONGEST_ACTION_PERIOD:
+        limits = f"above 0 s and at most {LONGEST_ACTION_PERIOD:g} s"
+        raise ValueError(f"action_period must be {limits}, not {action_mapping.action_period!r}")
+    if not is_number(action_mapping.fraction) or not 0 < action_mapping.fraction <= 1:
+        raise ValueError(f"fraction must be above 0 and at most 1, not {action_mapping.fraction!r}")
+    for name in ("action_period", "fraction"):  # NumPy numbers are not JSON-able
+        object.__setattr__(action_mapping, name, float(getattr(action_mapping, name)))
 
 
 _KINDS: dict[str, type[Shift] | type[Residual]] = {"shift": Shift, "residual": Residual}
 
 
-def way_to_plain(way: Shift | Residual) -> dict[str, Any]:
-    """A way to steer as JSON-able data; :func:`find_way` reads it."""
-    return {"kind": next(kind for kind, made in _KINDS.items() if isinstance(way, made)), **asdict(way)}
+def action_mapping_to_jsonable(action_mapping: Shift | Residual) -> dict[str, Any]:
+    """An action mapping as JSON-able data, for :func:`find_action_mapping`."""
+    return {
+        "kind": next(kind for kind, mapping in _KINDS.items() if isinstance(action_mapping, mapping)),
+        **asdict(action_mapping),
+    }
 
 
-def find_way(way: Shift | Residual | str | Mapping[str, Any]) -> Shift | Residual:
-    """A way to steer from itself, from ``"shift"`` or ``"residual"``, or from ``{"kind": …, "hold": …}``.
+def find_action_mapping(action_mapping: Shift | Residual | str | Mapping[str, Any]) -> Shift | Residual:
+    """Returns an action mapping from an object, a kind, or a dict ``{"kind": …, "action_period": …}``.
+
+    The kinds are ``"shift"`` and ``"residual"``.
 
     Raises:
-        ValueError: if the kind or a key is unknown, or a value is not valid.
+        ValueError: if the kind or a key is unknown, or a value is invalid.
     """
-    if isinstance(way, (Shift, Residual)):
-        return way
-    if not isinstance(way, (str, Mapping)):
-        raise ValueError(f"steering must be {' or '.join(_KINDS)}, or a dict with one as its kind, not {way!r}")
-    data = {"kind": way} if isinstance(way, str) else dict(way)
+    if isinstance(action_mapping, (Shift, Residual)):
+        return action_mapping
+    if not isinstance(action_mapping, (str, Mapping)):
+        raise ValueError(f"steering must be {' or '.join(_KINDS)}, or a dict {{'kind': …}}, not {action_mapping!r}")
+    data = {"kind": action_mapping} if isinstance(action_mapping, str) else dict(action_mapping)
     kind = data.pop("kind", None)
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"steering: unknown kind {kind!r}; choose one of {', '.join(_KINDS)}")
@@ -164,174 +178,177 @@ def find_way(way: Shift | Residual | str | Mapping[str, Any]) -> Shift | Residua
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
-    """What one control instant leaves for the next, of one episode or of a batch."""
+    """State between two control instants, of one episode or of a batch."""
 
     actions: Array
-    """The last ones that count, oldest first, (..., remembered, size); 0 before the first."""
+    """Last actions, oldest first, (..., memory_length, size); 0 before the first action."""
     anchors: Array
-    """What the control points of a shift with a lead are counted from, (..., remembered, n); otherwise empty."""
+    """Origins of the control points of a shift with a preview, (..., memory_length, n); otherwise empty."""
     step: NDArray[np.int64]
-    """Control instants since the episode's start, (...)."""
+    """Number of control instants since the episode's start, (...)."""
     law: Any
-    """The base law's own; None before the first instant."""
+    """State of the base law; None before the first instant."""
 
 
 class Steering:
-    """A base law and a way to steer it, at work.
+    """A base law with an action mapping: computes the learner's observation and the applied actions.
 
     Args:
-        robot: nominal.
-        base: the law.
-        way: how actions steer it.
-        features: what a learner sees, see :mod:`cablebot_baselines.learned.features`.
+        robot: nominal robot.
+        base: base law.
+        action_mapping: mapping from a learner's actions to the base law.
+        features: observation of a learner, see :mod:`cablebot_baselines.learned.features`.
 
     Raises:
-        ValueError: if the law is not made for such robots, a feature is unknown, or a residual does not fit
-            its features or the law.
+        ValueError: if the law does not support the robot, a feature is unknown, or a residual is combined with
+            features of a shift or with a law that estimates the payload of a rigid robot.
     """
 
-    def __init__(self, robot: Robot, *, base: Base, way: Shift | Residual, features: Sequence[str]) -> None:
-        self.robot, self.base, self.way = robot, base, way
+    def __init__(self, robot: Robot, *, base: Base, action_mapping: Shift | Residual, features: Sequence[str]) -> None:
+        self.robot, self.base, self.action_mapping = robot, base, action_mapping
         self.features = check_features(features, robot)
-        if isinstance(way, Residual) and (odd := [name for name in self.features if name in OF_SHIFTS]):
-            raise ValueError(f"feature {odd[0]!r} is of a shifted reference, and a residual shifts none: leave it out")
-        if isinstance(way, Residual) and base.weighs and not robot.flexible:
+        if isinstance(action_mapping, Residual) and (odd := [name for name in self.features if name in SHIFT_FEATURES]):
+            raise ValueError(f"feature {odd[0]!r} requires steering of kind shift: remove it, or use shift")
+        if isinstance(action_mapping, Residual) and base.estimates_payload and not robot.flexible:
             raise ValueError(
-                "a law that weighs its payload by its own torques takes a residual for mass: leave weighs out of the "
-                "base, or steer by shift"
+                "a residual would bias the payload estimate of the base law: set estimates_payload to False, or use "
+                "steering of kind shift"
             )
-        self.law = base.made(robot)
-        self.actions = way.actions(robot)
+        self.law = base.make(robot)
+        self.actions = action_mapping.actions(robot)
         """Size of an action."""
-        self._prepare(Limits(), DEFAULT_PERIOD)
-        part = self.split(np.zeros(observation_layout(robot).size))
-        self.inputs = self.seen(part, self.remembered(part, None, None)).size
-        """How many numbers a learner sees."""
+        self._prepare(ErrorBounds(), DEFAULT_PERIOD)
+        blocks = self.split(np.zeros(observation_layout(robot).size))
+        self.inputs = self.observe(blocks, self.reset_memory(blocks, None, None)).size
+        """Size of a learner's observation."""
 
-    def _prepare(self, limits: Limits, period: float) -> None:
+    def _prepare(self, error_bounds: ErrorBounds, period: float) -> None:
         self._period = period
-        self.periods = max(1, round(self.way.hold / period))
-        """Control periods from one action to the next."""
-        if isinstance(self.way, Shift):
-            self._bounds = self.way.bounds(limits, self.robot.coordinates)
-            hold, phases = self.periods * period, np.arange(self.periods) * period
-            now, after = self.way.weights(phases, hold), self.way.weights(phases + period, hold)
-            # Torques are held for a period: what they are for is the period's mean acceleration.
+        self.periods = max(1, round(self.action_mapping.action_period / period))
+        """Number of control periods per action."""
+        if isinstance(self.action_mapping, Shift):
+            self._bounds = self.action_mapping.bounds(error_bounds, self.robot.coordinates)
+            action_period, phases = self.periods * period, np.arange(self.periods) * period
+            now, after = (
+                self.action_mapping.weights(phases, action_period),
+                self.action_mapping.weights(phases + period, action_period),
+            )
+            # Torques are constant over a period, so that the law needs the period's mean acceleration.
             self._motion, self._mean = now, (after[:, 1] - now[:, 1]) / period
-            # Where an action is due, the oldest control point is about to go and the newest has no weight yet.
+            # When an action is due, the oldest control point is about to be dropped, and the newest has zero weight.
             self._present = now[:, :2].copy()
             self._present[0] = np.roll(now[0, :2], 1, axis=-1)
 
-    def begin(self, tasks: Sequence[Task]) -> None:
-        """Reads limits and control frequency.
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Reads the error bounds and the control frequency of the tasks.
 
         Raises:
-            ValueError: if the tasks differ in these, or a task's robot does not fit.
+            ValueError: if the tasks differ in these, or a task's robot is not supported.
         """
-        self.law.begin(tasks)
-        conditions = {(task.limits, task.control_frequency) for task in tasks}
+        self.law.reset(tasks)
+        conditions = {(task.error_bounds, task.control_frequency) for task in tasks}
         if len(conditions) != 1:
-            raise ValueError("a learned policy runs episodes with the same limits and control frequency at once")
-        ((limits, frequency),) = conditions
-        self._prepare(limits, 1 / frequency)
+            raise ValueError("a learned policy requires the same error bounds and control frequency in all episodes")
+        ((error_bounds, frequency),) = conditions
+        self._prepare(error_bounds, 1 / frequency)
 
     def split(self, observation: Any) -> dict[str, Array]:
         """The blocks of an observation by name, each (..., size).
 
         Raises:
-            ValueError: if the observation is not of this robot's layout.
+            ValueError: if the observation does not have this robot's layout.
         """
         return self.law.split(observation)
 
-    def remembered(self, part: dict[str, Array], memory: Memory | None, episode_start: Any) -> Memory:
-        """The memory, where episodes that have no past begin one."""
-        batch, way = part["pose"].shape[:-1], self.way
+    def reset_memory(self, blocks: dict[str, Array], memory: Memory | None, episode_start: Any) -> Memory:
+        """Resets the memory of the episodes that start."""
+        batch, action_mapping = blocks["pose"].shape[:-1], self.action_mapping
         first = first_steps(memory, episode_start, batch)
         if memory is not None and not np.any(first):
             return memory
         anchors = np.zeros((*batch, 0, self.robot.coordinates))
-        if isinstance(way, Shift) and way.lead:
-            anchors = np.repeat(part["reference_pose"][..., None, :], way.remembered, axis=-2)
+        if isinstance(action_mapping, Shift) and action_mapping.preview:
+            anchors = np.repeat(blocks["reference_pose"][..., None, :], action_mapping.memory_length, axis=-2)
         fresh = Memory(
-            actions=np.zeros((*batch, way.remembered, self.actions)),
+            actions=np.zeros((*batch, action_mapping.memory_length, self.actions)),
             anchors=anchors,
             step=np.zeros(batch, np.int64),
             law=None,
         )
         if memory is None:
             return fresh
-        begun = first[..., None, None]
+        started = first[..., None, None]
         return Memory(
-            actions=np.where(begun, fresh.actions, memory.actions),
-            anchors=np.where(begun, fresh.anchors, memory.anchors),
+            actions=np.where(started, fresh.actions, memory.actions),
+            anchors=np.where(started, fresh.anchors, memory.anchors),
             step=np.where(first, 0, memory.step),
             law=memory.law,
         )
 
     def due(self, memory: Memory) -> NDArray[np.bool_]:
-        """Which episodes take an action now, (...)."""
+        """Mask of the episodes that take an action at this instant, (...)."""
         return memory.step % self.periods == 0
 
-    def seen(self, part: dict[str, Array], memory: Memory) -> Array:
-        """What a learner sees before it acts, (..., features)."""
-        made = {
-            "elapsed": (memory.step * self._period)[..., None],
+    def observe(self, blocks: dict[str, Array], memory: Memory) -> Array:
+        """The observation of a learner before its action, (..., features)."""
+        derived = {
+            "time_since_start": (memory.step * self._period)[..., None],
             "actions": memory.actions[..., 1:, :].reshape(*memory.step.shape, -1)
-            if isinstance(self.way, Shift)
+            if isinstance(self.action_mapping, Shift)
             else memory.actions[..., 0, :],
         }
-        shift = np.zeros_like(part["pose"])
-        if isinstance(self.way, Shift):
+        shift = np.zeros_like(blocks["pose"])
+        if isinstance(self.action_mapping, Shift):
             position, velocity = np.moveaxis(self._spline(self._present[memory.step % self.periods], memory), -2, 0)
-            anchored = bool(self.way.lead)
-            shift = position - anchored * part["reference_pose"]
-            made["shift"] = shift / self._bounds
-            rate = velocity - anchored * part["reference_velocity"]
-            made["shift_velocity"] = rate * self.periods * self._period / self._bounds
-        made["error"] = part["reference_pose"] + shift - part["pose"]
-        return feature_values(self.features, part, made)
+            anchored = bool(self.action_mapping.preview)
+            shift = position - anchored * blocks["reference_pose"]
+            derived["shift"] = shift / self._bounds
+            rate = velocity - anchored * blocks["reference_velocity"]
+            derived["shift_velocity"] = rate * self.periods * self._period / self._bounds
+        derived["error"] = blocks["reference_pose"] + shift - blocks["pose"]
+        return feature_values(self.features, blocks, derived)
 
     def respond(
-        self, part: dict[str, Array], action: Array, memory: Memory, episode_start: Any = None
+        self, blocks: dict[str, Array], action: Array, memory: Memory, episode_start: Any = None
     ) -> tuple[Array, Memory]:
-        """Drive commands (..., m) and the next memory; ``action`` (..., size) counts where one is :meth:`due`."""
+        """Returns actions (..., m) and the next memory; ``action`` (..., size) is used where one is :meth:`due`."""
         due = self.due(memory)
         actions, anchors = memory.actions, memory.anchors
         if np.any(due):
-            taken = np.concatenate([actions[..., 1:, :], self._allowed(action)[..., None, :]], axis=-2)
+            taken = np.concatenate([actions[..., 1:, :], self._clipped(action)[..., None, :]], axis=-2)
             actions = np.where(due[..., None, None], taken, actions)
             if anchors.shape[-2]:
-                assert isinstance(self.way, Shift)
-                ahead = part["reference_pose"] + part[preview_name(self.way.lead)]
+                assert isinstance(self.action_mapping, Shift)
+                ahead = blocks["reference_pose"] + blocks[preview_name(self.action_mapping.preview)]
                 moved = np.concatenate([anchors[..., 1:, :], ahead[..., None, :]], axis=-2)
                 anchors = np.where(due[..., None, None], moved, anchors)
         now = Memory(actions=actions, anchors=anchors, step=memory.step, law=memory.law)
         start = episode_start if memory.law is not None else None
-        command, law = self.law.respond(self._shifted(part, now), memory.law, start)
-        if isinstance(self.way, Residual):
-            command = command + self.way.share * actions[..., 0, :]
-        return command, Memory(actions=actions, anchors=anchors, step=memory.step + 1, law=law)
+        applied, law = self.law.respond(self._shifted_reference(blocks, now), memory.law, start)
+        if isinstance(self.action_mapping, Residual):
+            applied = applied + self.action_mapping.fraction * actions[..., 0, :]
+        return applied, Memory(actions=actions, anchors=anchors, step=memory.step + 1, law=law)
 
-    def _allowed(self, action: Array) -> Array:
-        """An action within ±1; of a shift, its position part within the unit ball."""
+    def _clipped(self, action: Array) -> Array:
+        """Clips an action to ±1, and the position of a shift to the unit ball."""
         action = np.clip(np.asarray(action, float), -1.0, 1.0)
-        if isinstance(self.way, Shift):
+        if isinstance(self.action_mapping, Shift):
             lines = min(self.actions, 3)
             action[..., :lines] /= np.maximum(np.linalg.norm(action[..., :lines], axis=-1, keepdims=True), 1.0)
         return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
-        """What the weights (..., orders, remembered) make of the control points, (..., orders, n)."""
+        """Spline (..., orders, n) from weights (..., orders, memory_length) and the control points."""
         points = memory.actions * self._bounds
         if memory.anchors.shape[-2]:
             points = points + memory.anchors
         result: Array = weights @ points
         return result
 
-    def _shifted(self, part: dict[str, Array], memory: Memory) -> dict[str, Array]:
-        """The blocks, with the shifted reference in place of the reference."""
-        if not isinstance(self.way, Shift):
-            return part
+    def _shifted_reference(self, blocks: dict[str, Array], memory: Memory) -> dict[str, Array]:
+        """The blocks with the shifted reference instead of the reference."""
+        if not isinstance(self.action_mapping, Shift):
+            return blocks
         phase = memory.step % self.periods
         weights = self._motion[phase]
         if not self.robot.flexible:
@@ -341,6 +358,6 @@ class Steering:
         moved = {}
         for order, name in enumerate(DERIVATIVES):
             block = f"reference_{name}"
-            if block in part:
-                moved[block] = motion[..., order, :] + (0.0 if self.way.lead else part[block])
-        return part | moved
+            if block in blocks:
+                moved[block] = motion[..., order, :] + (0.0 if self.action_mapping.preview else blocks[block])
+        return blocks | moved

@@ -1,9 +1,10 @@
-"""Networks that answer a turned or mirrored motion with the turned or mirrored answer, as the robot itself does.
+"""Equivariant networks: rotating or reflecting the motion rotates or reflects the network's action.
 
-A planar robot with equal motors on a regular polygon of anchors is the same robot when it is turned by a corner or
-mirrored: along a motion so moved it carries the same payload. A network that knows it learns from each motion what all
-its images teach. Each layer's weights are made of those of one image: hidden units are a block for each symmetry, which
-symmetries permute (group-equivariant layers: T. Cohen, M. Welling, ICML 2016). What comes out is an ordinary network.
+A planar robot with equal motors and a regular polygon of anchors is invariant under rotations by a corner and under
+reflections, and so is its DLCC along a transformed motion. An equivariant network learns from each motion what it would
+learn from all images of the motion. The weights of each layer derive from those of one image: the hidden units form
+one block per symmetry, and symmetries permute the blocks (group-equivariant layers: T. Cohen, M. Welling, ICML 2016).
+The result is an ordinary network.
 """
 
 from __future__ import annotations
@@ -21,79 +22,86 @@ except ImportError as error:
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.robots import Robot
 
-_SAME = 1e-9
-"""Lengths and motors that differ by no more, relative to their size, are the same."""
+_TOLERANCE = 1e-9
+"""Relative difference up to which lengths and motor parameters are equal."""
 
 
 def symmetries(robot: Robot) -> Array:
-    """Turns and mirror images of the plane about the frame's origin that leave a planar robot what it is.
+    """Rotations and reflections of the plane about the frame's origin under which a planar robot is invariant.
 
     Returns:
-        (G, 2, 2), orthogonal, the identity first; it is alone where motors differ or the anchors are irregular.
+        Orthogonal matrices (G, 2, 2), the identity first; only the identity if the motors differ or the anchors are
+        irregular.
 
     Raises:
-        ValueError: if the robot is spatial: its rotations are not linear in the pose.
+        ValueError: if the robot is spatial: rotations are not linear in its pose.
     """
     if not robot.planar:
-        raise ValueError(f"symmetries are for planar robots, and {robot.name!r} is spatial: leave symmetric out")
+        raise ValueError(f"symmetric is for planar robots, but {robot.name!r} is spatial: remove symmetric")
     motors = [robot.pulley_radius, robot.pulley_inertia, robot.damping, robot.stall_torque, robot.speed_slope]
     if robot.flexible:
         motors += [robot.stiffness, robot.motor_inertia, robot.motor_damping]
     cables, kinds = robot.base, np.stack(motors, axis=1)
-    found = {}
-    for places in _permutations(cables):
-        left, _, right = np.linalg.svd(cables[list(places)].T @ cables)  # the move that comes nearest to it
-        move = left @ right
-        there = np.allclose(cables @ move.T, cables[list(places)], rtol=0, atol=_SAME * np.abs(cables).max())
-        if there and np.allclose(kinds, kinds[list(places)], rtol=_SAME, atol=0):
-            found[places] = move
-    return np.array([found[places] for places in sorted(found)])
+    transforms = {}
+    for permutation in _permutations(cables):
+        permuted = list(permutation)
+        left, _, right = np.linalg.svd(cables[permuted].T @ cables)  # the closest orthogonal transform
+        transform = left @ right
+        same_anchors = np.allclose(
+            cables @ transform.T, cables[permuted], rtol=0, atol=_TOLERANCE * np.abs(cables).max()
+        )
+        if same_anchors and np.allclose(kinds, kinds[permuted], rtol=_TOLERANCE, atol=0):
+            transforms[permutation] = transform
+    return np.array([transforms[permutation] for permutation in sorted(transforms)])
 
 
 def _permutations(cables: Array) -> Iterator[tuple[int, ...]]:
-    """Whose place each anchor takes in the moves that bring the outermost one to some other's place."""
+    """Permutations of the anchors by the transforms that move the outermost anchor onto some anchor."""
     angles, radii = np.arctan2(cables[:, 1], cables[:, 0]), np.linalg.norm(cables, axis=1)
     outermost = int(np.argmax(radii))
     for angle in angles:
-        for turned in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):
-            moved = radii[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=1)
-            places = np.linalg.norm(moved[:, None] - cables, axis=-1).argmin(axis=1)
-            if len(set(places.tolist())) == len(cables):
-                yield tuple(places.tolist())
+        for transformed in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):
+            moved = radii[:, None] * np.stack([np.cos(transformed), np.sin(transformed)], axis=1)
+            indices = np.linalg.norm(moved[:, None] - cables, axis=-1).argmin(axis=1)
+            if len(set(indices.tolist())) == len(cables):
+                yield tuple(indices.tolist())
 
 
 class SymmetricLayers:
-    """Linear layers to be trained, and the weights that symmetries make of them.
+    """Trainable linear layers of one image, and the equivariant layers derived from them.
 
     Args:
-        reads: what each symmetry does to the inputs, (G, inputs, inputs), orthogonal; G is 1 without symmetry.
-        says: what it does to the outputs, (G, outputs, outputs), orthogonal.
-        hidden: units of the layers between, for each symmetry.
+        input_transforms: orthogonal matrices of the symmetries on the inputs, (G, inputs, inputs); G is 1 without
+            symmetry.
+        output_transforms: orthogonal matrices of the symmetries on the outputs, (G, outputs, outputs).
+        hidden: units of the hidden layers, for each symmetry.
     """
 
-    def __init__(self, reads: Array, says: Array, hidden: Sequence[int]) -> None:
-        group = len(says)
-        quotients = np.einsum("gji,kjl->gkil", says, says)  # g⁻¹ k
-        places = np.abs(quotients[:, :, None] - says).sum(axis=(-1, -2)).argmin(axis=-1)
-        swaps = np.eye(group)[places]  # block k of what h moves is block h⁻¹ k
+    def __init__(self, input_transforms: Array, output_transforms: Array, hidden: Sequence[int]) -> None:
+        group = len(output_transforms)
+        quotients = np.einsum("gji,kjl->gkil", output_transforms, output_transforms)  # g⁻¹ k
+        indices = np.abs(quotients[:, :, None] - output_transforms).sum(axis=(-1, -2)).argmin(axis=-1)
+        swaps = np.eye(group)[indices]  # h maps block h⁻¹ k to block k
         between = [np.array([np.kron(swap, np.eye(units)) for swap in swaps]) for units in hidden]
-        self._reads = [torch.tensor(read) for read in (reads, *between)]
-        self._says = torch.tensor(says)
-        sizes = zip(self._reads, (*hidden, says.shape[-1]), strict=True)
-        self.layers = [nn.Linear(read.shape[-1], size, dtype=torch.float64) for read, size in sizes]
+        self._input_transforms = [torch.tensor(transforms) for transforms in (input_transforms, *between)]
+        self._output_transforms = torch.tensor(output_transforms)
+        sizes = zip(self._input_transforms, (*hidden, output_transforms.shape[-1]), strict=True)
+        self.layers = [nn.Linear(transforms.shape[-1], size, dtype=torch.float64) for transforms, size in sizes]
         """Weights and biases of one image."""
 
     def statistics(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation of inputs (count, inputs) and all their images, each (inputs,)."""
-        images = torch.cat([inputs @ read.T for read in self._reads[0]])
+        images = torch.cat([inputs @ transform.T for transform in self._input_transforms[0]])
         return images.mean(0), images.std(0)
 
     def weights(self) -> list[tuple[Tensor, Tensor]]:
-        """Weights (out, in) and biases (out,) of the whole layers."""
-        # Block g of the units, and what is said about image g, read the inputs as g⁻¹ moves them.
-        blocks = [layer.weight @ read.mT for layer, read in zip(self.layers, self._reads, strict=True)]
+        """Weights (out, in) and biases (out,) of the equivariant layers."""
+        # Block g of the units, and the output for image g, use the inputs transformed by g⁻¹.
+        pairs = zip(self.layers, self._input_transforms, strict=True)
+        blocks = [layer.weight @ transforms.mT for layer, transforms in pairs]
         biases: list[Tensor] = [layer.bias for layer in self.layers]
-        made = [
+        hidden = [
             (block.flatten(0, 1), bias.repeat(len(block))) for block, bias in zip(blocks[:-1], biases[:-1], strict=True)
         ]
-        return [*made, ((self._says @ blocks[-1]).mean(0), self._says.mean(0) @ biases[-1])]
+        outputs = self._output_transforms
+        return [*hidden, ((outputs @ blocks[-1]).mean(0), outputs.mean(0) @ biases[-1])]

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's vector environment over Gymnasium's, so that SB3 trains on one compiled batch (extra ``sb3``)."""
+"""Adapter from Gymnasium's vector environment to Stable-Baselines3 (SB3), for training on one compiled batch."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ try:
 except ImportError as error:
     raise ImportError("SB3's VecEnv needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
-AT_THE_END = ("termination_reason", "payload", "episode", "is_success")
-"""Info keys that an ended episode always has, where the environment knows them; SB3 itself reads the last two."""
+FINAL_KEYS = ("termination_reason", "payload", "episode", "is_success")
+"""Info keys that an ended episode always has if the environment provides them; SB3 itself reads the last two."""
 
 _FINAL = ("final_obs", "final_info")
 
 
 class CableBotVecEnv(VecEnv):
-    """A Gymnasium vector environment with same-step autoreset, as SB3 wants it: bit for bit SB3's ``DummyVecEnv``.
+    """SB3's interface of a Gymnasium vector environment; its results equal those of SB3's ``DummyVecEnv`` bit by bit.
 
     ``step`` returns observations (N, size) in the dtype of the observation space, rewards (N,) in float32, dones (N,)
-    and N dicts. Of an ended episode the observation is the first of the next one, and the dict has its last one as
-    ``terminal_observation`` and the keys in :data:`AT_THE_END`; every dict has ``TimeLimit.truncated``, true if the
-    time limit alone ended the episode. Seeds and options count at the next ``reset``, once: environment i gets
-    ``seed + i``.
+    and N dicts. When an episode ends, the returned observation is the first of the next episode, and the dict contains
+    the last observation as ``terminal_observation`` and the keys in :data:`FINAL_KEYS`. Every dict has
+    ``TimeLimit.truncated``, which is true if only the time limit ended the episode. Seeds and options apply once, at
+    the next ``reset``: environment i gets ``seed + i``.
 
     Args:
-        env: made by ``gym.make_vec(id, num_envs=N, autoreset_mode=AutoresetMode.SAME_STEP)``; may be wrapped, where a
-            wrapper that changes observations has to change ``final_obs`` too.
-        info_keys: further keys of ``info`` that each dict gets at each step. None is all of them: of 1024
-            environments, three times as long as the physics.
+        env: vector environment from ``gym.make_vec(id, num_envs=N, autoreset_mode=AutoresetMode.SAME_STEP)``, with or
+            without wrappers; a wrapper that changes observations must also change ``final_obs``.
+        info_keys: further keys of ``info`` that each dict gets at each step. None selects all keys, which for 1024
+            environments takes three times as long as the physics.
 
     Raises:
-        TypeError: if ``env`` is no vector environment.
-        ValueError: if it has another autoreset mode, or ``info_keys`` is a string; by the first ``step``, if one of the
-            keys is unknown.
+        TypeError: if ``env`` is not a vector environment.
+        ValueError: if it has another autoreset mode, or ``info_keys`` is a string. The first ``step`` raises it if a
+            key is unknown.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, info_keys: Sequence[str] | None = ()) -> None:
@@ -51,71 +51,71 @@ class CableBotVecEnv(VecEnv):
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
-                f"SB3 needs autoreset in the same step, this environment has {getattr(mode, 'name', mode)}: make it by "
-                "gym.make_vec(…, autoreset_mode=AutoresetMode.SAME_STEP), or by make_sb3_vec_env"
+                f"SB3 needs autoreset mode SAME_STEP, but this environment has {getattr(mode, 'name', mode)}: use "
+                "gym.make_vec(…, autoreset_mode=AutoresetMode.SAME_STEP), or make_sb3_vec_env"
             )
         if isinstance(info_keys, str):
-            raise ValueError(f"info_keys must be several names, ({info_keys!r},), not the string {info_keys!r}")
+            raise ValueError(f"info_keys must be a sequence of names, ({info_keys!r},), not the string {info_keys!r}")
         self.env = env
         """The vector environment."""
         self.spec = env.spec
-        """What :class:`VecMonitor` names its file's environment by."""
+        """The environment's spec; SB3's ``VecMonitor`` reads its name."""
         self._info_keys = None if info_keys is None else tuple(info_keys)
         self._unchecked = bool(info_keys)
         self._reset_keys: frozenset[str] = frozenset()
         self._actions: NDArray[Any] | None = None
         self._started = False
-        self._everyone = np.arange(env.num_envs)
-        self._marked = np.ones(env.num_envs, np.bool_)
+        self._all_indices = np.arange(env.num_envs)
+        self._all_true = np.ones(env.num_envs, np.bool_)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Options of the next reset: one dict for all, where values may be one per environment, or a list of N dicts.
+        """Sets the options of the next reset: a list of N dicts, or one dict whose values may be per environment.
 
         Raises:
             ValueError: if it is a list of another length, or has ``reset_mask``.
         """
         each = list(options) if isinstance(options, (list, tuple)) else [options] * self.num_envs
         if len(each) != self.num_envs:
-            raise ValueError(f"options must be one dict or {self.num_envs}, one for each environment, not {len(each)}")
+            raise ValueError(f"options must be one dict or a list of {self.num_envs} dicts, not of {len(each)}")
         if any("reset_mask" in (one or {}) for one in each):
-            raise ValueError("reset() of a VecEnv restarts all environments: leave reset_mask out of the options")
+            raise ValueError("reset() of a VecEnv resets all environments: remove reset_mask from the options")
         super().set_options(options)
 
     def reset(self) -> VecEnvObs:
-        """Starts an episode in every environment, with the seeds and options set before; observations (N, size).
+        """Resets every environment with the seeds and options set before; returns observations (N, size).
 
         Raises:
-            ValueError: if a seed or an option is not valid; seeds and options stay set then.
+            ValueError: if a seed or an option is invalid; seeds and options then stay set.
         """
         groups: dict[int, list[int]] = {}
-        for lane, options in enumerate(self._options):  # the base class keeps one dict for all as one object
-            groups.setdefault(id(options) if options else 0, []).append(lane)
+        for env_index, options in enumerate(self._options):  # the base class keeps one dict for all as one object
+            groups.setdefault(id(options) if options else 0, []).append(env_index)
         observation: Any = None
         for group in groups.values():
-            lanes, options = np.array(group), dict(self._options[group[0]] or {})
-            # The very first group starts all: others that were not yet started cannot be left alone.
+            env_indices, options = np.array(group), dict(self._options[group[0]] or {})
+            # The very first reset must reset all environments.
             if len(groups) > 1 and self._started:
-                options["reset_mask"] = np.isin(self._everyone, lanes)
-            # The base class's seeds count up by one, as Gymnasium's do.
+                options["reset_mask"] = np.isin(self._all_indices, env_indices)
+            # The base class's seeds increase by one per environment, as Gymnasium's do.
             observation, info = self.env.reset(seed=self._seeds[0], options=options or None)
             self._started = True
             self._reset_keys = frozenset(info)
-            for lane, found in zip(group, self._dicts(info, self._wanted(info), lanes), strict=True):
-                self.reset_infos[lane] = found
+            for env_index, one in zip(group, self._dicts(info, self._selected_keys(info), env_indices), strict=True):
+                self.reset_infos[env_index] = one
         self._reset_seeds()
         self._reset_options()
         return observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Takes the actions (N, m) of the next :meth:`step_wait`."""
+        """Sets the actions (N, m) for the next :meth:`step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """One control period of every environment: observations, rewards, dones and info dicts, see the class.
+        """Steps every environment once; returns observations, rewards, dones and info dicts, see the class.
 
         Raises:
-            RuntimeError: without actions.
+            RuntimeError: if no actions were set.
             ValueError: if the actions are not (N, m) finite numbers, or one of ``info_keys`` is unknown.
         """
         if self._actions is None:
@@ -125,69 +125,73 @@ class CableBotVecEnv(VecEnv):
         done = terminated | truncated
         if self._unchecked:
             self._check_keys(info)
-        infos = self._dicts(info, self._wanted(info), self._everyone)
+        infos = self._dicts(info, self._selected_keys(info), self._all_indices)
         if done.any():
-            self._end(np.flatnonzero(done), info, infos)
-        for found, limit in zip(infos, (truncated & ~terminated).tolist(), strict=True):
-            found["TimeLimit.truncated"] = limit
+            self._add_final(np.flatnonzero(done), info, infos)
+        for one, limit in zip(infos, (truncated & ~terminated).tolist(), strict=True):
+            one["TimeLimit.truncated"] = limit
         return observation, reward.astype(np.float32), done, infos
 
-    def _end(self, ended: NDArray[np.int64], info: Mapping[str, Any], infos: list[dict[str, Any]]) -> None:
-        """Puts the last observation and info of ended episodes into their dicts, which have the next episodes' first.
+    def _add_final(self, ended: NDArray[np.int64], info: Mapping[str, Any], infos: list[dict[str, Any]]) -> None:
+        """Adds the last observation and info of ended episodes to their dicts.
 
-        What ``reset`` does not return, such as a wrapper's ``episode``, stands beside ``final_info``.
+        Keys that ``reset`` does not return, such as a wrapper's ``episode``, are next to ``final_info``.
         """
         own = {key: value for key, value in info.items() if key not in self._reset_keys}
         last = own | info.get("final_info", {})
-        dicts = self._dicts(last, (*self._wanted(last), *AT_THE_END), ended)
-        for lane, found in zip(ended.tolist(), dicts, strict=True):
-            self.reset_infos[lane] = {key: value for key, value in infos[lane].items() if key in self._reset_keys}
-            infos[lane] = found | {"terminal_observation": info["final_obs"][lane]}
+        dicts = self._dicts(last, (*self._selected_keys(last), *FINAL_KEYS), ended)
+        for env_index, final in zip(ended.tolist(), dicts, strict=True):
+            self.reset_infos[env_index] = {
+                key: value for key, value in infos[env_index].items() if key in self._reset_keys
+            }
+            infos[env_index] = final | {"terminal_observation": info["final_obs"][env_index]}
 
-    def _wanted(self, info: Mapping[str, Any]) -> tuple[str, ...]:
+    def _selected_keys(self, info: Mapping[str, Any]) -> tuple[str, ...]:
         return _names(info) if self._info_keys is None else self._info_keys
 
     def _check_keys(self, info: Mapping[str, Any]) -> None:
-        known = sorted({*self._reset_keys, *_names(info), *_names(info.get("final_info", {})), *AT_THE_END})
+        known = sorted({*self._reset_keys, *_names(info), *_names(info.get("final_info", {})), *FINAL_KEYS})
         if unknown := [key for key in self._info_keys or () if key not in known]:
-            raise ValueError(f"unknown info key {unknown[0]!r}; choose of {', '.join(known)}")
+            raise ValueError(f"unknown info key {unknown[0]!r}; choose from {', '.join(known)}")
         self._unchecked = False
 
-    def _dicts(self, info: Mapping[str, Any], keys: Iterable[str], lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
-        """What a vector info says of each of the lanes; ``_key`` marks the lanes that have a key."""
-        dicts: list[dict[str, Any]] = [{} for _ in range(len(lanes))]
+    def _dicts(
+        self, info: Mapping[str, Any], keys: Iterable[str], env_indices: NDArray[np.int64]
+    ) -> list[dict[str, Any]]:
+        """Splits a vector info into one dict per environment; the mask ``_key`` marks environments with a key."""
+        dicts: list[dict[str, Any]] = [{} for _ in range(len(env_indices))]
         for key in keys:
             if key not in info:
                 continue
-            value, marked = info[key], info.get(f"_{key}", self._marked)[lanes].tolist()
+            value, present = info[key], info.get(f"_{key}", self._all_true)[env_indices].tolist()
             nested = isinstance(value, dict)
-            parts = self._dicts(value, _names(value), lanes) if nested else self._parts(value, lanes)
-            for found, part, mark in zip(dicts, parts, marked, strict=True):
-                if mark:
-                    found[key] = part
+            items = self._dicts(value, _names(value), env_indices) if nested else self._items(value, env_indices)
+            for one, item, has_key in zip(dicts, items, present, strict=True):
+                if has_key:
+                    one[key] = item
         return dicts
 
-    def _parts(self, value: Any, lanes: NDArray[np.int64]) -> list[Any]:
-        """What a value says of each of the lanes: its item, where it has N of them, otherwise the value itself."""
+    def _items(self, value: Any, env_indices: NDArray[np.int64]) -> list[Any]:
+        """Splits a value with N items into one item per environment; any other value is repeated."""
         if isinstance(value, dict) and value and all(self._batched(item) for item in value.values()):
-            columns = [self._parts(item, lanes) for item in value.values()]
+            columns = [self._items(item, env_indices) for item in value.values()]
             return [dict(zip(value, row, strict=True)) for row in zip(*columns, strict=True)]
         if not self._batched(value):
-            return [value] * len(lanes)
+            return [value] * len(env_indices)
         if isinstance(value, np.ndarray):
-            rows = value[lanes]
+            rows = value[env_indices]
             return rows.tolist() if rows.ndim == 1 else list(rows)
-        return [value[lane] for lane in lanes]
+        return [value[env_index] for env_index in env_indices]
 
     def _batched(self, value: Any) -> bool:
         array = isinstance(value, np.ndarray) and value.ndim > 0
         return (array or isinstance(value, (list, tuple))) and len(value) == self.num_envs
 
-    def _lanes(self, indices: VecEnvIndices) -> NDArray[np.int64]:
-        return self._everyone[list(self._get_indices(indices))]
+    def _env_indices(self, indices: VecEnvIndices) -> NDArray[np.int64]:
+        return self._all_indices[list(self._get_indices(indices))]
 
     def _layers(self) -> Iterator[VectorEnv[Any, Any, Any]]:
-        """The environment and all that it wraps, from the outside in."""
+        """The environment and the environments that it wraps, from the outside in."""
         layer = self.env
         while isinstance(layer, VectorWrapper):
             yield layer
@@ -198,46 +202,46 @@ class CableBotVecEnv(VecEnv):
         return getattr(next((layer for layer in self._layers() if hasattr(layer, name)), self.env.unwrapped), name)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of each environment: its item if the vector environment holds N of them, otherwise the value.
+        """The attribute of each environment: one item each if the attribute has N items, otherwise the same value.
 
         Raises:
             AttributeError: if the vector environment has no such attribute.
         """
-        # Its own spaces are those of the whole batch.
+        # The vector environment's own spaces are those of the whole batch.
         name = f"single_{attr_name}" if attr_name in ("action_space", "observation_space") else attr_name
-        return self._parts(self._attribute(name), self._lanes(indices))
+        return self._items(self._attribute(name), self._env_indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Not available.
 
         Raises:
-            NotImplementedError: always, with what to do.
+            NotImplementedError: always; the message names the alternatives.
         """
         raise NotImplementedError(
-            f"{attr_name!r} cannot be set, the environments are one compiled batch: give keywords where it is made, or "
-            "set_options() for the next episodes"
+            f"{attr_name!r} cannot be set because the environments are one compiled batch: give keyword arguments when "
+            "the environment is made, or use set_options() for the next episodes"
         )
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Calls a method of the vector environment once, for all; the result is taken apart as by :meth:`get_attr`.
+        """Calls a method of the vector environment once for all; the result is split as by :meth:`get_attr`.
 
         Raises:
             AttributeError: if the vector environment has no such method.
-            NotImplementedError: for ``reset``, ``step`` and ``close``, or if ``indices`` leave some environment out.
+            NotImplementedError: for ``reset``, ``step`` and ``close``, or if ``indices`` are not all environments.
         """
         if method_name in ("reset", "step", "close"):
-            raise NotImplementedError(f"no environment can {method_name} on its own: use {method_name}() of the VecEnv")
-        method, lanes = self._attribute(method_name), self._lanes(indices)
-        if len(set(lanes.tolist())) < self.num_envs:
-            raise NotImplementedError(f"{method_name!r} acts on all environments at once: leave indices out")
-        return self._parts(method(*method_args, **method_kwargs), lanes)
+            raise NotImplementedError(f"a single environment cannot {method_name}: use {method_name}() of the VecEnv")
+        method, env_indices = self._attribute(method_name), self._env_indices(indices)
+        if len(set(env_indices.tolist())) < self.num_envs:
+            raise NotImplementedError(f"{method_name!r} acts on all environments at once: omit indices")
+        return self._items(method(*method_args, **method_kwargs), env_indices)
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Whether a wrapper of ``wrapper_class`` is around the batch; wrappers of single environments never are."""
+        """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single environments."""
         wrapped = any(isinstance(layer, wrapper_class) for layer in self._layers())
-        return [wrapped] * len(self._lanes(indices))
+        return [wrapped] * len(self._env_indices(indices))
 
     def close(self) -> None:
         """Closes the vector environment."""
@@ -253,30 +257,31 @@ def make_sb3_vec_env(
     info_keys: Sequence[str] | None = (),
     **keywords: Any,
 ) -> CableBotVecEnv:
-    """N environments of one id as one compiled batch for SB3.
+    """Makes N environments of one id as one compiled batch for SB3.
 
     Args:
-        env_id: out of :data:`cablebot_gym.ENV_IDS`, or another with such a vector environment.
-        n_envs: N.
-        seed: environment i gets ``seed + i`` at the first reset, and the action space gets ``seed``; None draws them.
-        max_episode_steps: control steps to truncation; None for no limit. Left out, it is the id's own, 500.
+        env_id: one of :data:`cablebot_gym.ENV_IDS`, or another id with a vector environment.
+        n_envs: number of environments N.
+        seed: environment i gets ``seed + i`` at the first reset, and the action space gets ``seed``; None for random
+            seeds.
+        max_episode_steps: control steps to truncation; None for no limit. Default: that of the id, 500.
         info_keys: see :class:`CableBotVecEnv`.
-        keywords: the environment's, see ``help(gym.make(env_id).unwrapped)``.
+        keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``.
 
     Raises:
         gymnasium.error.Error: if the id is unknown.
-        ValueError: if a keyword is unknown or not valid.
+        ValueError: if a keyword is unknown or a value is invalid.
     """
     if max_episode_steps is not ...:
         keywords["max_episode_steps"] = max_episode_steps
     env = gym.make_vec(env_id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords)
-    made = CableBotVecEnv(env, info_keys=info_keys)
+    vec_env = CableBotVecEnv(env, info_keys=info_keys)
     if seed is not None:
-        made.seed(seed)
-        made.action_space.seed(seed)
-    return made
+        vec_env.seed(seed)
+        vec_env.action_space.seed(seed)
+    return vec_env
 
 
 def _names(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """Keys of a vector info that say something of the present instant, without the marks."""
+    """Keys of a vector info for the current instant, without the masks."""
     return tuple(key for key in info if not key.startswith("_") and key not in _FINAL)

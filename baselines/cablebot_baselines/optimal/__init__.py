@@ -1,6 +1,6 @@
-"""Policies that plan with the plant's equations (extra ``optimal``)."""
+"""Policies that plan motions with the equations of the plant. They need the extra ``optimal``."""
 
 from cablebot_baselines.optimal.nmpc import NMPC, NonlinearMPC
-from cablebot_baselines.optimal.tube import TUBE, TUBE_SAFE, Tube
+from cablebot_baselines.optimal.trajopt import TRAJOPT, TRAJOPT_MARGIN, TrajOpt
 
-__all__ = ["NMPC", "TUBE", "TUBE_SAFE", "NonlinearMPC", "Tube"]
+__all__ = ["NMPC", "TRAJOPT", "TRAJOPT_MARGIN", "NonlinearMPC", "TrajOpt"]

@@ -1,4 +1,4 @@
-"""A receding-horizon controller that solves from the observation alone."""
+"""Receding-horizon controller (nonlinear MPC) that plans from the observation alone."""
 
 from __future__ import annotations
 
@@ -11,261 +11,278 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, Memory
+from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, EstimatorState
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
-from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, NoPlan, Tuning
+from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, PlanningError, Tuning
 from cablebot_gym.envs import RIGID_ENV_IDS
 from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.planning import Margins
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits, Task
+from cablebot_gym.task import ErrorBounds, Task
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
-EVERY = 5
-"""Control steps from one plan to the next."""
+STEPS_PER_PLAN = 5
+"""Number of control steps between two plans."""
 
 TUNING = {
     "planar": Tuning(
         intervals=10,
         instants=2,
-        margins=Margins(position=3e-4, demand=0.005, tension=0.5),
-        power=4.0,
-        error=0.1,
-        end_error=0.0,
-        end_velocity=1.0,
-        smoothness=1e-6,
+        margins=Margins(position=3e-4, action=0.005, tension=0.5),
+        action_exponent=4.0,
+        error_weight=0.1,
+        end_error_weight=0.0,
+        end_velocity_weight=1.0,
+        smoothness_weight=1e-6,
     ),
     "spatial": Tuning(
         intervals=7,
         instants=3,
-        margins=Margins(position=4e-4, rotation=4e-4, demand=0.002, tension=10.0),
-        power=3.0,
-        error=0.3,
-        end_error=0.3,
-        end_velocity=3.0,
-        smoothness=1e-6,
+        margins=Margins(position=4e-4, rotation=4e-4, action=0.002, tension=10.0),
+        action_exponent=3.0,
+        error_weight=0.3,
+        end_error_weight=0.3,
+        end_velocity_weight=3.0,
+        smoothness_weight=1e-6,
     ),
 }
-"""What carries most on the paper's circles."""
+"""Tuning with the largest DLCC on the paper's circles."""
 
-PRIOR = 1e-3
-"""Of the mass, see :class:`~cablebot_baselines.classical.adaptive.Adaptive` [s]: a plan for a wrong mass is worse than a noisy
-one."""
+ESTIMATOR_PRIOR_WEIGHT = 1e-3
+"""Estimator prior weight, see :class:`~cablebot_baselines.classical.adaptive.Adaptive` [s].
 
-_FIRST_ROUNDS = 3
-"""Quadratic programs of a plan that has none before it to start from."""
+It is small, because a plan for a wrong mass is worse than a plan for a noisy mass.
+"""
 
-_RECORD = 4 * 24
-"""Points of the reference that are remembered: those of as many plans as fill the horizon at 500 Hz, and some."""
+_FIRST_ITERATIONS = 3
+"""Number of quadratic programs for a plan without a previous plan as initial guess."""
 
-_TOO_FAR = 2.0
-"""Bounds away from the reference from which on nothing is planned."""
+_STORED_POINTS = 4 * 24
+"""Number of stored points of the reference: slightly more than the previews of all plans of one horizon at 500 Hz."""
+
+_MAX_ERROR_RATIO = 2.0
+"""Tracking error beyond which the controller does not plan, as a multiple of the error bounds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Progress:
-    """What one control instant leaves for the next; each array has a leading axis N."""
+class PlannerState:
+    """State of the controller between two control steps; each array has a leading axis N."""
 
     steps: Array
-    """Since the episode's start, (N,)."""
+    """Number of steps since the start of the episode, (N,)."""
     clock: Array
-    """Less the time left, at the last instant, (N,) [s]."""
+    """Negative time to go at the last control step, (N,) [s]."""
     period: Array
-    """Control period, (N,) [s]; 0 as long as it is not known."""
-    times: Array
-    """At which points of the reference have been previewed, by the clock, (N, _RECORD) [s]; NaN for none."""
-    seen: Array
-    """These points, (N, _RECORD, n)."""
+    """Control period, (N,) [s]; 0 until it is known."""
+    preview_times: Array
+    """Clock times of the previewed points of the reference, (N, _STORED_POINTS) [s]; NaN for unused entries."""
+    preview_points: Array
+    """Previewed points of the reference, (N, _STORED_POINTS, n)."""
     plans: tuple[Array | None, ...]
-    """Control points (points, n) of each lane; None where there is no plan, or no longer."""
-    age: Array
-    """Of the plans, (N,) [s]."""
-    lost: NDArray[np.bool_]
-    """Whether the platform is too far away to plan for, (N,)."""
-    law: Memory | None
-    """Of the law that tracks the plan; None before the first step."""
+    """Control points (points, n) of the plan of each environment; None without a valid plan."""
+    plan_age: Array
+    """Time since each plan was made, (N,) [s]."""
+    out_of_range: NDArray[np.bool_]
+    """Whether the platform is too far from its reference to plan, (N,)."""
+    law: EstimatorState | None
+    """State of the law that tracks the plan; None before the first step."""
 
 
 class NonlinearMPC(ClassicalLaw):
-    """Plans the next fifth of a second at every fifth control step, and tracks the plan by a law at every one.
+    """Plans the next 0.2 s at every fifth control step and tracks the plan with the adaptive law at every step.
 
-    A plan starts from the measured pose and velocity, stays within the tube about the reference, and asks little of
-    the motors, for the mass that the law has weighed so far, see :class:`~cablebot_baselines.optimal.horizon.Tuning`. What the
-    reference will do is known from previews, those of earlier observations included. Where the solver fails, the last
-    plan holds for as long as it lasts; after that, and where the platform is too far away to plan for, the law tracks
-    the reference itself. :attr:`fallbacks` counts both.
+    A plan starts from the measured pose and velocity, stays within the error bounds and needs small motor actions, see
+    :class:`~cablebot_baselines.optimal.horizon.Tuning`. It uses the mass that the law estimates. The future reference
+    follows from the previews of the current and of earlier observations.
+
+    If the solver fails, the controller tracks the last plan until its end, and then the reference itself. If the
+    platform is too far from the reference to plan, the controller also tracks the reference. :attr:`fallbacks` counts
+    both cases.
 
     Args:
-        robot: nominal robot, rigid.
-        tuning: of the plans; None for :data:`TUNING`.
-        gains: (K_P, K_D) of the law that tracks the plan; None for those of ``adaptive``.
+        robot: nominal rigid robot.
+        tuning: tuning of the plans; None for :data:`TUNING`.
+        gains: (K_P, K_D) of the law that tracks the plan; None for the gains of ``adaptive``.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if the robot has joint springs.
     """
 
-    unclipped = False
+    unsaturated_actions = False
 
     def __init__(self, robot: Robot, *, tuning: Tuning | None = None, gains: tuple[float, float] | None = None) -> None:
         if robot.flexible:
             raise ValueError(
-                f"nmpc plans for rigid robots, and {robot.name!r} has joint springs: use adaptive-composite"
+                f"nmpc needs a rigid robot, but robot {robot.name!r} has joint springs. Use adaptive-composite."
             )
         kind = "planar" if robot.planar else "spatial"
         tuning = tuning or TUNING[kind]
         super().__init__(robot, minimum_tension=tuning.margins.tension)
         self.program = HorizonProgram(robot, tuning)
         law = FeedbackLinearization(robot, gains=gains or ADAPTIVE_GAINS[kind], minimum_tension=tuning.margins.tension)
-        self.law = Adaptive(law, prior=PRIOR)
+        self.law = Adaptive(law, estimator_prior_weight=ESTIMATOR_PRIOR_WEIGHT)
         self.fallbacks = 0
-        """How often a plan could not be had since the last :meth:`begin`: each time that the solver failed, and each
-        time that a platform got lost."""
-        self._limits: tuple[Limits, ...] = (Limits(),)
+        """Number of solver failures, and of times that a platform moved too far from its reference, since the last
+        :meth:`reset`."""
+        self._error_bounds: tuple[ErrorBounds, ...] = (ErrorBounds(),)
 
-    def begin(self, tasks: Sequence[Task]) -> None:
-        """Refuses episodes of another robot, reads the limits, and forgets what was counted."""
-        self.law.begin(tasks)
-        self._limits = tuple(task.limits for task in tasks)
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Checks the robots of the tasks, reads their error bounds and sets :attr:`fallbacks` to zero.
+
+        Raises:
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
+        """
+        self.law.reset(tasks)
+        self._error_bounds = tuple(task.error_bounds for task in tasks)
         self.fallbacks = 0
 
-    def respond(self, part: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
-        """Drive commands and the next state, a :class:`Progress`, from the blocks of an observation."""
-        if part["pose"].ndim == 1:
-            batch = {name: block[None] for name, block in part.items()}
-            command, state = self.respond(batch, state, episode_start)
-            return command[0], state
-        first = first_steps(state, episode_start, part["pose"].shape[:1])
-        progress = self._renewed(part, state, first)
-        due = progress.steps % EVERY == 0
+    def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
+        """Actions and the next state, a :class:`PlannerState`, from the blocks of an observation."""
+        if blocks["pose"].ndim == 1:
+            batch = {name: block[None] for name, block in blocks.items()}
+            action, state = self.respond(batch, state, episode_start)
+            return action[0], state
+        first = first_steps(state, episode_start, blocks["pose"].shape[:1])
+        planner = self._advance(blocks, state, first)
+        due = planner.steps % STEPS_PER_PLAN == 0
         if np.any(due):
-            progress = self._replanned(part, progress, np.flatnonzero(due))
-        command, law = self.law.respond(self._followed(part, progress), progress.law, first)
-        return command, replace(progress, law=law)
+            planner = self._replan(blocks, planner, np.flatnonzero(due))
+        action, law = self.law.respond(self._planned_blocks(blocks, planner), planner.law, first)
+        return action, replace(planner, law=law)
 
-    def _renewed(self, part: dict[str, Array], before: Progress | None, first: NDArray[np.bool_]) -> Progress:
-        """The last state a control period later, or a new one for lanes that start."""
-        count, n = part["pose"].shape
-        clock, none = -part["time_left"][:, 0], np.zeros(count)
+    def _advance(self, blocks: dict[str, Array], before: PlannerState | None, first: NDArray[np.bool_]) -> PlannerState:
+        """The last state advanced by one control period, and a new state for environments that start an episode."""
+        count, n = blocks["pose"].shape
+        clock, zeros = -blocks["time_to_go"][:, 0], np.zeros(count)
         if before is None:
-            return Progress(
+            return PlannerState(
                 steps=np.zeros(count, int),
                 clock=clock,
-                period=none,
-                times=np.full((count, _RECORD), np.nan),
-                seen=np.full((count, _RECORD, n), np.nan),
+                period=zeros,
+                preview_times=np.full((count, _STORED_POINTS), np.nan),
+                preview_points=np.full((count, _STORED_POINTS, n), np.nan),
                 plans=(None,) * count,
-                age=none,
-                lost=np.zeros(count, np.bool_),
+                plan_age=zeros,
+                out_of_range=np.zeros(count, np.bool_),
                 law=None,
             )
-        passed = clock - before.clock
-        period = np.where(first, 0.0, np.where(passed > 0, passed, before.period))  # the clock stops at the end
-        age = np.where(first, np.inf, before.age + period)
+        difference = clock - before.clock
+        # The clock stops at the end of the reference.
+        period = np.where(first, 0.0, np.where(difference > 0, difference, before.period))
+        plan_age = np.where(first, np.inf, before.plan_age + period)
         return replace(
             before,
             steps=np.where(first, 0, before.steps + 1),
             clock=clock,
             period=period,
-            times=np.where(first[:, None], np.nan, before.times),
-            plans=tuple(plan if old <= HORIZON else None for plan, old in zip(before.plans, age, strict=True)),
-            age=age,
-            lost=before.lost & ~first,
+            preview_times=np.where(first[:, None], np.nan, before.preview_times),
+            plans=tuple(plan if age <= HORIZON else None for plan, age in zip(before.plans, plan_age, strict=True)),
+            plan_age=plan_age,
+            out_of_range=before.out_of_range & ~first,
         )
 
     # Planning
 
-    def _replanned(self, part: dict[str, Array], progress: Progress, lanes: NDArray[Any]) -> Progress:
-        """The state with new plans in these lanes."""
-        progress = self._remembered(part, progress, lanes)
-        told = self.robot.mass + part["told_payload"][:, 0]
-        mass = told if progress.law is None else self.law.mass(progress.law, told)
-        mass = np.where(progress.steps == 0, told, mass)
-        plans, age, lost = list(progress.plans), progress.age.copy(), progress.lost.copy()
-        for lane in lanes:
-            limits = self._limits[lane % len(self._limits)]
-            was_lost, lost[lane] = lost[lane], not self._near(part, lane, limits)
-            if lost[lane]:
-                plans[lane] = None
-                if not was_lost:
-                    self._fell_back("the platform is too far from its reference to plan for")
+    def _replan(self, blocks: dict[str, Array], planner: PlannerState, env_indices: NDArray[Any]) -> PlannerState:
+        """The state with new plans for the given environments."""
+        planner = self._store_previews(blocks, planner, env_indices)
+        model_mass = self.robot.mass + blocks["model_payload"][:, 0]
+        mass = model_mass if planner.law is None else self.law.mass(planner.law, model_mass)
+        mass = np.where(planner.steps == 0, model_mass, mass)
+        plans, plan_age, out_of_range = list(planner.plans), planner.plan_age.copy(), planner.out_of_range.copy()
+        for index in env_indices:
+            error_bounds = self._error_bounds[index % len(self._error_bounds)]
+            was_out_of_range = out_of_range[index]
+            out_of_range[index] = not self._in_range(blocks, index, error_bounds)
+            if out_of_range[index]:
+                plans[index] = None
+                if not was_out_of_range:
+                    self._count_fallback("the platform is too far from its reference")
                 continue
             try:
-                plans[lane], age[lane] = self._plan(part, progress, lane, float(mass[lane]), limits), 0.0
-            except NoPlan as error:
-                self._fell_back(str(error))
-        return replace(progress, plans=tuple(plans), age=age, lost=lost)
+                plans[index] = self._plan(blocks, planner, index, float(mass[index]), error_bounds)
+                plan_age[index] = 0.0
+            except PlanningError as error:
+                self._count_fallback(str(error))
+        return replace(planner, plans=tuple(plans), plan_age=plan_age, out_of_range=out_of_range)
 
-    def _plan(self, part: dict[str, Array], progress: Progress, lane: int, mass: float, limits: Limits) -> Array:
-        program, old, age = self.program, progress.plans[lane], progress.age[lane]
-        reference = self.preview(part, progress, lane)
-        guess = wanted = reference(program.instants)
-        if old is not None:  # and after its end its last error
-            within = np.minimum(program.instants, HORIZON - age)
-            guess = program.basis(within + age)[0] @ old + wanted - reference(within)
+    def _plan(
+        self, blocks: dict[str, Array], planner: PlannerState, env_index: int, mass: float, error_bounds: ErrorBounds
+    ) -> Array:
+        program, previous, age = self.program, planner.plans[env_index], planner.plan_age[env_index]
+        preview = self.preview(blocks, planner, env_index)
+        guess = reference = preview(program.instants)
+        if previous is not None:  # beyond the end of the previous plan, its last error stays constant
+            times = np.minimum(program.instants, HORIZON - age)
+            guess = program.basis(times + age)[0] @ previous + reference - preview(times)
         return program.plan(
             guess,
-            part["pose"][lane],
-            part["velocity"][lane],
-            wanted,
-            reference(HORIZON, 1),
+            blocks["pose"][env_index],
+            blocks["velocity"][env_index],
+            reference,
+            preview(HORIZON, 1),
             mass=mass,
-            limits=limits,
-            rounds=_FIRST_ROUNDS if old is None else 1,
+            error_bounds=error_bounds,
+            iterations=_FIRST_ITERATIONS if previous is None else 1,
         )
 
-    def _near(self, part: dict[str, Array], lane: int, limits: Limits) -> bool:
-        error = part["pose"][lane] - part["reference_pose"][lane]
-        distance, turn = np.linalg.norm(error[:3]), np.abs(error[3:]).max(initial=0.0)
-        return bool(distance < _TOO_FAR * limits.position and turn < _TOO_FAR * limits.rotation)
+    def _in_range(self, blocks: dict[str, Array], env_index: int, error_bounds: ErrorBounds) -> bool:
+        error = blocks["pose"][env_index] - blocks["reference_pose"][env_index]
+        position, rotation = np.linalg.norm(error[:3]), np.abs(error[3:]).max(initial=0.0)
+        position_bound, rotation_bound = error_bounds.position, error_bounds.rotation
+        return bool(position < _MAX_ERROR_RATIO * position_bound and rotation < _MAX_ERROR_RATIO * rotation_bound)
 
-    def _fell_back(self, reason: str) -> None:
+    def _count_fallback(self, reason: str) -> None:
         if self.fallbacks == 0:
-            _LOGGER.warning("nmpc goes on with an older plan, or without one along the reference: %s", reason)
+            _LOGGER.warning("nmpc has no new plan and tracks the previous plan or the reference: %s", reason)
         self.fallbacks += 1
 
-    # The reference
+    # Reference
 
-    def _remembered(self, part: dict[str, Array], progress: Progress, lanes: NDArray[Any]) -> Progress:
-        """The state with the points that these lanes preview now."""
+    def _store_previews(
+        self, blocks: dict[str, Array], planner: PlannerState, env_indices: NDArray[Any]
+    ) -> PlannerState:
+        """The state with the current previews of the given environments."""
         names = [f"preview_{round(ahead * 1e3)}ms" for ahead in PREVIEWS]
-        ahead = np.stack([part[name][lanes] for name in names], axis=1) + part["reference_pose"][lanes, None]
-        times, seen = progress.times.copy(), progress.seen.copy()
-        times[lanes] = np.roll(times[lanes], len(names), axis=1)
-        seen[lanes] = np.roll(seen[lanes], len(names), axis=1)
-        times[lanes, : len(names)] = progress.clock[lanes, None] + PREVIEWS
-        seen[lanes, : len(names)] = ahead
-        return replace(progress, times=times, seen=seen)
+        offsets = np.stack([blocks[name][env_indices] for name in names], axis=1)
+        times, points = planner.preview_times.copy(), planner.preview_points.copy()
+        times[env_indices] = np.roll(times[env_indices], len(names), axis=1)
+        points[env_indices] = np.roll(points[env_indices], len(names), axis=1)
+        times[env_indices, : len(names)] = planner.clock[env_indices, None] + PREVIEWS
+        points[env_indices, : len(names)] = offsets + blocks["reference_pose"][env_indices, None]
+        return replace(planner, preview_times=times, preview_points=points)
 
-    def preview(self, part: dict[str, Array], progress: Progress, lane: int) -> CubicSpline:
-        """A lane's X_d from now on to the end of the horizon, through every point of it that has been previewed.
+    def preview(self, blocks: dict[str, Array], planner: PlannerState, env_index: int) -> CubicSpline:
+        """Interpolates X_d of one environment over the horizon, through all previewed points.
 
-        On the paper's planar circle it errs by 0.64 mm at most at the start, and by less than 0.04 mm from 0.1 s on.
+        On the paper's planar circle the interpolation error is at most 0.64 mm at the start, and less than 0.04 mm
+        from 0.1 s on.
         """
-        pose, velocity = part["reference_pose"][lane], part["reference_velocity"][lane]
-        if part["time_left"][lane, 0] <= 0:
+        pose, velocity = blocks["reference_pose"][env_index], blocks["reference_velocity"][env_index]
+        if blocks["time_to_go"][env_index, 0] <= 0:
             velocity = np.zeros_like(velocity)
-        times, places = np.unique(np.round(progress.times[lane] - progress.clock[lane], 6), return_index=True)
-        known = (times > 1e-6) & (times <= HORIZON)
-        points = np.concatenate([pose[None], progress.seen[lane][places[known]]])
-        return CubicSpline(np.r_[0.0, times[known]], points, bc_type=((1, velocity), "not-a-knot"))
+        relative = np.round(planner.preview_times[env_index] - planner.clock[env_index], 6)
+        times, indices = np.unique(relative, return_index=True)
+        ahead = (times > 1e-6) & (times <= HORIZON)
+        points = np.concatenate([pose[None], planner.preview_points[env_index][indices[ahead]]])
+        return CubicSpline(np.r_[0.0, times[ahead]], points, bc_type=((1, velocity), "not-a-knot"))
 
     # Tracking
 
-    def _followed(self, part: dict[str, Array], progress: Progress) -> dict[str, Array]:
-        """The blocks with the plan in place of the reference where there is one."""
+    def _planned_blocks(self, blocks: dict[str, Array], planner: PlannerState) -> dict[str, Array]:
+        """The blocks with the plan in place of the reference for environments that have a plan."""
         names = ("reference_pose", "reference_velocity", "reference_acceleration")
-        followed = part | {name: part[name].copy() for name in names}
-        for lane, plan in enumerate(progress.plans):
+        planned = blocks | {name: blocks[name].copy() for name in names}
+        for env_index, plan in enumerate(planner.plans):
             if plan is not None:
-                for name, value in zip(
-                    names, self.program.basis_at(round(float(progress.age[lane]), 9)) @ plan, strict=True
-                ):
-                    followed[name][lane] = value
-        return followed
+                motion = self.program.basis_at(round(float(planner.plan_age[env_index]), 9)) @ plan
+                for name, value in zip(names, motion, strict=True):
+                    planned[name][env_index] = value
+        return planned
 
 
 NMPC = PolicyEntry(
@@ -273,6 +290,6 @@ NMPC = PolicyEntry(
     kind="optimal",
     env_ids=RIGID_ENV_IDS,
     factory=NonlinearMPC,
-    summary="plans the next 0.2 s anew every fifth control step, from the observation alone",
+    summary="receding-horizon control: replans the next 0.2 s every 5 steps",
     slow=True,
 )

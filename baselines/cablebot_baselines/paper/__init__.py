@@ -1,5 +1,5 @@
-"""The paper's tables, figures and claims, made again under any reading of it: ``cablebot reproduce``."""
+"""Reproduction of the tables, figures and claims of the paper under a chosen interpretation: ``cablebot reproduce``."""
 
-from cablebot_baselines.paper.readings import Readings
+from cablebot_baselines.paper.interpretation import Interpretation
 
-__all__ = ["Readings"]
+__all__ = ["Interpretation"]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_baselines.paper.readings import Readings, choices_of
+from cablebot_baselines.paper.interpretation import Interpretation, choices_of
 from cablebot_gym.utils.console import counting, notes_console
 
 _CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
@@ -16,38 +16,47 @@ _CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
 
 def reproduce(
     only: Annotated[
-        list[str] | None, typer.Option("--only", help="Parts, such as fig10,readings,map-stiffness.")
+        list[str] | None,
+        typer.Option(
+            "--only", help="Parts to run, for example fig10,interpretations,map-stiffness; all parts if not given."
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for results.json, the page and the figures.")] = Path(
+    out: Annotated[Path, typer.Option(help="Output folder for results.json, the page and the figures.")] = Path(
         "reproduction"
     ),
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if not given.")] = None,
-    payload: Annotated[str, typer.Option(help=f"What a load counts: {_CHOICES['payload']}.")] = Readings.payload,
-    line: Annotated[str, typer.Option(help=f"q̇ of Eq. 37: {_CHOICES['line']}.")] = Readings.line,
+    workers: Annotated[int | None, typer.Option(help="Number of processes; one per core if not given.")] = None,
+    payload: Annotated[
+        str, typer.Option(help=f"Definition of the payload: {_CHOICES['payload']}.")
+    ] = Interpretation.payload,
+    line: Annotated[str, typer.Option(help=f"Speed q̇ in Eq. 37: {_CHOICES['line']}.")] = Interpretation.line,
     platform_mass: Annotated[
-        str, typer.Option(help=f"Spatial platform [kg]: {_CHOICES['platform_mass']}.")
-    ] = Readings.platform_mass,
+        str, typer.Option(help=f"Platform mass of the spatial robot [kg]: {_CHOICES['platform_mass']}.")
+    ] = Interpretation.platform_mass,
     triangles: Annotated[
-        str, typer.Option(help=f"Platform's triangle against the base's: {_CHOICES['triangles']}.")
-    ] = Readings.triangles,
-    sides: Annotated[str, typer.Option(help=f"What a and b are: {_CHOICES['sides']}.")] = Readings.sides,
+        str, typer.Option(help=f"Orientation of the platform triangle relative to the base: {_CHOICES['triangles']}.")
+    ] = Interpretation.triangles,
+    sides: Annotated[str, typer.Option(help=f"Meaning of a and b: {_CHOICES['sides']}.")] = Interpretation.sides,
     pulleys: Annotated[
-        str, typer.Option(help=f"J and c of the rigid spatial robot: {_CHOICES['pulleys']}.")
-    ] = Readings.pulleys,
+        str, typer.Option(help=f"Source of J and c of the rigid spatial robot: {_CHOICES['pulleys']}.")
+    ] = Interpretation.pulleys,
     planar_apex: Annotated[
-        str, typer.Option(help=f"Third motor of the planar robot: {_CHOICES['planar_apex']}.")
-    ] = Readings.planar_apex,
-    stiffness: Annotated[str, typer.Option(help=f"K [N·m/rad]: {_CHOICES['stiffness']}.")] = Readings.stiffness,
-    minimum_tension: Annotated[float, typer.Option(help="T_min of the planar cables [N].")] = Readings.minimum_tension,
-    alpha: Annotated[str, typer.Option(help=f"α of Eq. 11: {_CHOICES['alpha']}.")] = Readings.alpha,
-    eq24: Annotated[str, typer.Option(help=f"Divisor of Eqs. 24 and 25: {_CHOICES['eq24']}.")] = Readings.eq24,
-    eq37: Annotated[str, typer.Option(help=f"Form of Eqs. 37–39: {_CHOICES['eq37']}.")] = Readings.eq37,
+        str, typer.Option(help=f"Position of the third motor of the planar robot: {_CHOICES['planar_apex']}.")
+    ] = Interpretation.planar_apex,
+    stiffness: Annotated[
+        str, typer.Option(help=f"Joint stiffness K [N·m/rad]: {_CHOICES['stiffness']}.")
+    ] = Interpretation.stiffness,
+    minimum_tension: Annotated[
+        float, typer.Option(help="Lower tension bound T_min of the planar robot [N].")
+    ] = Interpretation.minimum_tension,
+    alpha: Annotated[str, typer.Option(help=f"α of Eq. 11: {_CHOICES['alpha']}.")] = Interpretation.alpha,
+    eq24: Annotated[str, typer.Option(help=f"Divisor of Eqs. 24 and 25: {_CHOICES['eq24']}.")] = Interpretation.eq24,
+    eq37: Annotated[str, typer.Option(help=f"Form of Eqs. 37–39: {_CHOICES['eq37']}.")] = Interpretation.eq37,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
 ) -> None:
-    """The paper's tables, figures and claims, made again: what agrees, what does not, and why.
+    """Reproduce the tables, figures and claims of the paper and compare them with the published values.
 
-    Writes one PNG and SVG per figure, results.json and the page (Markdown and HTML). What the paper leaves open is an
-    option.
+    Writes one PNG and SVG per figure, results.json and the page (Markdown and HTML). The choices that the paper leaves
+    open are options of this command.
 
     Examples:
 
@@ -73,7 +82,7 @@ def reproduce(
         "eq24": eq24,
         "eq37": eq37,
     }
-    readings = Readings(**chosen)  # which refuses what is no choice
+    interpretation = Interpretation(**chosen)  # raises ValueError if a choice is invalid
     names = [name.strip() for text in only or [] for name in text.split(",")]
     errors = notes_console()
     with counting(errors, "computations") as bar:
@@ -84,17 +93,17 @@ def reproduce(
 
         say = errors.print
         try:
-            results = run(readings, out, only=names, workers=workers, progress=step, say=say)
+            results = run(interpretation, out, only=names, workers=workers, progress=step, say=say)
         except KeyboardInterrupt:
             rest = ",".join(missing(out, names))
-            say(f"what is done is in {out}; go on with --out {out} --only {rest}")
+            say(f"finished parts are in {out}; continue with --out {out} --only {rest}")
             raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
         return
     for kind in ("result", "claim", "input"):
         print(f"{kind}s of the paper: {tally([row for row in results['rows'] if row['kind'] == kind])}")
-    print(f"readings: {readings.words()}")
+    print(f"interpretation: {interpretation.text()}")
     if results["missing"]:
-        print(f"not made: {', '.join(results['missing'])}")
+        print(f"not run: {', '.join(results['missing'])}")
     print("wrote " + ", ".join(str(out / name) for name in (HTML, MARKDOWN, RESULTS)) + " and the figures")

@@ -1,12 +1,12 @@
-"""The table of contents: every part of the page, in its order."""
+"""All parts of the page in their order."""
 
 from cablebot_baselines.paper.part import Part
 from cablebot_baselines.paper.parts import (
     drawings,
     flexible_saturation,
+    interpretations,
     laws,
     maps,
-    readings,
     robust,
     saturation,
     scan,
@@ -20,8 +20,8 @@ PARTS: tuple[Part, ...] = (
     *saturation.PARTS,
     *flexible_saturation.PARTS,
     *laws.PARTS,
-    *readings.PARTS,
+    *interpretations.PARTS,
     *scan.PARTS,
     *maps.PARTS,
 )
-"""Figures of the paper, its laws and claims, its readings, and the maps beyond it."""
+"""All parts: figures of the paper, its laws and claims, its interpretations, and maps beyond the paper."""

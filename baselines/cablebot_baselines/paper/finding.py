@@ -1,4 +1,4 @@
-"""What a finding is, and what the functions that make one may look at."""
+"""Findings, the numbers that they use, and the texts of numbers and options."""
 
 from __future__ import annotations
 
@@ -7,173 +7,175 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from cablebot_baselines.paper.interpretation import AS_PRINTED, Interpretation, Source
 from cablebot_baselines.paper.part import Number
 from cablebot_baselines.paper.published import Published
-from cablebot_baselines.paper.readings import AS_PRINTED, Readings, Source
 
-Verdict = Literal[
-    "taken", "taken, corrected", "not taken", "contradicted", "reproduces", "does not", "cannot be decided"
-]
-"""Of an input: used as printed, used after a correction, replaced by a reading, or printed otherwise elsewhere in the
-paper. Of a result or claim: the last three."""
+Verdict = Literal["used", "used, corrected", "replaced", "contradicted", "reproduced", "not reproduced", "undecided"]
+"""Verdicts of an input: used as printed, used after a correction, replaced by the interpretation, or contradicted
+elsewhere in the paper. Verdicts of a result or claim: the last three."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What came of one published number or claim."""
+    """Outcome for one published number or claim."""
 
     ours: str
-    """Our value in words."""
+    """Our value as text."""
     value: float | None
-    """Our value in the published one's unit; None where it is no number."""
-    reading: str
-    """The readings that it depends on, as they were chosen; empty if none."""
+    """Our value in the unit of the published value; None if it is not a number."""
+    interpretation: str
+    """Chosen options that affect the finding; empty if none."""
     verdict: Verdict
     """See :data:`~cablebot_baselines.paper.findings.RULE`."""
     evidence: str
-    """What it rests on."""
+    """Numbers and reasons that support the verdict."""
     command: str
-    """What gives it."""
+    """Command that reproduces the finding."""
 
 
-class Absent(Exception):
-    """A number that the run has not made."""
+class MissingNumber(Exception):
+    """A required number is not among the numbers of the run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """What a finding may look at."""
+    """Interpretation and numbers of a run."""
 
-    readings: Readings
-    """How the paper was read."""
+    interpretation: Interpretation
+    """Interpretation of the paper."""
     numbers: Mapping[str, Number]
-    """All numbers of the run, ``part.name``."""
+    """All numbers of the run by ``part.name``."""
 
     def optional(self, key: str) -> float | None:
-        """A number that may be None for a good reason: no payload is carried, no motor is at its limit.
+        """A number that is None if it does not exist, for example if the robot fails unloaded or no motor saturates.
 
         Raises:
-            Absent: if it was not made.
+            MissingNumber: if the run did not compute it.
         """
         if key not in self.numbers:
-            raise Absent(key)
+            raise MissingNumber(key)
         value = self.numbers[key]
         if isinstance(value, str):
-            raise TypeError(f"{key} should be a number, not {value!r}")
+            raise TypeError(f"{key} must be a number, not {value!r}")
         return None if value is None or math.isnan(value) else float(value)
 
     def number(self, key: str) -> float:
-        """A number without which nothing can be said.
+        """A number that must exist.
 
         Raises:
-            Absent: if it was not made.
+            MissingNumber: if the run did not compute it.
         """
         if (value := self.optional(key)) is None:
-            raise Absent(key)
+            raise MissingNumber(key)
         return value
 
     def flag(self, key: str) -> bool:
-        """Whether something holds.
+        """A truth value.
 
         Raises:
-            Absent: if it was not made.
+            MissingNumber: if the run did not compute it.
         """
         return bool(self.number(key))
 
     def text(self, key: str) -> str:
-        """Something in words.
+        """A value as text.
 
         Raises:
-            Absent: if it was not made.
+            MissingNumber: if the run did not compute it.
         """
         if (value := self.numbers.get(key)) is None:
-            raise Absent(key)
+            raise MissingNumber(key)
         return as_text(value)
 
     def maybe(self, key: str) -> float | None:
-        """A number that only adds to the evidence."""
+        """A number for additional evidence; None if the run did not compute it."""
         return self.optional(key) if key in self.numbers else None
 
-    def used(self, *names: str, source: Source | None = None) -> str:
-        """The readings of these names, as they were chosen; "as printed" is what ``source`` prints."""
-        words = (reading_words(name, getattr(self.readings, name), source) for name in names)
+    def options_text(self, *names: str, source: Source | None = None) -> str:
+        """Texts of the chosen options; ``source`` selects the values of "as-printed"."""
+        words = (option_text(name, getattr(self.interpretation, name), source) for name in names)
         return ", ".join(words)
 
 
-Make = Callable[[Published, Run], Finding]
-"""Makes a finding; raises :class:`Absent` if a number that it needs was not made."""
+EvaluateFinding = Callable[[Published, Run], Finding]
+"""Function that evaluates a finding. It raises :class:`MissingNumber` if a required number does not exist."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finder:
-    """How a finding is made."""
+class FindingRule:
+    """Rule that evaluates a finding."""
 
     parts: tuple[str, ...]
-    """The parts whose numbers it needs, or one that runs on the input."""
-    make: Make
-    """Makes it."""
+    """Parts that compute the required numbers, or a part that uses the input."""
+    evaluate: EvaluateFinding
+    """Function that evaluates the finding."""
 
 
-def command(readings: Readings, *only: str) -> str:
-    """What runs these parts, or all for none, under some readings."""
+def command(interpretation: Interpretation, *only: str) -> str:
+    """Command that runs these parts, or all parts if no name is given, under an interpretation."""
     words = ["cablebot reproduce", *(f"--only {name}" for name in only)]
-    words += [f"--{name.replace('_', '-')} {value}" for name, value in _changed(readings).items()]
+    words += [f"--{name.replace('_', '-')} {value}" for name, value in _changed(interpretation).items()]
     return " ".join(words)
 
 
-def _changed(readings: Readings) -> dict[str, object]:
-    """The readings that are not the default."""
-    default, given = asdict(Readings()), asdict(readings)
+def _changed(interpretation: Interpretation) -> dict[str, object]:
+    """Options that differ from the default."""
+    default, given = asdict(Interpretation()), asdict(interpretation)
     return {name: value for name, value in given.items() if value != default[name]}
 
 
-_READINGS: dict[str, dict[str, str]] = {
-    "payload": {"added": "load added to the platform", "total": "load and platform together"},
+_OPTION_TEXTS: dict[str, dict[str, str]] = {
+    "payload": {
+        "added": "payload is the load added to the platform",
+        "total": "payload is the total mass of platform and load",
+    },
     "line": {
-        "physical": "limits by the motor's speed in rad/s",
-        "pulley": "limits by the pulley's speed in rad/s",
-        "flat": "flat limits",
-        "cable": "limits by the cable's rate in m/s",
-        "reversed": "limits by the speed with its sign reversed",
+        "physical": "torque limits from the motor speed in rad/s",
+        "pulley": "torque limits from the pulley speed in rad/s",
+        "flat": "torque limits independent of speed",
+        "cable": "torque limits from the cable speed in m/s",
+        "reversed": "torque limits from the motor speed with reversed sign",
     },
     "platform_mass": {
-        "as-printed": "platform mass as printed, {control:g} kg in §4, {payload:g} kg in §5.2",
-        "10": "platform 10 kg",
-        "11": "platform 11 kg",
+        "as-printed": "platform mass as printed: {control:g} kg in §4, {payload:g} kg in §5.2",
+        "10": "platform mass 10 kg",
+        "11": "platform mass 11 kg",
     },
     "triangles": {
-        "inverted": "platform's triangle inverted",
-        "turned": "both triangles turned",
+        "inverted": "platform triangle inverted",
+        "turned": "both triangles rotated by 180°",
         "aligned": "triangles aligned",
     },
-    "sides": {"half-side": "a and b half sides", "circumradius": "a and b circumradii"},
+    "sides": {"half-side": "a and b are half sides", "circumradius": "a and b are circumradii"},
     "pulleys": {"table4": "pulleys of Table 4", "table5": "pulleys of Table 5"},
     "planar_apex": {
-        "up": "third planar motor above",
+        "up": "third planar motor at the top",
         "left": "third planar motor on the left",
-        "down": "third planar motor below",
+        "down": "third planar motor at the bottom",
         "right": "third planar motor on the right",
     },
     "stiffness": {
-        "as-printed": "K as printed, {control:g} N·m/rad in §4, {payload:g} N·m/rad in §5.2",
+        "as-printed": "K as printed: {control:g} N·m/rad in §4, {payload:g} N·m/rad in §5.2",
         "2": "K = 2 N·m/rad",
         "3": "K = 3 N·m/rad",
     },
     "minimum_tension": {},
-    "alpha": {"least": "least α at each instant", "constant": "one constant α"},
-    "eq24": {"corrected": "Eqs. 24 and 25 over J′", "verbatim": "Eqs. 24 and 25 over 1 + J′"},
+    "alpha": {"least": "smallest α at each instant", "constant": "constant α"},
+    "eq24": {"corrected": "divisor J′ in Eqs. 24 and 25", "verbatim": "divisor 1 + J′ in Eqs. 24 and 25"},
     "eq37": {"corrected": "Eqs. 37–39 corrected", "literal": "Eqs. 37–39 as printed"},
 }
-"""What the choices of each reading mean, in a few words."""
+"""Short text of each choice of each option."""
 
 
-def reading_words(name: str, value: object, source: Source | None = None) -> str:
-    """A reading as it was chosen, in a few words, where need be as ``source`` prints it."""
+def option_text(name: str, value: object, source: Source | None = None) -> str:
+    """Short text of a chosen option. ``source`` selects the value of "as-printed"; None lists the values of both
+    sections."""
     if name == "minimum_tension":
         return f"T_min = {float(str(value)):g} N"
     if value == "as-printed" and source is not None:
         value = f"{AS_PRINTED[name][source]:g}"
-    words = _READINGS.get(name, {}).get(str(value), f"{name.replace('_', ' ')} = {value}")
+    words = _OPTION_TEXTS.get(name, {}).get(str(value), f"{name.replace('_', ' ')} = {value}")
     return words.format(**AS_PRINTED[name]) if name in AS_PRINTED else words
 
 
@@ -181,7 +183,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def as_text(value: Number, digits: int = 4) -> str:
-    """A number with some significant digits, yes or no, a dash for None; words as they are."""
+    """Text of a value: significant digits for numbers, yes or no for truth values, a dash for None."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -198,28 +200,28 @@ def as_text(value: Number, digits: int = 4) -> str:
 
 
 def short(value: Number) -> str:
-    """A number as a sentence needs it: three significant digits, as the paper prints."""
+    """Number with three significant digits, as in the paper."""
     return as_text(value, 3)
 
 
 def kilograms(value: float | None) -> str:
-    """A payload; None: not even zero is carried."""
+    """Text of a payload; None if the robot fails unloaded."""
     if value is None or value == -math.inf:
-        return "nothing"
+        return "fails unloaded"
     words = f"{value:#.3g}".rstrip(".") if 1e-3 <= abs(value) < 1e3 else short(value)
     return f"{words.replace('-', '−')} kg"
 
 
-def off(ours: float, published: float) -> str:
-    """How far a number of ours is from a published one."""
+def relative_difference(ours: float, published: float) -> str:
+    """Relative difference between our number and a published number in percent."""
     return f"{100 * (ours / published - 1):+.0f} %".replace("-", "−").replace("+0 %", "0 %").replace("−0 %", "0 %")
 
 
-def listed(parts: list[str]) -> str:
-    """Sentences, those that are empty left out."""
+def join_sentences(parts: list[str]) -> str:
+    """Joins the sentences that are not empty."""
     return " ".join(part for part in parts if part)
 
 
-def sentence(words: str) -> str:
-    """Its first letter large."""
+def capitalized(words: str) -> str:
+    """Text with a capital first letter."""
     return words[:1].upper() + words[1:]

@@ -1,4 +1,4 @@
-"""Laws that the paper speaks of and nobody would use: shown here, and not among the policies."""
+"""Control laws that the paper mentions and that are of no practical use. They are not registered as policies."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from cablebot_baselines.classical.law import Array, ClassicalLaw
 
 
 class FeedForward(ClassicalLaw):
-    """Open loop: the torque that exact tracking asks for, whatever the robot does."""
+    """Open loop: applies the torque of exact tracking, independent of the state of the robot."""
 
-    def torques(self, part: dict[str, Array], mass: Array) -> tuple[Array, Array]:
-        """Torques [N·m] of the motion that is asked for, and the speeds that the pulleys have [rad/s]."""
-        motion = (part[f"reference_{name}"] for name in ("pose", "velocity", "acceleration"))
+    def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Torques of the reference motion [N·m] and current pulley speeds [rad/s]."""
+        motion = (blocks[f"reference_{name}"] for name in ("pose", "velocity", "acceleration"))
         needed = self._inverse_dynamics(mass, *motion)
-        speeds = self._inverse_dynamics(mass, part["pose"], part["velocity"], part["reference_acceleration"]).speeds
+        speeds = self._inverse_dynamics(
+            mass, blocks["pose"], blocks["velocity"], blocks["reference_acceleration"]
+        ).speeds
         return needed.torques, speeds

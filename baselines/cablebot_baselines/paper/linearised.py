@@ -1,4 +1,7 @@
-"""How fast small deviations grow in a flexible robot's sampled loop: the eigenvalues that the paper left to Fourier."""
+"""Growth rate of small deviations in the sampled loop of a flexible robot, computed from the eigenvalues.
+
+The paper argues with the Fourier transform instead.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,13 @@ from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Motors, Robot
 
 _TURN = 0.05
-"""Of the fastest mode in a physics step at most [rad]: far below where RK4 would damp it."""
+"""Maximum phase advance of the fastest mode per physics step [rad], small enough for RK4 to add no damping."""
 _DIFFERENCE = 1e-6
 _BEYOND = 1e6
 
 
-def unclipped(robot: Robot) -> Robot:
-    """The robot with motors whose stall torque is beyond reach, on torque-speed lines of the same slope."""
+def unsaturated_actions(robot: Robot) -> Robot:
+    """Copy of the robot whose motors never saturate; the torque-speed lines keep their slope."""
     stall = tuple(_BEYOND * robot.stall_torque)
     free = tuple(_BEYOND * robot.stall_torque / robot.speed_slope)
     return robot.replace(motors=Motors(stall_torque=stall, free_speed=free))
@@ -28,12 +31,12 @@ def unclipped(robot: Robot) -> Robot:
 def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> float:
     """max Re(log z / h) of the loop sampled with a zero-order hold, linearised at rest at home [1/s].
 
-    Its state is (X, Ẋ, β′, β̇′) and the motor speeds one sample ago, which a law may remember. Cables may push, and the
-    linearisation is by central differences over one control period of the plant itself.
+    The state is (X, Ẋ, β′, β̇′) and the motor speeds of the previous sample, which a law may store. Cables transmit
+    compression. The linearisation uses central differences over one control period of the plant.
 
     Args:
-        law: built for the robot.
-        robot: flexible, with motors as of :func:`unclipped`.
+        law: control law built for the robot.
+        robot: flexible robot with the motors of :func:`unsaturated_actions`.
         control_frequency: 1/h [Hz].
     """
     n, m, period = robot.coordinates, robot.cables, 1 / control_frequency
@@ -50,8 +53,8 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
     part = layout.split(observation)
     part["pose"][:], part["velocity"][:], part["reference_pose"][:] = pose, velocity, robot.home
     part["motor_angle"][:], part["motor_speed"][:] = motor_angle, motor_speed
-    memory = np.column_stack([past, np.full(len(states), period)])  # the clock of the observation stands at 0 now
-    plant.set_demand(law.predict(observation, state=memory)[0])
+    memory = np.column_stack([past, np.full(len(states), period)])  # the time in the observation is 0
+    plant.set_action(law.predict(observation, state=memory)[0])
     _advance(plant, robot, period)
     motors = [plant.motor_angle, plant.motor_speed]
     after = np.concatenate([plant.pose, plant.velocity, *motors, motor_speed], axis=1)
@@ -62,25 +65,25 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
 def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
     """Rank of the controllability matrix of a flexible robot's plant, sampled and linearised at rest at home.
 
-    With m inputs and 2 (n + m) states, [B, AB, …] up to the fourth power is square where n = m; columns have unit
-    length and rows that of their state's largest response, so that units do not decide.
+    With m inputs and 2 (n + m) states, [B, AB, …] up to the fourth power is square if n = m. Each column is divided by
+    its norm and each row by its largest absolute entry, which removes the influence of the units.
 
     Args:
-        robot: flexible.
-        period: of the sampling [s]; a few of them should move the platform.
+        robot: flexible robot.
+        period: sampling period [s]; the platform should move within a few periods.
     """
     n, m = robot.coordinates, robot.cables
-    size, robot = 2 * (n + m), unclipped(robot)
+    size, robot = 2 * (n + m), unsaturated_actions(robot)
     angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
     hold = textbook.static_torque(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION) / robot.stall_torque
     rest = np.concatenate([robot.home, np.zeros(n), angle, np.zeros(m), hold])
     step = np.concatenate([np.full(size, _DIFFERENCE), np.full(m, _DIFFERENCE / robot.stall_torque.max())])
     states = np.concatenate([rest + np.diag(step), rest - np.diag(step)])
-    pose, velocity, motor_angle, motor_speed, demand = np.split(states, [n, 2 * n, 2 * n + m, size], axis=1)
+    pose, velocity, motor_angle, motor_speed, action = np.split(states, [n, 2 * n, 2 * n + m, size], axis=1)
     plant, everyone = Plant(robot, len(states), cable="bilateral"), np.arange(len(states))
     plant.set_state(everyone, pose, velocity)
     plant.set_motors(everyone, motor_angle, motor_speed)
-    plant.set_demand(demand + robot.speed_slope / robot.stall_torque * motor_speed)
+    plant.set_action(action + robot.speed_slope / robot.stall_torque * motor_speed)
     _advance(plant, robot, period)
     motors = [plant.motor_angle, plant.motor_speed]
     after = np.concatenate([plant.pose, plant.velocity, *motors], axis=1)
@@ -95,6 +98,6 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
 
 
 def _advance(plant: Plant, robot: Robot, period: float) -> None:
-    """One control period, in steps that do not damp the springs."""
+    """Advances the plant by one control period in steps that are short enough not to damp the springs."""
     substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
     plant.advance(np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64), substeps=substeps, step=period / substeps)

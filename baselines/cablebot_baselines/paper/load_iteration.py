@@ -1,16 +1,18 @@
-"""The paper's search for the payload (Section 5.1), as printed and as it has to be.
+"""The payload iteration of the paper (Section 5.1), as printed and corrected.
 
-The paper guesses a load m_e, computes the motors' torques τ_e with it and τ_n without, and takes ``m_load = C m_e``
-with the load coefficient C of Eq. 37-39. So m_e has to be the guess (the tables' m_l), not the end-effector's mass
-m_n: where the torque is affine in the load, ``τ_e = τ_n + m_e s``, the product ``m_e (U − τ_n)/(τ_e − τ_n)`` is
-``(U − τ_n)/s``, the true m*, from any guess. That is the corrected form. Printed are three other things:
+The paper guesses a load m_e. It computes the motor torques τ_e with this load and τ_n without it. The payload is
+``m_load = C m_e`` with the load coefficient C of Eqs. 37-39. The variable m_e must therefore be the guess (m_l in the
+tables), not the mass m_n of the end-effector. If the torque is affine in the load, ``τ_e = τ_n + m_e s``, the product
+``m_e (U − τ_n)/(τ_e − τ_n)`` equals ``(U − τ_n)/s``, the true payload m*, for every guess. This is the corrected form.
+The printed form differs in three points:
 
-* ``τ± = U± − τ_e``: C is then ``m*/m_e − 1``, and the guess that repeats itself, C = 1, is **half** the true load.
-* abs(): a motor that is overloaded without any load counts as if it had as much to spare.
-* U⁺ or U⁻ by the sign of τ_e: what matters is which of them the torque moves towards, the sign of ``τ_e − τ_n``.
+* ``τ± = U± − τ_e``: C is then ``m*/m_e − 1``, and the fixed point C = 1 is **half** the true payload.
+* abs(): a motor that is overloaded without load counts as if it had the same amount of torque in reserve.
+* The sign of τ_e selects U⁺ or U⁻. The correct choice is the limit that the torque approaches: the sign of
+  ``τ_e − τ_n``.
 
-"q̇" is the motor speed β̇ in both, or k₂ = τ_s/ω_n would have the wrong unit.
-:func:`~cablebot_gym.bounds.closed_form.exact_payload` needs no guess.
+In both forms "q̇" is the motor speed β̇, because otherwise k₂ = τ_s/ω_n has the wrong unit.
+:func:`~cablebot_gym.bounds.closed_form.exact_payload` computes the payload without a guess.
 """
 
 from __future__ import annotations
@@ -30,33 +32,35 @@ from cablebot_gym.trajectories import Reference, Trajectory
 
 @dataclass(frozen=True, kw_only=True)
 class LoadIteration:
-    """How the paper's algorithm came to its answer."""
+    """Record of a run of the iteration."""
 
     loads: tuple[float, ...]
-    """Every guess m_e in turn [kg]; the first is the one that was given."""
+    """All guesses m_e in order [kg]; the first one is the argument ``guess``."""
     payload: float
-    """``C m_e`` of the last guess [kg], the algorithm's answer where it converged (step 7b); ``inf``: no motor's torque
+    """``C m_e`` of the last guess [kg], the result if the iteration converged (step 7b); ``inf`` if no motor torque
     depends on the load."""
     converged: bool
-    """Whether the last guess and ``payload`` differ by no more than the tolerance. Not if the guesses ran out, or the
-    next would have left the robot without mass: the motion is too fast for any payload."""
+    """Whether the last guess and ``payload`` differ by at most the tolerance. False after ``max_iterations`` guesses
+    without convergence, or if the next guess would make the total mass zero or negative because the motion is too fast
+    for any payload."""
     motor: int | None
-    """Motor with the least coefficient at the last guess, counted from 1; None if no torque depends on the load."""
+    """Motor with the smallest coefficient at the last guess, counted from 1; None if no torque depends on the load."""
     time: float | None
-    """Control instant at which it has it [s]."""
+    """Control instant of the smallest coefficient [s]; None if no torque depends on the load."""
 
 
 def load_coefficient(robot: Robot, full: ArrayLike, empty: ArrayLike, speed: ArrayLike, *, corrected: bool) -> Array:
-    """``(C_a)_i`` of Eq. 37, shape (..., m): how many times the guessed load each motor could bear.
+    """``(C_a)_i`` of Eq. 37, shape (..., m): largest load of each motor as a multiple of the guessed load.
 
-    As printed it is the absolute value of Eq. 38. A torque that does not depend on the load bounds nothing: ``inf``.
+    The printed form is the absolute value of Eq. 38. The coefficient is ``inf`` if the torque does not depend on the
+    load.
 
     Args:
-        robot: whose motors these are.
-        full: τ_e, torques with the guessed load, which is positive, shape (..., m) [N·m].
+        robot: robot with these motors.
+        full: τ_e, torques with the guessed positive load, shape (..., m) [N·m].
         empty: τ_n, torques without load, shape (..., m) [N·m].
         speed: β̇, motor speeds, shape (..., m) [rad/s].
-        corrected: whether to use the form that is right, or the printed one.
+        corrected: whether to use the corrected form instead of the printed one.
     """
     full, empty = np.asarray(full, float), np.asarray(empty, float)
     lower, upper = textbook.torque_limits(robot, speed)
@@ -80,26 +84,26 @@ def iterate_load(
     frequency: float = 500.0,
     line_speed: ArrayLike = 1.0,
 ) -> LoadIteration:
-    """The paper's eight steps for exact tracking: ``m_load = C m_e``, then the average of both is the next guess (7a).
+    """Runs the eight steps of the paper for exact tracking. The average of ``C m_e`` and m_e is the next guess (7a).
 
-    It knows torques alone, and upper ends alone. Where these are what limits the robot, the corrected form agrees with
-    :func:`~cablebot_gym.bounds.closed_form.exact_payload`, also in finding a negative payload. The least tensions of
-    a planar robot are only piecewise affine in the load; ``C m_e`` then moves with the guess, and convergence is not
-    certain.
+    The iteration considers motor torques only and finds upper bounds of the payload only. If these limit the robot, the
+    corrected form agrees with :func:`~cablebot_gym.bounds.closed_form.exact_payload`, also for a negative payload. The
+    minimum tensions of a planar robot are only piecewise affine in the load. Then ``C m_e`` depends on the guess, and
+    the iteration may not converge.
 
     Args:
-        robot: with a rigid transmission.
-        trajectory: for a robot with as many coordinates.
-        guess: the first m_e [kg]; > 0.
-        corrected: whether to use the form that is right, or the printed one.
-        minimum_tension: that the least tensions of a planar robot keep [N]; has no effect on a spatial robot.
-        tolerance: difference of m_load and m_e at which they are the same (7b) [kg]; > 0.
-        max_iterations: guesses at most; ≥ 1.
-        frequency: elements of the path per second [Hz], the control instants of exact tracking.
-        line_speed: the speed in the torque-speed lines, as for exact tracking.
+        robot: robot with a rigid transmission.
+        trajectory: trajectory with the same number of coordinates.
+        guess: first guess m_e [kg]; > 0.
+        corrected: whether to use the corrected form instead of the printed one.
+        minimum_tension: lower tension bound of a planar robot [N]; has no effect on a spatial robot.
+        tolerance: difference between m_load and m_e at convergence (7b) [kg]; > 0.
+        max_iterations: maximum number of guesses; ≥ 1.
+        frequency: number of control instants of exact tracking per second [Hz].
+        line_speed: factor of the pulley speed in the torque-speed line, as for exact tracking.
 
     Raises:
-        ValueError: if an argument is not valid, or no tensions give the motion's accelerations at all.
+        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
     for name, value in (("guess", guess), ("tolerance", tolerance)):
         if not 0 < value < math.inf:
@@ -112,8 +116,8 @@ def iterate_load(
     loads: list[float] = []
     while True:
         loads.append(guess)
-        # Steps 5 and 6. No load, or hardly any, tells nothing; and a torque that a negative load has taken away is a
-        # torque that a positive one would add.
+        # Steps 5 and 6. The probe load must differ from zero. A torque that a negative load removes equals the torque
+        # that the corresponding positive load adds.
         probe = guess if abs(guess) > tolerance else math.copysign(tolerance, guess)
         change = math.copysign(1.0, probe) * (_torques(robot, probe, reference, minimum_tension) - empty)
         coefficient = load_coefficient(robot, empty + change, empty, speed, corrected=corrected)
@@ -133,7 +137,7 @@ def iterate_load(
 
 
 def _torques(robot: Robot, load: float, reference: Reference, minimum: float) -> Array:
-    """Torques of exact tracking with a load, shape (K, m)."""
+    """Torques of exact tracking with a load, shape (K, m) [N·m]."""
     motion = (reference.position, reference.velocity, reference.acceleration)
     tensions = textbook.required_tensions(robot, robot.mass + load, *motion, minimum=minimum)
     return textbook.required_torques(robot, tensions, *motion)

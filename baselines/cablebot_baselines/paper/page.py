@@ -1,4 +1,4 @@
-"""The page of the reproduction, from what results.json holds: Markdown, and the same as HTML."""
+"""Page of the reproduction in Markdown and HTML, generated from results.json."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Any
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from cablebot_baselines.paper.finding import Run, as_text, reading_words
+from cablebot_baselines.paper.finding import Run, as_text, option_text
 from cablebot_baselines.paper.findings import RULE
-from cablebot_baselines.paper.readings import Readings
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.summary import HEADINGS, points
 
 Results = Mapping[str, Any]
-"""What results.json holds."""
+"""Contents of results.json."""
 
 Row = Mapping[str, Any]
-"""One published number or claim beside its finding."""
+"""One published number or claim with its finding."""
 
-TITLE = "The paper, reproduced"
+TITLE = "Reproduction of the paper"
 
 SOURCE = (
     "Korayem, Tourajizadeh and Bamdad, *Dynamic Load Carrying Capacity of Flexible Cable Suspended Robot: Robust "
@@ -30,38 +30,36 @@ SOURCE = (
 )
 
 ERRATA = "docs/errata.md"
-"""Where misprints stand in the project; the page links to what results have as ``errata``."""
+"""List of misprints in the project. The page links to the path ``errata`` of the results."""
 
 _GROUPS = (
     ("Robots", ("fig1", "fig2", "fig3")),
     ("Tracking", ("fig5", "fig6", "fig7", "fig8", "fig9")),
     ("Payload", ("fig10", "fig11", "fig12", "fig13", "fig14", "fig15")),
     ("Equations and claims", ("eq37", "eq22", "claims")),
-    ("Readings", ("readings",)),
+    ("Interpretations", ("interpretations",)),
     ("Scan of geometries", ("scan",)),
 )
 _REST = "Beyond the paper"
-"""What no group names."""
+"""Heading for parts that belong to no group."""
 
-_COLUMNS = ("Where", "The paper", "Published", "Ours", "Reading", "Verdict", "Evidence", "Command")
+_COLUMNS = ("Where", "The paper", "Published", "Ours", "Interpretation", "Verdict", "Evidence", "Command")
 
 _VERDICTS = {
-    "reproduces": "good",
-    "taken": "good",
-    "does not": "bad",
+    "reproduced": "good",
+    "used": "good",
+    "not reproduced": "bad",
     "contradicted": "bad",
-    "taken, corrected": "mixed",
-    "not taken": "mixed",
-    "cannot be decided": "mixed",
+    "used, corrected": "mixed",
+    "replaced": "mixed",
+    "undecided": "mixed",
     "not run": "mixed",
 }
-"""How the page marks each."""
-
-_PLURAL = {"reproduces": "reproduce", "does not": "do not"}
+"""CSS class of each verdict."""
 
 
 def markdown(results: Results) -> str:
-    """The page in Markdown; figures and the other form of the page stand beside it."""
+    """Page in Markdown. The figures are files in the same folder."""
     parts = [*_head(results), *_summary(results), *_judged(results["rows"])]
     for heading, members in _grouped(results["parts"]):
         parts.append(f"## {heading}")
@@ -72,9 +70,9 @@ def markdown(results: Results) -> str:
 
 
 def html(results: Results) -> str:
-    """The page as one HTML file; figures stand beside it."""
+    """Page as one HTML file. The figures are files in the same folder."""
     reader = MarkdownIt("commonmark", {"html": False}).enable("table")
-    tokens, contents = _dressed(reader.parse(markdown(results)))
+    tokens, contents = _decorated(reader.parse(markdown(results)))
     body = reader.renderer.render(tokens, reader.options, {})
     links = "\n".join(f'<li><a href="#{name}">{escape(heading)}</a></li>' for name, heading in contents)
     return _FRAME.format(title=escape(TITLE), style=_STYLE, links=links, body=body)
@@ -86,24 +84,25 @@ def html(results: Results) -> str:
 def _head(results: Results) -> Iterator[str]:
     yield f"# {TITLE}"
     yield (
-        f"{SOURCE}: its tables, figures and claims made again, with what agrees, what does not, and why. One command "
-        "made this page, its figures and `results.json`:"
+        f"Reproduction of the tables, figures and claims of {SOURCE}. The page states which of them are reproduced, "
+        "which are not, and the reasons. This command generates the page, its figures and `results.json`:"
     )
     yield f"```sh\n{results['command']}\n```"
-    changed = _changed(results["readings"])
+    changed = _changed(results["interpretation"])
     errata = f"[{ERRATA}]({results['errata']})" if "errata" in results else f"`{ERRATA}` of the project"
     yield (
-        "The paper can be read in more than one way, and each way is an option of that command. What follows holds for "
-        f"{'these readings, in bold where they are not the default' if changed else 'the default readings'}:"
+        "The paper leaves some points open. Each choice is an option of this command. This page uses "
+        f"{'the following choices; bold choices differ from the default' if changed else 'the default choices'}:"
     )
-    yield "\n".join(_chosen(results["readings"]))
+    yield "\n".join(_chosen(results["interpretation"]))
     yield (
-        "The defaults are what this project holds for right, not what comes closest to a published number; *Readings* "
-        f"shows what the others give. Misprints of the equations are in {errata}."
+        "The defaults are the choices that this project considers correct. They are not fitted to the published "
+        f"numbers. The section *Interpretations* shows the results of the other choices. {errata} lists the misprints "
+        "of the equations."
     )
     if results["missing"]:
         names = ", ".join(results["missing"])
-        yield f"Not run yet: {names}. The rows that need them name the command that makes them."
+        yield f"Not run yet: {names}. The affected rows name the command that computes them."
 
 
 _SUBJECTS = {
@@ -114,34 +113,30 @@ _SUBJECTS = {
     "Joint springs": ("stiffness", "eq24"),
     "Algorithm": ("eq37",),
 }
-"""The readings in the order of the introduction."""
+"""Options in the order of the introduction."""
 
 
-def _chosen(readings: Mapping[str, Any]) -> Iterator[str]:
-    """A list of the readings, those that are not the default in bold."""
-    changed = _changed(readings)
+def _chosen(interpretation: Mapping[str, Any]) -> Iterator[str]:
+    """List of the choices. Choices that differ from the default are bold."""
+    changed = _changed(interpretation)
     named = {name for names in _SUBJECTS.values() for name in names}
-    rest = {"Other": tuple(name for name in readings if name not in named)}
+    rest = {"Other": tuple(name for name in interpretation if name not in named)}
     for subject, names in (_SUBJECTS | rest).items():
-        words = {name: reading_words(name, readings[name]) for name in names if name in readings}
+        words = {name: option_text(name, interpretation[name]) for name in names if name in interpretation}
         if words:
-            each = "; ".join(f"**{said}**" if name in changed else said for name, said in words.items())
+            each = "; ".join(f"**{text}**" if name in changed else text for name, text in words.items())
             yield f"* {subject}: {each}."
 
 
-def _changed(readings: Mapping[str, Any]) -> set[str]:
-    default = Readings()
-    return {name for name, value in readings.items() if value != getattr(default, name, None)}
+def _changed(interpretation: Mapping[str, Any]) -> set[str]:
+    default = Interpretation()
+    return {name for name, value in interpretation.items() if value != getattr(default, name, None)}
 
 
 def tally(rows: Sequence[dict[str, Any]]) -> str:
-    """How many rows have each verdict, in words."""
+    """Number of rows with each verdict, as text."""
     counts = Counter(_verdict(row) for row in rows)
-    return "; ".join(
-        f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL.get(verdict, verdict)}"
-        for verdict in _VERDICTS
-        if counts[verdict]
-    )
+    return "; ".join(f"{counts[verdict]} {verdict}" for verdict in _VERDICTS if counts[verdict])
 
 
 def _summary(results: Results) -> Iterator[str]:
@@ -149,32 +144,37 @@ def _summary(results: Results) -> Iterator[str]:
     rows = results["rows"]
     lines = []
     for kind in ("result", "claim", "input"):
-        mine = [row for row in rows if row["kind"] == kind]
-        lines.append(f"* **{len(mine)} {kind}s**: {tally(mine)}.")
+        kind_rows = [row for row in rows if row["kind"] == kind]
+        lines.append(f"* **{len(kind_rows)} {kind}s**: {tally(kind_rows)}.")
     yield "\n".join(lines)
-    run = Run(readings=Readings(**results["readings"]), numbers=results["numbers"])
-    said = list(points(run, rows))
+    run = Run(interpretation=Interpretation(**results["interpretation"]), numbers=results["numbers"])
+    judged = list(points(run, rows))
     for verdict, heading in HEADINGS.items():
-        if mine := [words for found, words in said if found == verdict]:
+        if texts := [text for result, text in judged if result == verdict]:
             yield f"### {heading}"
-            yield "\n".join(f"* {_escaped(words, bold=True)}" for words in mine)
-    yield "### How verdicts are reached"
+            yield "\n".join(f"* {_escaped(text, bold=True)}" for text in texts)
+    yield "### Rules of the verdicts"
     yield RULE
-    yield "### Words"
-    yield _WORDS
+    yield "### Terms"
+    yield _TERMS
 
 
-_WORDS = """\
-* **Exact tracking**: the robot is on the reference at each instant; the largest payload then has a closed form.
-  **Closed loop**: a law is simulated with 500 commands a second.
-* **Paper criterion**: no motor is asked for more than U±, |a| ≤ 1, and the error stays within R. **Task criterion**:
-  motors clip at U±; the errors of position and rotation stay within 10 mm and 10 mrad. Under both no cable goes slack.
-* **Laws**: `fl` is the paper's feedback linearization of the rigid robots (Eqs. 10–19), `robust` the same with Δv of
-  Eq. 34, `adaptive` one that estimates the load. With joint springs, `composite`, `robust-composite` and
-  `adaptive-composite` are these with damping of the springs, `fl4` linearises up to the fourth derivative and
-  `motor-pd` controls the motors' angles; `flex-eq22` is the paper's own law. **Open loop** is exact tracking's torque
-  without feedback.
-* **ε** is the boundary layer within which the robust term Δv is continuous."""
+_TERMS = """\
+* **Exact tracking**: the robot is on the reference at each instant. The largest payload then has a closed form.
+* **Closed loop**: simulation of a control law at 500 Hz.
+* **Open loop**: the torque of exact tracking without feedback.
+* **DLCC**: dynamic load carrying capacity, the largest feasible payload.
+* **Paper criterion**: the requested torque of every motor is within U± (|a| ≤ 1), the position error is within R, and
+  no cable is slack.
+* **Task criterion**: the motors saturate at U±, the position error is within 10 mm, the rotation error is within
+  10 mrad, and no cable is slack.
+* **Limiting violation**: the first violated condition at a payload just above the largest feasible one.
+* **Laws for rigid robots**: `fl` is the feedback linearization of the paper (Eqs. 10–19), `robust` adds Δv of Eq. 34,
+  and `adaptive` estimates the payload.
+* **Laws for joint springs**: `composite`, `robust-composite` and `adaptive-composite` add damping of the springs to
+  these laws, `fl4` linearises up to the fourth derivative, `motor-pd` controls the motor angles, and `flex-eq22` is the
+  law of the paper.
+* **ε**: boundary layer within which the robust term Δv is continuous."""
 
 
 def _judged(rows: Sequence[Row]) -> Iterator[str]:
@@ -185,12 +185,20 @@ def _judged(rows: Sequence[Row]) -> Iterator[str]:
 
 def _inputs(rows: Sequence[Row]) -> Iterator[str]:
     yield "## Inputs"
-    yield "Values of tables and motions, and counts. Ours are read from the objects that the runs used."
+    yield "Values of tables and motions, and counts. Our values are read from the objects of the runs."
     yield _table(_COLUMNS, [_cells(row) for row in rows if row["kind"] == "input"])
 
 
 def _cells(row: Row) -> list[Any]:
-    values = (row["place"], row["says"], row["printed"], row["ours"], row["reading"], _verdict(row), row["evidence"])
+    values = (
+        row["place"],
+        row["statement"],
+        row["printed"],
+        row["ours"],
+        row["interpretation"],
+        _verdict(row),
+        row["evidence"],
+    )
     return [*("" if value is None else value for value in values), f"`{row['command']}`"]
 
 
@@ -211,12 +219,12 @@ def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[str]:
     yield f"### {part['title']}"
     yield part["text"].strip()
     if part.get("impossible"):
-        yield f"Not possible under the readings chosen: {_escaped(part['impossible'])}"
+        yield f"Not possible under the chosen interpretation: {_escaped(part['impossible'])}"
     if (name := part["figure"]) is not None:
         alt = re.sub(r"([\[\]\\])", r"\\\1", part["title"])
         yield f"![{alt}]({name}.svg)"
     if named := _named(part, numbers):
-        yield "**Numbers that the text names.**"
+        yield "**Numbers in the text**"
         yield _table(("number", "value"), named)
     for table in part["tables"]:
         yield f"**{_escaped(table['title'])}**"
@@ -224,16 +232,16 @@ def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _named(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """The part's numbers whose names stand in its text, in that order."""
+    """Numbers of the part whose names appear in its text, in the order of the text."""
     names = dict.fromkeys(re.findall(r"`(\w+)`", part["text"]))
     return [(f"`{name}`", numbers[key]) for name in names if (key := f"{part['name']}.{name}") in numbers]
 
 
 def _foot(results: Results) -> Iterator[str]:
-    yield "## Readings and versions"
-    options = [(_option(name), value, reading_words(name, value)) for name, value in results["readings"].items()]
+    yield "## Options and versions"
+    options = [(_option(name), value, option_text(name, value)) for name, value in results["interpretation"].items()]
     yield _table(("option", "value", "meaning"), options)
-    yield _table(("version of", "is"), list(results["versions"].items()))
+    yield _table(("package", "version"), list(results["versions"].items()))
 
 
 def _option(name: str) -> str:
@@ -241,7 +249,7 @@ def _option(name: str) -> str:
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Columns of numbers alone are aligned to the right."""
+    """Markdown table. Columns that contain only numbers are right-aligned."""
     columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
     rules = ["---:" if column and all(_is_number(value) for value in column) else "---" for column in columns]
     lines = [[_escaped(name) for name in header], rules, *([_escaped(as_text(value)) for value in row] for row in rows)]
@@ -253,12 +261,12 @@ def _is_number(value: Any) -> bool:
 
 
 def _escaped(text: str, *, bold: bool = False) -> str:
-    """Text for a table or a sentence: what is between backticks stays code, and nothing else is markup.
+    """Escapes text for a table or a sentence. Text between backticks remains code.
 
-    ``bold``: nor is what stands between two asterisks each.
+    With ``bold``, text between double asterisks remains bold.
     """
     pieces = " ".join(str(text).split()).split("`")
-    if len(pieces) % 2 == 0:  # a backtick on its own
+    if len(pieces) % 2 == 0:  # unpaired backtick
         pieces = ["\\`".join(pieces)]
     outside = [re.sub(r"([\\*<\[\]]|(?<!\w)_|_(?!\w))", r"\\\1", piece) for piece in pieces[::2]]
     pieces[::2] = [piece.replace("\\\\`", "\\`") for piece in outside]
@@ -269,13 +277,13 @@ def _escaped(text: str, *, bold: bool = False) -> str:
 # --- HTML -----------------------------------------------------------------------------------------------------------
 
 
-def _dressed(tokens: list[Token]) -> tuple[list[Token], list[tuple[str, str]]]:
-    """Tokens with anchors at headings, tables that scroll, and classes for verdicts and columns; and the contents."""
-    dressed: list[Token] = []
+def _decorated(tokens: list[Token]) -> tuple[list[Token], list[tuple[str, str]]]:
+    """Adds anchors to headings, scrolling to tables, and classes to verdicts and columns; also returns the contents."""
+    decorated: list[Token] = []
     contents: list[tuple[str, str]] = []
     columns: list[str] = []
     names: list[str] = []
-    place = 0
+    column = 0
     for token, following in zip(tokens, [*tokens[1:], None], strict=True):
         text = following.content if following is not None and following.type == "inline" else ""
         if token.type == "heading_open" and token.tag in ("h2", "h3"):
@@ -285,23 +293,23 @@ def _dressed(tokens: list[Token]) -> tuple[list[Token], list[tuple[str, str]]]:
             if token.tag == "h2":
                 contents.append((str(token.attrGet("id")), text))
         elif token.type == "table_open":
-            dressed.append(_raw('<div class="scroll" role="region" tabindex="0" aria-label="table">\n'))
+            decorated.append(_raw('<div class="scroll" role="region" tabindex="0" aria-label="table">\n'))
             columns = []
         elif token.type == "tr_open":
-            place = 0
+            column = 0
         elif token.type == "th_open":
             columns.append(text)
             token.attrSet("scope", "col")
         elif token.type == "td_open":
-            classes = [columns[place].lower().replace(" ", "-")] if columns[place] in _COLUMNS else []
-            classes += [_VERDICTS[text]] if columns[place] == "Verdict" and text in _VERDICTS else []
+            classes = [columns[column].lower().replace(" ", "-")] if columns[column] in _COLUMNS else []
+            classes += [_VERDICTS[text]] if columns[column] == "Verdict" and text in _VERDICTS else []
             if classes:
                 token.attrSet("class", " ".join(classes))
-            place += 1
-        dressed.append(token)
+            column += 1
+        decorated.append(token)
         if token.type == "table_close":
-            dressed.append(_raw("</div>\n"))
-    return dressed, contents
+            decorated.append(_raw("</div>\n"))
+    return decorated, contents
 
 
 def _raw(content: str) -> Token:
@@ -327,7 +335,7 @@ code { font-size: 0.9em; }
 table { border-collapse: collapse; font-size: 0.875rem; line-height: 1.35; }
 th, td { padding: 0.3rem 0.6rem; border: 1px solid var(--line); text-align: left; vertical-align: top; }
 th { background: var(--soft); }
-td.the-paper { min-width: 14rem; } td.evidence { min-width: 24rem; } td.ours, td.reading { min-width: 9rem; }
+td.the-paper { min-width: 14rem; } td.evidence { min-width: 24rem; } td.ours, td.interpretation { min-width: 9rem; }
 td.command { min-width: 12rem; } td.where, td.published { white-space: nowrap; }
 td.verdict { white-space: nowrap; font-weight: 600; }
 @media (max-width: 40rem) { td.the-paper { min-width: 10rem; } td.evidence { min-width: 16rem; } }

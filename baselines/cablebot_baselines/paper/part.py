@@ -1,4 +1,4 @@
-"""What the page of the reproduction is made of: parts, each with its computations, its numbers and its figure."""
+"""Parts of the reproduction page. A part has computations, numbers, tables and a figure."""
 
 from __future__ import annotations
 
@@ -7,63 +7,63 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cablebot_baselines.paper.readings import Readings
+from cablebot_baselines.paper.interpretation import Interpretation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Number = float | int | str | bool | None
-"""What results.json holds under a name."""
+"""Value of a number in results.json."""
 
 Cell = partial[Any]
-"""One computation: a function of a module with keywords that can be pickled and whose ``repr`` tells them apart. Equal
-cells of several parts run once, each in a process of its own choosing."""
+"""One computation: a module-level function with keyword arguments. The arguments can be pickled, and their ``repr``
+identifies them. A cell that several parts share runs once, in any worker process."""
 
-Found = Mapping[str, Any]
-"""What a part's cells returned, by their names in the part."""
+CellResults = Mapping[str, Any]
+"""Return values of the cells of a part, by cell name."""
 
 
 def cell_key(cell: Cell) -> str:
-    """Tells cells apart: the function and its keywords."""
+    """Key that identifies a cell: its function and its keyword arguments."""
     keywords = ", ".join(f"{name}={value!r}" for name, value in sorted(cell.keywords.items()))
     return f"{cell.func.__module__}.{cell.func.__qualname__}({keywords})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of the page, as it is printed."""
+    """A table of the page."""
 
     title: str
-    """What it shows, one sentence."""
+    """Title: one sentence on the contents."""
     header: tuple[str, ...]
-    """Names of the columns, units in brackets."""
+    """Column names with units in brackets."""
     rows: tuple[tuple[Number, ...], ...]
-    """Cells; numbers are printed with four significant digits, None as a dash."""
+    """Values. The page prints numbers with four significant digits and None as a dash."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a part says in numbers."""
+    """Numbers and tables of a part."""
 
     numbers: Mapping[str, Number] = field(default_factory=dict)
-    """By name, units at the end of the name where it has one: ``payload_kg``, ``motor``, ``peak_error_mm``."""
+    """Numbers by name. A name ends with the unit, if any: ``payload_kg``, ``motor``, ``peak_error_mm``."""
     tables: tuple[Table, ...] = ()
     """Tables below the figure."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A figure, a table of readings or a map."""
+    """One part of the page: a figure, a table of interpretations or a map."""
 
     name: str
-    """What ``--only`` takes, and the stem of its files: ``fig10``."""
+    """Name for ``--only`` and stem of the figure files, for example ``fig10``."""
     title: str
     """Heading on the page."""
     text: str
-    """What is shown and how it was made, one paragraph of Markdown."""
-    cells: Callable[[Readings], dict[str, Cell]]
-    """The computations that it needs under these readings."""
-    outcome: Callable[[Readings, Found], Outcome]
-    """The numbers and tables."""
-    draw: Callable[[Readings, Found], Figure] | None = None
-    """The figure."""
+    """Description of the contents and the method: one Markdown paragraph."""
+    cells: Callable[[Interpretation], dict[str, Cell]]
+    """Function that returns the required cells of an interpretation."""
+    outcome: Callable[[Interpretation, CellResults], Outcome]
+    """Function that returns the numbers and tables."""
+    draw: Callable[[Interpretation, CellResults], Figure] | None = None
+    """Function that draws the figure; None if the part has no figure."""

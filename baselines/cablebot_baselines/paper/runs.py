@@ -1,4 +1,4 @@
-"""Computations that several parts share, as functions of what can be pickled."""
+"""Computations that several parts share: module-level functions whose arguments can be pickled."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.robots import Robot
 
 Law = Callable[[Robot], Any]
-"""Makes a policy from a robot: a class of :mod:`cablebot_baselines.classical`, or a partial of one."""
+"""Builds a policy for a robot: a class of :mod:`cablebot_baselines.classical`, or a partial of such a class."""
 
 
 def largest_payload(*, env_id: str, law: Law, robot: Robot, name: str, **keywords: Any) -> DLCCResult:
-    """:func:`~cablebot_gym.evaluation.evaluate_dlcc` of a law that is built from the robot it moves."""
+    """:func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc` of a law that is built for the controlled robot."""
     return evaluate_dlcc(law(robot), env_id, robot=robot, name=name, **keywords)
 
 
 def closed_loop(*, env_id: str, law: Law, robot: Robot, payload: float, **keywords: Any) -> Rollout:
-    """One episode of a law that is built from the robot it moves."""
+    """One episode of a law that is built for the controlled robot."""
     return record_rollout(law(robot), env_id, payload=payload, robot=robot, **keywords)
 
 
 def compared(*, env_id: str, laws: tuple[tuple[str, Law], ...], robot: Robot, **keywords: Any) -> Comparison:
-    """:func:`~cablebot_gym.evaluation.compare_policies` of named laws that are built from the robot they move."""
-    names, made = [name for name, _ in laws], [law(robot) for _, law in laws]
-    return compare_policies(made, env_id, names=names, robot=robot, **keywords)
+    """:func:`~cablebot_gym.evaluation.compare_policies` of named laws that are built for the controlled robot."""
+    names, policies = [name for name, _ in laws], [law(robot) for _, law in laws]
+    return compare_policies(policies, env_id, names=names, robot=robot, **keywords)

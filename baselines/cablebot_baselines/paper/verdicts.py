@@ -1,4 +1,4 @@
-"""Findings on results and claims, from the numbers of the run."""
+"""Findings on results and claims from the numbers of the run."""
 
 from __future__ import annotations
 
@@ -9,78 +9,79 @@ import numpy as np
 
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS, RobustPD
 from cablebot_baselines.paper.finding import (
-    Finder,
     Finding,
+    FindingRule,
     Run,
     Verdict,
     as_text,
     command,
+    join_sentences,
     kilograms,
-    listed,
-    off,
-    reading_words,
-    sentence,
+    option_text,
+    relative_difference,
     short,
 )
+from cablebot_baselines.paper.interpretation import Interpretation, Source
 from cablebot_baselines.paper.published import ABOUT, LOADS, PUBLISHED, Published, published_value, within
-from cablebot_baselines.paper.readings import Readings, Source
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 
 LAYERS = ("1e-2", "1e-3", "1e-4")
 """Boundary layers ε of the robust term in the evidence."""
 
 LAYER = f"{RobustPD.boundary_layer:.0e}".replace("e-0", "e-")
-"""ε that decides: the law's own."""
+"""Default ε of the robust law, which determines the verdict."""
 
 AFFINE = 1e-6
-"""Largest relative residual of a torque that still counts as affine in the load: rounding."""
+"""Maximum relative residual of a torque that counts as affine in the load (rounding error)."""
 
-Said = tuple[str, float | None, bool | None, str]
-"""Our value in words and as a number, whether it holds (None: cannot be decided), and the evidence."""
+Statement = tuple[str, float | None, bool | None, str]
+"""Our value as text and as a number, whether the published item is reproduced (None: undecided), and the evidence."""
 
-Say = Callable[[Published, Run], Said]
-"""Judges one."""
-
-
-_OF_PAYLOAD = ("fig10", "fig11", "fig12", "fig13", "fig14", "fig15")
-"""Parts on the robots of §5.2."""
+StatementFunction = Callable[[Published, Run], Statement]
+"""Function that evaluates one published item."""
 
 
-def _finder(part: str | tuple[str, ...], say: Say, *readings: str, reading: str = "") -> Finder:
-    """A finding that holds or does not.
+_PAYLOAD_PARTS = ("fig10", "fig11", "fig12", "fig13", "fig14", "fig15")
+"""Parts that use the robots of §5.2."""
+
+
+def _rule(part: str | tuple[str, ...], state: StatementFunction, *options: str, note: str = "") -> FindingRule:
+    """Rule for a result or claim.
 
     Args:
-        part: whose numbers it needs.
-        say: what is said.
-        readings: names of those that change it.
-        reading: what else was chosen, in words.
+        part: part or parts that compute the required numbers.
+        state: function that evaluates the published item.
+        *options: names of the options that affect the finding.
+        note: text on further choices.
     """
     parts = (part,) if isinstance(part, str) else part
-    source: Source = "payload" if parts[0] in _OF_PAYLOAD else "control"
+    source: Source = "payload" if parts[0] in _PAYLOAD_PARTS else "control"
 
-    def make(item: Published, run: Run) -> Finding:
-        ours, value, holds, evidence = say(item, run)
-        alone = "claims" in parts and not run.readings.plays
-        fallback = "motors limited by their own speed, since none have this line" if alone else ""
-        verdict: Verdict = "cannot be decided" if holds is None else "reproduces" if holds else "does not"
+    def evaluate(item: Published, run: Run) -> Finding:
+        ours, value, holds, evidence = state(item, run)
+        no_loop = "claims" in parts and not run.interpretation.closed_loop_possible
+        fallback = "torque limits from the motor speed, because no motor can have this line" if no_loop else ""
+        verdict: Verdict = "undecided" if holds is None else "reproduced" if holds else "not reproduced"
         return Finding(
             ours=ours,
             value=value,
-            reading=", ".join(words for words in (run.used(*readings, source=source), reading, fallback) if words),
+            interpretation=", ".join(
+                words for words in (run.options_text(*options, source=source), note, fallback) if words
+            ),
             verdict=verdict,
             evidence=evidence,
-            command=command(run.readings, *parts),
+            command=command(run.interpretation, *parts),
         )
 
-    return Finder(parts=parts, make=make)
+    return FindingRule(parts=parts, evaluate=evaluate)
 
 
-_PAYLOAD_READINGS = {
+_PAYLOAD_OPTIONS = {
     "planar": ("payload", "line", "planar_apex", "minimum_tension", "alpha"),
     "spatial": ("payload", "line", "platform_mass", "triangles", "sides", "pulleys"),
     "flexible": ("payload", "line", "platform_mass", "triangles", "sides", "stiffness", "eq24"),
 }
-"""What decides each payload."""
+"""Options that affect each payload."""
 
 
 _COMBINED = {
@@ -88,41 +89,45 @@ _COMBINED = {
     "spatial": ("triangles", "sides", "pulleys", "platform_mass", "line"),
     "flexible": ("eq24", "stiffness", "line"),
 }
-"""What the part ``readings`` combines, in the order of its numbers' names."""
+"""Options that the part ``interpretations`` combines, in the order of the names of its numbers."""
 
-_OF_PAYLOADS = {"platform_mass": "10", "stiffness": "3"}
-"""What "as printed" is in §5.2."""
+_PAYLOAD_VALUES = {"platform_mass": "10", "stiffness": "3"}
+"""Values of "as-printed" in §5.2."""
 
 _NEAR = 0.015
-"""How far apart payloads are that no reader of "about 2.56 kg" could tell."""
+"""Relative difference below which a payload matches "about 2.56 kg"."""
 
 
 # --- payloads -------------------------------------------------------------------------------------------------------
 
 
 SECTIONS = {"planar": "5.2.1", "spatial": "5.2.2", "flexible": "5.2.3"}
-"""Where each payload is published."""
+"""Section of each published payload."""
 
 
 def _closest(run: Run, kind: str) -> str:
-    """What the combined readings with the published motor come closest with; empty if they were not combined."""
+    """Closest payload of all combinations of options with the published motor; empty without the combinations."""
     motor, loads = published_value(f"{SECTIONS[kind]}.motor"), with_published_motor(run, kind)
     if not loads:
         return ""
-    said = [f"Of the readings combined, motor {short(int(motor))} first, the closest: {nearest(kind, loads)}"]
+    sentences = [
+        f"Closest combination of options with motor {short(int(motor))} as the limiting motor: {nearest(kind, loads)}."
+    ]
     if kind == "planar":
-        mass = run.readings.planar.mass
+        mass = run.interpretation.planar.mass
         totals = {name: load + mass for name, load in loads.items()}
-        said.append(f"with the platform counted, {nearest(kind, totals)}")
-    total, close = run.maybe(f"readings.{kind}_total"), run.maybe(f"readings.{kind}_within_5pct")
+        sentences.append(f"Closest total mass of platform and load: {nearest(kind, totals)}.")
+    total, close = run.maybe(f"interpretations.{kind}_total"), run.maybe(f"interpretations.{kind}_within_5pct")
     if total is not None and close is not None:
-        said.append(f"with any motor, {int(close)} of {int(total)} are within {_percent(ABOUT)}")
-    return "; ".join(said) + "."
+        sentences.append(
+            f"{int(close)} of {int(total)} combinations are within {_percent(ABOUT)}, for any limiting motor."
+        )
+    return " ".join(sentences)
 
 
 def with_published_motor(run: Run, kind: str) -> dict[str, float]:
-    """Payloads of those combined readings that the published motor limits, by their names [kg]."""
-    prefix, motor = f"readings.{kind}_", published_value(f"{SECTIONS[kind]}.motor")
+    """Payloads of all combinations of options whose limiting motor is the published one, by name [kg]."""
+    prefix, motor = f"interpretations.{kind}_", published_value(f"{SECTIONS[kind]}.motor")
     loads: dict[str, float] = {}
     for key in run.numbers:
         if key.startswith(prefix) and key.endswith("_kg"):
@@ -133,67 +138,72 @@ def with_published_motor(run: Run, kind: str) -> dict[str, float]:
 
 
 def nearest(kind: str, loads: Mapping[str, float]) -> str:
-    """The payloads nearest to the published one, by how much they are off, and their readings.
+    """Text of the payloads closest to the published one, with their relative difference and options.
 
-    All that are within about a percent, for among those a hundredth of a kilogram decides nothing; else the nearest.
+    The text lists all payloads that match within rounding, or only the closest payload if none matches.
     """
     target = LOADS[kind]
     names = sorted(loads, key=lambda name: abs(loads[name] - target))
     near = [name for name in names if abs(loads[name] / target - 1) <= _NEAR] or names[:1]
     return ", or ".join(
-        f"{kilograms(loads[name])}{_apart(loads[name], target)} with {_named(kind, name)}" for name in near
+        f"{kilograms(loads[name])}{_difference_text(loads[name], target)} with {_named(kind, name)}" for name in near
     )
 
 
 def _named(kind: str, words: str) -> str:
-    """The readings in a number's name that are not the default."""
+    """Options in the name of a number that differ from the default."""
     choices, names = words.split("_"), _COMBINED[kind]
     if len(choices) != len(names):
         return ", ".join(choices)
-    usual = {name: _OF_PAYLOADS.get(name, str(getattr(Readings(), name))) for name in names}
-    other = [reading_words(name, choice) for name, choice in zip(names, choices, strict=True) if choice != usual[name]]
-    return ", ".join(other) or "the default readings"
+    defaults = {name: _PAYLOAD_VALUES.get(name, str(getattr(Interpretation(), name))) for name in names}
+    texts = [option_text(name, choice) for name, choice in zip(names, choices, strict=True) if choice != defaults[name]]
+    return ", ".join(texts) or "the default interpretation"
 
 
-def looped(run: Run, part: str) -> bool:
-    """Whether the part's payload is that of a closed loop, and not of exact tracking or of the state space."""
+def is_simulated(run: Run, part: str) -> bool:
+    """Whether the payload of the part comes from a closed loop, not from exact tracking or the state space."""
     return run.numbers.get(f"{part}.simulated") is not False
 
 
-def _ways(run: Run, part: str, target: float) -> str:
-    """The payload counted and computed in each way."""
+def _payload_variants(run: Run, part: str, target: float) -> str:
+    """Payload by each method and definition."""
     closed, exact = run.optional(f"{part}.payload_kg"), run.maybe(f"{part}.exact_payload_kg")
     if closed is None and exact is None:
-        return "Nothing is carried."
+        return "The robot fails unloaded."
     total = run.maybe(f"{part}.total_mass_kg" if exact is None else f"{part}.exact_total_mass_kg")
     near = total is not None and total < 2 * target
-    return listed(
+    return join_sentences(
         [
-            f"Added in closed loop {kilograms(closed)}, by exact tracking {kilograms(exact)}."
-            if looped(run, part)
-            else f"Added by exact tracking {kilograms(exact)}; no closed loop can be run under this reading.",
-            f"With the platform {kilograms(total)}{_apart(total, target)}." if near else "",
+            f"Added load: {kilograms(closed)} in closed loop, {kilograms(exact)} by exact tracking."
+            if is_simulated(run, part)
+            else f"Added load by exact tracking: {kilograms(exact)}. This interpretation allows no closed loop.",
+            f"Total mass with the platform: {kilograms(total)}{_difference_text(total, target)}." if near else "",
         ]
     )
 
 
-def _load(kind: str, part: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
+def _load(kind: str, part: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
         counted, target = run.optional(f"{part}.counted_kg"), LOADS[kind]
-        evidence = listed([_ways(run, part, target), _closest(run, kind), _geometry(run, kind)])
+        evidence = join_sentences([_payload_variants(run, part, target), _closest(run, kind), _geometry(run, kind)])
         if counted is None:
-            return "nothing", None, False, evidence
-        return f"{kilograms(counted)} ({off(counted, target)})", counted, within(counted, target), evidence
+            return "fails unloaded", None, False, evidence
+        return (
+            f"{kilograms(counted)} ({relative_difference(counted, target)})",
+            counted,
+            within(counted, target),
+            evidence,
+        )
 
-    return say
+    return state
 
 
-def _again(say: Say, key: str) -> Say:
-    """What the paper says a second time: the same finding without the evidence for it."""
+def _repeated(state: StatementFunction, key: str) -> StatementFunction:
+    """Finding on a repeated statement, with a reference in place of the evidence."""
 
-    def again(item: Published, run: Run) -> Said:
-        ours, value, holds, _ = say(item, run)
-        return ours, value, holds, f"As in {PUBLISHED[key].place}: {PUBLISHED[key].says}."
+    def again(item: Published, run: Run) -> Statement:
+        ours, value, holds, _ = state(item, run)
+        return ours, value, holds, f"See {PUBLISHED[key].place}: {PUBLISHED[key].statement}."
 
     return again
 
@@ -203,105 +213,112 @@ def _geometry(run: Run, kind: str) -> str:
         best = run.maybe("scan.planar_best_added_kg")
         if best is None:
             return ""
-        return f"With this line and T_min at most {kilograms(best)} can be added however the triangle is turned."
+        largest = kilograms(best)
+        return f"With this line and T_min the largest added load over all orientations of the triangle is {largest}."
     hits, geometries = run.maybe("scan.hits"), run.maybe("scan.geometries")
     most = run.maybe("scan.largest_kg")
     if hits is None or geometries is None or most is None:
         return ""
     second = run.maybe("scan.hits_second_motor")
-    too = "" if second is None else f", {int(second)} of them with motor 2 first"
+    motor_text = "" if second is None else f", {int(second)} of them with motor 2 as the limiting motor"
     return (
-        f"But {int(hits)} of {int(geometries)} geometries that were tried give the number too{too}, and payloads go up "
-        f"to {kilograms(most)}: the number alone identifies nothing."
+        f"However, {int(hits)} of {int(geometries)} tested geometries also give this payload{motor_text}, and payloads "
+        f"reach {kilograms(most)}. The payload alone does not identify the geometry."
     )
 
 
-def _when(motor: float, time: float | None) -> str:
+def _motor_and_time(motor: float, time: float | None) -> str:
     return f"motor {short(int(motor))}" + (f" at {short(time)} s" if time is not None else "")
 
 
-def _motor(part: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
+def _motor(part: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
         motor, exact = run.optional(f"{part}.motor"), run.maybe(f"{part}.exact_motor")
-        tracked = "" if exact is None else f"Exact tracking: {_when(exact, run.maybe(f'{part}.exact_time_s'))}."
+        exact_text = (
+            "" if exact is None else f"Exact tracking: {_motor_and_time(exact, run.maybe(f'{part}.exact_time_s'))}."
+        )
         if motor is None or run.optional(f"{part}.payload_kg") is None:
-            nothing = "Nothing is carried, or something other than a motor ends the payload."
-            return "no motor", None, False, listed([nothing, tracked])
-        words = _when(motor, run.maybe(f"{part}.time_s"))
-        return words, motor, motor == published_value(item.key), tracked or "Paper criterion."
+            reason = "The robot fails unloaded, or the limiting violation is not a motor torque."
+            return "no motor", None, False, join_sentences([reason, exact_text])
+        words = _motor_and_time(motor, run.maybe(f"{part}.time_s"))
+        return words, motor, motor == published_value(item.key), exact_text or "Paper criterion."
 
-    return say
-
-
-_NO_EXACT = "The reference's acceleration jumps at half time, which no robot with joint springs follows exactly."
+    return state
 
 
-def _spring_load(item: Published, run: Run) -> Said:
+_NO_EXACT = "The reference acceleration jumps at half time. No robot with joint springs can follow this jump exactly."
+
+
+def _spring_load(item: Published, run: Run) -> Statement:
     counted, target = run.optional("fig15.state_space_counted_kg"), LOADS["flexible"]
     law, own = run.maybe("fig15.counted_kg"), run.maybe("fig15.eq22_counted_kg")
-    evidence = listed(
+    evidence = join_sentences(
         [
             _NO_EXACT,
-            "Eqs. 23–25 may be how the paper came to its number, but they are the motion of no robot.",
-            f"On the robot Eq. 22 carries {kilograms(own)}." if "fig15.eq22_counted_kg" in run.numbers else "",
-            f"`fl4`, a law that works, carries {kilograms(law)}{_apart(law, target)}; see Readings."
-            if "fig15.counted_kg" in run.numbers and looped(run, "fig15")
+            "The paper may have computed its number from Eqs. 23–25, but no physical robot moves like this.",
+            f"DLCC of Eq. 22 on the robot: {kilograms(own)}." if "fig15.eq22_counted_kg" in run.numbers else "",
+            f"DLCC of the stable law `fl4`: {kilograms(law)}{_difference_text(law, target)}; see Interpretations."
+            if "fig15.counted_kg" in run.numbers and is_simulated(run, "fig15")
             else "",
             _closest(run, "flexible"),
         ]
     )
     if counted is None:
-        return "nothing", None, False, evidence
-    return f"{kilograms(counted)}{_apart(counted, target)}", counted, within(counted, target), evidence
+        return "fails unloaded", None, False, evidence
+    return f"{kilograms(counted)}{_difference_text(counted, target)}", counted, within(counted, target), evidence
 
 
-def _apart(ours: float | None, published: float) -> str:
-    return "" if ours is None else f" ({off(ours, published)})"
+def _difference_text(ours: float | None, published: float) -> str:
+    return "" if ours is None else f" ({relative_difference(ours, published)})"
 
 
-def _spring_motor(item: Published, run: Run) -> Said:
+def _spring_motor(item: Published, run: Run) -> Statement:
     motor, time = run.optional("fig15.state_space_motor"), run.maybe("fig15.state_space_time_s")
     if motor is None:
-        return "no motor", None, False, "No motor is at its limit."
-    if not looped(run, "fig15"):
+        return "no motor", None, False, "No motor reaches its limit."
+    if not is_simulated(run, "fig15"):
         return (
-            _when(motor, time),
+            _motor_and_time(motor, time),
             motor,
             motor == published_value(item.key),
-            "No closed loop can be run with this line.",
+            "No motor can have this torque-speed line in closed loop.",
         )
     law = run.maybe("fig15.motor")
-    evidence = "`fl4`: another limit comes first." if law is None else f"`fl4`: motor {short(int(law))}."
-    return _when(motor, time), motor, motor == published_value(item.key), evidence
+    evidence = (
+        "`fl4`: the limiting violation is not a motor torque." if law is None else f"`fl4`: motor {short(int(law))}."
+    )
+    return _motor_and_time(motor, time), motor, motor == published_value(item.key), evidence
 
 
 def _drops(run: Run) -> tuple[float, str]:
-    """Share of the payload that springs take away in the paper's state space, and the payloads in words [%]."""
-    drop, law = 100 * run.number("fig15.state_space_drop_share"), None
+    """Payload reduction by the springs in the state space of the paper [%], and a text of all payloads."""
+    drop, law = 100 * run.number("fig15.state_space_drop_fraction"), None
     loads = {
-        "rigid": run.optional("fig15.rigid_exact_counted_kg"),
-        "by Eqs. 23–25": run.optional("fig15.state_space_counted_kg"),
+        "rigid by exact tracking": run.optional("fig15.rigid_exact_counted_kg"),
+        "with springs by Eqs. 23–25": run.optional("fig15.state_space_counted_kg"),
     }
-    if looped(run, "fig15"):
-        law = run.maybe("fig15.drop_share")
+    if is_simulated(run, "fig15"):
+        law = run.maybe("fig15.drop_fraction")
         loads["rigid in closed loop"] = run.maybe("fig15.rigid_counted_kg")
-        loads["with `fl4`"] = run.maybe("fig15.counted_kg")
+        loads["with springs and `fl4`"] = run.maybe("fig15.counted_kg")
     own = 100 * (1 - LOADS["flexible"] / LOADS["spatial"])
-    return drop, listed(
+    return drop, join_sentences(
         [
-            sentence(", ".join(f"{words} {kilograms(load)}" for words, load in loads.items()))
+            "Payloads: "
+            + ", ".join(f"{words} {kilograms(load)}" for words, load in loads.items())
             + ("." if law is None else f" ({short(100 * abs(law))} % {'less' if law >= 0 else 'more'})."),
-            f"The paper's own {LOADS['flexible']:g} kg are {short(own)} % less than its {LOADS['spatial']:g} kg.",
+            f"The published {LOADS['flexible']:g} kg are {short(own)} % less than the published {LOADS['spatial']:g} "
+            "kg.",
         ]
     )
 
 
-def _drop(item: Published, run: Run) -> Said:
+def _drop(item: Published, run: Run) -> Statement:
     drop, words = _drops(run)
     return f"{short(drop)} %", drop, within(drop, published_value(item.key)), words
 
 
-def _less(item: Published, run: Run) -> Said:
+def _less(item: Published, run: Run) -> Statement:
     drop, words = _drops(run)
     return f"{short(drop)} % less", drop, drop > 100 * ABOUT, words
 
@@ -309,38 +326,39 @@ def _less(item: Published, run: Run) -> Said:
 # --- the robust term ------------------------------------------------------------------------------------------------
 
 
-def _reduction(measure: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
-        def share(name: str, layer: str) -> float:
+def _reduction(measure: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
+        def fraction(name: str, layer: str) -> float:
             return 100 * run.number(f"fig9.{name}_reduction_{layer}")
 
-        springs, rigid = ([share(name, layer) for layer in LAYERS] for name in (f"flex_{measure}", measure))
-        ours = share(f"flex_{measure}", LAYER)
+        springs, rigid = ([fraction(name, layer) for layer in LAYERS] for name in (f"flex_{measure}", measure))
+        ours = fraction(f"flex_{measure}", LAYER)
         evidence = (
-            f"At ε = {', '.join(LAYERS)}: {_percents(springs)} with joint springs, where `composite` stands for the "
-            f"unstable Eq. 22; {_percents(rigid)} without springs. The paper prints no ε, ζ and φ, and ε decides."
+            f"For ε = {', '.join(LAYERS)} the reduction is {_percents(springs)} with joint springs, where `composite` "
+            f"replaces the unstable Eq. 22, and {_percents(rigid)} without springs. The paper does not print ε, ζ and "
+            "φ. The reduction depends mainly on ε."
         )
         return f"{short(ours)} %", ours, ours > published_value(item.key), evidence
 
-    return say
+    return state
 
 
-def _percent(share: float) -> str:
-    return f"{short(100 * share)} %"
+def _percent(fraction: float) -> str:
+    return f"{short(100 * fraction)} %"
 
 
-def _percents(shares: list[float]) -> str:
-    return ", ".join(f"{short(share)} %" for share in shares)
+def _percents(fractions: list[float]) -> str:
+    return ", ".join(f"{short(fraction)} %" for fraction in fractions)
 
 
-def _lyapunov_term(item: Published, run: Run) -> Said:
-    shares = [100 * run.number(f"fig9.sum_reduction_{layer}") for layer in LAYERS]
+def _lyapunov_term(item: Published, run: Run) -> Statement:
+    fractions = [100 * run.number(f"fig9.sum_reduction_{layer}") for layer in LAYERS]
     return (
-        f"{_percents(shares)} less error",
-        min(shares),
-        min(shares) > 0,
-        f"Rigid robot under Table 6 at ε = {', '.join(LAYERS)}, with the sign that e = z_d − z needs; the printed "
-        "minus belongs to e = z − z_d. With joint springs no Δv makes Eq. 22 stable (§3.3).",
+        f"error reduction {_percents(fractions)}",
+        min(fractions),
+        min(fractions) > 0,
+        f"Rigid robot with the uncertainty of Table 6 for ε = {', '.join(LAYERS)}. The sign is correct for e = z_d − "
+        "z; the printed minus is correct for e = z − z_d. With joint springs no Δv stabilises Eq. 22 (§3.3).",
     )
 
 
@@ -348,11 +366,11 @@ def _lyapunov_term(item: Published, run: Run) -> Said:
 
 
 def _bound() -> float:
-    """R [mm]."""
-    return 1e3 * Limits().position
+    """Position error bound R [mm]."""
+    return 1e3 * ErrorBounds().position
 
 
-def _perfect(item: Published, run: Run) -> Said:
+def _perfect(item: Published, run: Run) -> Statement:
     planar, spatial = run.number("fig5.peak_error_mm"), run.number("fig6.peak_error_mm")
     unknown = run.number("claims.closed_loop_spatial_error_mm")
     worst = max(planar, spatial, unknown)
@@ -360,9 +378,9 @@ def _perfect(item: Published, run: Run) -> Said:
         f"{short(worst)} mm",
         worst,
         worst <= ABOUT * _bound(),
-        f"Under Table 6 the mean of the spatial robot is {short(unknown)} mm; R is {short(_bound())} mm. With "
-        f"everything known at most {short(planar)} mm (planar) and {short(spatial)} mm (spatial), from sampling and "
-        "the jump at half time.",
+        f"Mean error of the spatial robot with the uncertainty of Table 6: {short(unknown)} mm; R is {short(_bound())} "
+        f"mm. Without uncertainty the error is at most {short(planar)} mm (planar) and {short(spatial)} mm (spatial). "
+        "Its causes are sampling and the jump at half time.",
     )
 
 
@@ -373,112 +391,122 @@ def _poles(kind: str) -> tuple[complex, complex]:
 
 
 def _slowest_sampling(kind: str) -> float:
-    """Longest control period with which the sampled loop of these gains is stable [s].
+    """Longest control period with a stable sampled loop for these gains [s].
 
-    Ë = −K_P e − K_D ė held over h: z² + (K_P h²/2 + K_D h − 2) z + K_P h²/2 − K_D h + 1 = 0.
+    With ë = −K_P e − K_D ė constant over h: z² + (K_P h²/2 + K_D h − 2) z + K_P h²/2 − K_D h + 1 = 0.
     """
     stiffness, damping = PAPER_GAINS[kind]
     return min(2 * damping / stiffness, 2 / damping)
 
 
-def _stable_gains(item: Published, run: Run) -> Said:
+def _stable_gains(item: Published, run: Run) -> Statement:
     slowest = max(root.real for kind in PAPER_GAINS for root in _poles(kind))
     growth = run.number("eq22.max_growth_K3")
     return (
         f"real parts ≤ {short(slowest)} 1/s",
         slowest,
         slowest < 0,
-        "Poles of both sets of gains, for rigid robots. With joint springs the paper's law does not place them: there "
-        f"deviations grow at {short(growth)} 1/s.",
+        "Poles of both sets of gains for the rigid robots. With joint springs the law of the paper does not place the "
+        f"poles; deviations grow at {short(growth)} 1/s.",
     )
 
 
 _EQUATIONS = {"planar": "14", "spatial": "19"}
 
 
-def _placed(kind: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
+def _poles_match(kind: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
         error, sampled = (100 * run.number(f"claims.{name}_error_{kind}") for name in ("pole", "sampled_pole"))
         return (
             run.text(f"claims.poles_{kind}").replace("-", "−"),
             None,
             error <= 100 * ABOUT,
-            f"Let go beside its reference, the robot follows Eq. {_EQUATIONS[kind]} to {as_text(error, 2)} % of the "
-            f"first error at 10 kHz, to {as_text(sampled, 2)} % at 500 Hz. But not wherever they are wanted: a command "
-            "held for h takes K_P h/2 from K_D, so that these gains are stable for h below "
-            f"{short(1e3 * _slowest_sampling(kind))} ms.",
+            f"Starting with an initial error, the robot follows Eq. {_EQUATIONS[kind]} within {as_text(error, 2)} % of "
+            f"this error at 10 kHz and within {as_text(sampled, 2)} % at 500 Hz. However, sampling limits the "
+            "placement: a zero-order hold of duration h reduces K_D by K_P h/2, so these gains are stable only for h "
+            f"below {short(1e3 * _slowest_sampling(kind))} ms.",
         )
 
-    return say
+    return state
 
 
 _OF_FIGURE = {"fig5": "planar", "fig6": "spatial"}
 
 
-def _taut(*parts: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
+def _taut(*parts: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
         least = {part: run.number(f"{part}.least_tension_N") for part in parts}
         slack = any(run.flag(f"{part}.slack") for part in parts)
         each = ", ".join(f"{_OF_FIGURE[part]} {short(tension)} N" for part, tension in least.items())
         value = min(least.values())
-        chosen = "" if "fig5" not in parts else " That of the planar robot is the T_min that α is chosen to keep."
-        return f"≥ {short(value)} N", value, value > 0 and not slack, f"Least tension: {each}.{chosen}"
+        note = (
+            "" if "fig5" not in parts else " For the planar robot this is T_min, because α keeps the tensions above it."
+        )
+        return f"≥ {short(value)} N", value, value > 0 and not slack, f"Smallest tension: {each}.{note}"
 
-    return say
+    return state
 
 
-def _inside(part: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
+def _inside(part: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
         peak, inside = run.number(f"{part}.peak_error_mm"), run.flag(f"{part}.within")
         turned, load = run.maybe(f"{part}.peak_rotation_mrad"), run.maybe(f"{part}.payload_kg")
         words = [
             f"Bound {short(_bound())} mm.",
-            "" if load is None else f"With the law's largest payload, {kilograms(load)}, which it is told.",
-            "" if turned is None else f"Rotation errors reach {short(turned)} mrad; the paper has no bound for them.",
+            "" if load is None else f"Largest payload of the law: {kilograms(load)}; the law knows the payload.",
+            ""
+            if turned is None
+            else f"Rotation errors reach {short(turned)} mrad; the paper defines no bound for them.",
         ]
-        return f"{short(peak)} mm", peak, inside, listed(words)
+        return f"{short(peak)} mm", peak, inside, join_sentences(words)
 
-    return say
+    return state
 
 
-def _inside_with_springs(item: Published, run: Run) -> Said:
-    """By the paper's own law."""
+def _inside_with_springs(item: Published, run: Run) -> Statement:
+    """Evaluates the law of the paper."""
     peak, inside = run.number("fig14.eq22_peak_error_mm"), run.flag("fig14.eq22_within")
     others = {
-        "With the friction of Table 4 on the motors": "fig14.eq22_friction_peak_error_mm",
-        "With `fl4`": "fig14.peak_error_mm",
+        "With the friction of Table 4 at the motors:": "fig14.eq22_friction_peak_error_mm",
+        "With `fl4`:": "fig14.peak_error_mm",
     }
-    found = {words: run.maybe(key) for words, key in others.items()}
-    words = [f"{words} {short(error)} mm." for words, error in found.items() if error is not None]
-    return f"{short(peak)} mm", peak, inside, listed([f"Eq. 22 as printed, bound {short(_bound())} mm.", *words])
-
-
-def _vibration(item: Published, run: Run) -> Said:
-    before, after, late = (run.number(f"fig7.ripple_{when}_Nm") for when in ("before", "after", "late"))
-    border = ABOUT * run.number("fig7.rigid_peak_Nm")
+    peaks = {words: run.maybe(key) for words, key in others.items()}
+    words = [f"{words} {short(error)} mm." for words, error in peaks.items() if error is not None]
     return (
-        f"{short(after)} N·m after, {short(late)} N·m at the end",
-        late,
-        before <= border < after and late <= border,
-        f"Torques of Eqs. 23–25 less the rigid ones, rms: {short(before)} N·m in the 0.2 s before the jump, "
-        f"{short(after)} N·m in the 0.2 s after it, {short(late)} N·m in the last 0.2 s; more than "
-        f"{short(border)} N·m count as much. The jump starts it, and in these equations nothing damps it.",
+        f"{short(peak)} mm",
+        peak,
+        inside,
+        join_sentences([f"Eq. 22 as printed; bound {short(_bound())} mm.", *words]),
     )
 
 
-def _torque_changes(item: Published, run: Run) -> Said:
+def _vibration(item: Published, run: Run) -> Statement:
+    before, after, late = (run.number(f"fig7.ripple_{when}_Nm") for when in ("before", "after", "late"))
+    border = ABOUT * run.number("fig7.rigid_peak_Nm")
+    return (
+        f"{short(after)} N·m after the change, {short(late)} N·m at the end",
+        late,
+        before <= border < after and late <= border,
+        f"RMS difference between the torques of Eqs. 23–25 and the rigid torques: {short(before)} N·m in the 0.2 s "
+        f"before the jump, {short(after)} N·m in the 0.2 s after it, {short(late)} N·m in the last 0.2 s. The "
+        f"threshold of a strong vibration is {short(border)} N·m. The jump excites the vibration, and these equations "
+        "have no damping.",
+    )
+
+
+def _torque_changes(item: Published, run: Run) -> Statement:
     after, rigid = run.number("fig7.ripple_after_Nm"), run.number("fig7.rigid_peak_Nm")
     peak = run.number("fig7.flexible_peak_Nm")
     return (
         f"{short(after)} N·m",
         after,
         after > ABOUT * rigid,
-        f"Rms difference in the 0.2 s after the jump. Largest torque: {short(peak)} N·m with springs, "
-        f"{short(rigid)} N·m without.",
+        f"RMS difference in the 0.2 s after the jump. Largest torque: {short(peak)} N·m with springs, "
+        f"{short(rigid)} N·m without springs.",
     )
 
 
-def _uncertain(item: Published, run: Run) -> Said:
+def _uncertain(item: Published, run: Run) -> Statement:
     nominal = run.number("claims.flex_composite_error_nominal_mm")
     uncertain = run.number("claims.flex_composite_error_table6_mm")
     others = [run.maybe(f"claims.flex_fl4_error_{name}_mm") for name in ("nominal", "table6")]
@@ -486,59 +514,62 @@ def _uncertain(item: Published, run: Run) -> Said:
         f"{short(uncertain)} mm",
         uncertain,
         uncertain > (1 + ABOUT) * nominal,
-        f"Mean error of `composite` under Table 6, against {short(nominal)} mm with everything known; `fl4`: "
-        f"{short(others[1])} against {short(others[0])} mm.",
+        f"Mean error of `composite` with the uncertainty of Table 6, compared with {short(nominal)} mm without "
+        f"uncertainty. `fl4`: {short(others[1])} mm compared with {short(others[0])} mm.",
     )
 
 
-def _open_tracking(item: Published, run: Run) -> Said:
+def _open_tracking(item: Published, run: Run) -> Statement:
     errors = {
         kind: [run.number(f"claims.{loop}_loop_{kind}_error_mm") for loop in ("closed", "open")]
         for kind in ("planar", "spatial")
     }
     each = ", ".join(
-        f"{kind} {short(closed)} mm against {short(opened)} mm" for kind, (closed, opened) in errors.items()
+        f"{kind} {short(closed)} mm with and {short(opened)} mm without feedback"
+        for kind, (closed, opened) in errors.items()
     )
     return (
         f"{short(errors['spatial'][0])} mm",
         errors["spatial"][0],
         all(closed < opened for closed, opened in errors.values()),
-        f"Mean errors under Table 6, with feedback against the torques of exact tracking alone: {each}.",
+        f"Mean errors with the uncertainty of Table 6; the open loop applies the torques of exact tracking: {each}.",
     )
 
 
 def _open_loads(run: Run, criterion: str) -> tuple[bool, str]:
-    """Whether feedback carries more, and the payloads in words."""
+    """Whether feedback has the larger payload, and a text of the payloads."""
     words, better = [], True
     for kind in ("planar", "spatial"):
         names = (f"claims.{loop}_loop_{kind}{criterion}_kg" for loop in ("closed", "open"))
         closed, opened = (run.optional(name) for name in names)
         better &= closed is not None and (opened is None or closed > opened)
-        words.append(f"{kind} {kilograms(closed)} against {kilograms(opened)}")
+        words.append(f"{kind} {kilograms(closed)} with and {kilograms(opened)} without feedback")
     return better, ", ".join(words)
 
 
 _TWO_CRITERIA = (
-    "Payloads, nothing unknown, with feedback against open loop: {} where the motors decide (paper criterion), {} "
-    "where the errors do (task criterion)."
+    "Payloads without uncertainty under the paper criterion, where the motors are the limit: {}. Under the task "
+    "criterion, where the errors are the limit: {}."
 )
 
 
-def _open_payload(item: Published, run: Run) -> Said:
-    """By the paper's own criterion."""
+def _open_payload(item: Published, run: Run) -> Statement:
+    """Evaluates the criterion of the paper."""
     (better, paper), (_, task) = (_open_loads(run, criterion) for criterion in ("_paper", ""))
     value = run.optional("claims.closed_loop_spatial_paper_kg")
     return kilograms(value), value, better, _TWO_CRITERIA.format(paper, task)
 
 
-def _controller(item: Published, run: Run) -> Said:
-    """By the task criterion, which asks for accuracy."""
+def _controller(item: Published, run: Run) -> Statement:
+    """Evaluates the task criterion, which requires accuracy."""
     tracked, _, closer, words = _open_tracking(item, run)
     (_, paper), (better, task) = (_open_loads(run, criterion) for criterion in ("_paper", ""))
     value = run.optional("claims.closed_loop_spatial_kg")
     ours = f"{tracked}, {kilograms(value)}"
-    because = 'Judged by the errors, since the paper argues from accuracy ("and so"); §6 has the paper criterion.'
-    return ours, value, bool(closer) and better, listed([words, _TWO_CRITERIA.format(paper, task), because])
+    reason = (
+        'The verdict uses the errors, because the paper argues with accuracy ("and so"); §6 uses the paper criterion.'
+    )
+    return ours, value, bool(closer) and better, join_sentences([words, _TWO_CRITERIA.format(paper, task), reason])
 
 
 # --- joint springs --------------------------------------------------------------------------------------------------
@@ -551,202 +582,212 @@ def _growth(run: Run) -> tuple[float, str]:
 
 def _any_stiffness(run: Run) -> str:
     least, friction = run.maybe("eq22.least_growth_any_K"), run.maybe("eq22.friction_needed")
-    return listed(
+    return join_sentences(
         [
-            "" if least is None else f"For no K from 1 to 10⁵ N·m/rad do they grow slower than at {short(least)} 1/s.",
-            "" if friction is None else f"It would take motor friction of {short(friction)} N·m·s/rad.",
+            "" if least is None else f"For all K from 1 to 10⁵ N·m/rad the growth rate is at least {short(least)} 1/s.",
+            "" if friction is None else f"Stability requires a motor friction of {short(friction)} N·m·s/rad.",
         ]
     )
 
 
-def _eq22(item: Published, run: Run) -> Said:
+def _eq22(item: Published, run: Run) -> Statement:
     growth, words = _growth(run)
     lost = run.maybe("fig7.closed_loop_peak_error_mm")
-    evidence = listed(
+    evidence = join_sentences(
         [
             words,
             _any_stiffness(run),
             "" if lost is None else f"On the robot the error reaches {short(lost)} mm (Fig. 7).",
-            "With β̈′ taken from v the loop has no s³ term; measured, β̈′ cancels out.",
+            "If β̈′ is computed from v, the loop has no s³ term. If β̈′ is measured, it cancels.",
         ]
     )
-    return f"growth {short(growth)} 1/s", growth, growth < 0, evidence
+    return f"growth rate {short(growth)} 1/s", growth, growth < 0, evidence
 
 
-def _eq25(item: Published, run: Run) -> Said:
+def _eq25(item: Published, run: Run) -> Statement:
     growth, words = _growth(run)
-    robot = run.readings.flexible("control")
-    divisor = robot.motor_inertia + (1.0 if run.readings.eq24 == "verbatim" else 0.0)
+    robot = run.interpretation.flexible("control")
+    divisor = robot.motor_inertia + (1.0 if run.interpretation.eq24 == "verbatim" else 0.0)
     frequency = float(np.sqrt(robot.stiffness / divisor).max()) / (2 * math.pi)
     return (
-        f"growth {short(growth)} 1/s",
+        f"growth rate {short(growth)} 1/s",
         growth,
         growth < 0,
-        f"By itself Eq. 25 is an oscillator of {short(frequency)} Hz without damping, in which nothing decays. On "
-        f"the robot H depends on β′, for it is the springs that move the platform. {words}",
+        f"Eq. 25 alone is an undamped oscillator of {short(frequency)} Hz, so deviations do not decay. On the robot H "
+        f"depends on β′, because the springs move the platform. {words}",
     )
 
 
-def _eq22_robust(item: Published, run: Run) -> Said:
+def _eq22_robust(item: Published, run: Run) -> Statement:
     least = run.number("eq22.least_growth_any_K")
     return (
-        f"growth ≥ {short(least)} 1/s",
+        f"growth rate ≥ {short(least)} 1/s",
         least,
         least < 0,
-        "Inside its layer the robust term is a stiffer PD, and no gains make Eq. 22 stable: its characteristic "
-        "polynomial M J′s⁴ + K (M + J′)(s² + K_D s + K_P) has no s³ term, so that the sum of its roots is zero.",
+        "Inside its boundary layer the robust term is a stiffer PD controller. No gains stabilise Eq. 22: the "
+        "characteristic polynomial M J′s⁴ + K (M + J′)(s² + K_D s + K_P) has no s³ term, so the sum of its roots is "
+        "zero.",
     )
 
 
-def _stable_springs(item: Published, run: Run) -> Said:
+def _stable_springs(item: Published, run: Run) -> Statement:
     growth, words = _growth(run)
     return (
-        f"growth {short(growth)} 1/s",
+        f"growth rate {short(growth)} 1/s",
         growth,
         growth < 0,
-        listed([f"Under Eq. 22. {words}", _any_stiffness(run)]),
+        join_sentences([f"Closed loop with Eq. 22. {words}", _any_stiffness(run)]),
     )
 
 
-def _controllable(item: Published, run: Run) -> Said:
+def _controllable(item: Published, run: Run) -> Statement:
     rank, states = run.number("eq22.controllable_states"), run.number("eq22.states")
     return (
         f"{int(rank)} of {int(states)} states controllable",
         rank,
         rank < states,
-        "Rank of the linearised robot's controllability matrix. The torques reach the platform through the springs: "
-        "relative degree 4, and `fl4` linearises it. Fewer inputs than degrees of freedom make nothing uncontrollable.",
+        "Rank of the controllability matrix of the linearised robot. The torques act on the platform through the "
+        "springs with relative degree 4, and `fl4` linearises the robot. A system with fewer inputs than degrees of "
+        "freedom can be controllable.",
     )
 
 
-def _constraint(item: Published, run: Run) -> Said:
-    robot = run.readings.flexible("control")
+def _constraint(item: Published, run: Run) -> Statement:
+    robot = run.interpretation.flexible("control")
     free = robot.coordinates + robot.cables
     return (
         f"{free} free coordinates",
         float(free),
         free < published_value("2.3.freedom"),
-        "A spring exerts a torque and forbids no motion: all the coordinates that Eq. 8 lists stay free.",
+        "A spring exerts a torque and does not constrain the motion. All coordinates of Eq. 8 remain free.",
     )
 
 
-def _elasticity(item: Published, run: Run) -> Said:
-    evidence = "Neither the paper nor this project has a model of elastic cables; of the joints, §4.3 and §5.2.3 speak."
-    return "joints alone", None, None, evidence
+def _elasticity(item: Published, run: Run) -> Statement:
+    evidence = "Neither the paper nor this project has a model of elastic cables. §4.3 and §5.2.3 treat the joints."
+    return "joints only", None, None, evidence
 
 
 # --- the algorithm --------------------------------------------------------------------------------------------------
 
 
-def _positive_definite(item: Published, run: Run) -> Said:
+def _positive_definite(item: Published, run: Run) -> Statement:
     definite = run.flag("eq22.lyapunov_printed_definite")
     return (
         "yes" if definite else "none",
         None,
         definite,
-        "A has to hold −k_p and −k_d. As printed, with plus signs, it is not stable, and so there is no such P.",
+        "A must contain −k_p and −k_d. The printed A has plus signs and is unstable, so no such P exists.",
     )
 
 
 _AFFINE_WORDS = {
-    True: "Torques with one, two and three platform masses lie on a line (not through zero: B of Eq. 41).",
-    False: "Torques with one, two and three platform masses, second difference over first. S τ is affine, as Eq. 41 "
-    "says; τ is not, for the least tensions change over from one pair of cables to another.",
+    True: "The torques for one, two and three platform masses lie on a line, which does not pass through zero (B of "
+    "Eq. 41).",
+    False: "Ratio of the second to the first difference of the torques for one, two and three platform masses. S τ is "
+    "affine, as Eq. 41 states. τ is not affine, because a different pair of cables carries the minimum tension.",
 }
 
 
-def _affine(kind: str) -> Say:
-    def say(item: Published, run: Run) -> Said:
+def _affine(kind: str) -> StatementFunction:
+    def state(item: Published, run: Run) -> Statement:
         residual = run.number(f"claims.affine_{kind}")
         holds = residual <= AFFINE
-        return "affine" if holds else f"{short(100 * residual)} % off", residual, holds, _AFFINE_WORDS[holds]
+        return "affine" if holds else f"{short(100 * residual)} % residual", residual, holds, _AFFINE_WORDS[holds]
 
-    return say
+    return state
 
 
-def _answer(item: Published, run: Run) -> Said:
+def _answer(item: Published, run: Run) -> Statement:
     ratio = run.number("eq37.literal_over_true")
     literal, corrected, exact = (run.maybe(f"eq37.{name}_payload_kg") for name in ("literal", "corrected", "exact"))
-    evidence = listed(
+    evidence = join_sentences(
         [
-            f"Spatial robot, as printed {kilograms(literal)}, corrected {kilograms(corrected)}, in closed form "
-            f"{kilograms(exact)}. τ± is printed as what the loaded torque leaves; it has to be what no load leaves.",
+            f"Spatial robot: {kilograms(literal)} as printed, {kilograms(corrected)} corrected, {kilograms(exact)} in "
+            "closed form. The printed τ± is the torque reserve with load; correct is the reserve without load.",
         ]
     )
     return f"{short(ratio)} times the payload", ratio, within(ratio, 1.0), evidence
 
 
-def _converges(item: Published, run: Run) -> Said:
+def _converges(item: Published, run: Run) -> Statement:
     spread, literal = run.number("eq37.literal_spread_kg"), run.number("eq37.literal_payload_kg")
     same = spread <= ABOUT * literal
-    what = "the same answer" if same else f"answers {short(spread)} kg apart"
+    outcome = "to the same value" if same else f"to values that differ by {short(spread)} kg"
     return (
-        f"{kilograms(literal)} from any guess" if same else f"{short(spread)} kg apart",
+        f"{kilograms(literal)} from any guess" if same else f"values differ by {short(spread)} kg",
         literal,
         same and run.flag("eq37.literal_converges"),
-        f"Different first guesses end in {what}, near {kilograms(literal)}. Whether that is the payload is another "
-        "matter.",
+        f"Different first guesses converge {outcome}, near {kilograms(literal)}. The finding on the load coefficient "
+        "(§5.1) compares this value with the payload.",
     )
 
 
-def _no_accuracy(item: Published, run: Run) -> Said:
-    told, untold = (run.optional(f"claims.fl_{name}_paper_kg") for name in ("told", "untold"))
-    holds = told is not None and untold is not None and untold >= (1 - ABOUT) * told
-    task = [f"claims.fl_{name}_kg" for name in ("told", "untold")]
+def _no_accuracy(item: Published, run: Run) -> Statement:
+    known, unknown = (run.optional(f"claims.fl_payload_{name}_paper_kg") for name in ("known", "unknown"))
+    holds = known is not None and unknown is not None and unknown >= (1 - ABOUT) * known
+    task = [f"claims.fl_payload_{name}_kg" for name in ("known", "unknown")]
     loads = [run.maybe(key) for key in task]
     evidence = [
-        f"Spatial robot, paper criterion: {kilograms(told)} if the law is told the load; if not, the error ends it at "
-        f"{kilograms(untold)}.",
-        f"Task criterion: {kilograms(loads[0])} and {kilograms(loads[1])}." if set(task) <= set(run.numbers) else "",
-        "The claim holds for a load that the law is told, while no motor saturates.",
+        f"Spatial robot, paper criterion: {kilograms(known)} with known payload. With unknown payload the error limits "
+        f"the payload to {kilograms(unknown)}.",
+        f"Task criterion: {kilograms(loads[0])} with known and {kilograms(loads[1])} with unknown payload."
+        if set(task) <= set(run.numbers)
+        else "",
+        "The claim holds if the law knows the payload and no motor saturates.",
     ]
-    return f"{kilograms(untold)} instead of {kilograms(told)}", untold, holds, listed(evidence)
+    return (
+        f"{kilograms(unknown)} instead of {kilograms(known)}",
+        unknown,
+        holds,
+        join_sentences(evidence),
+    )
 
 
-def finders() -> Iterator[tuple[str, Finder]]:
-    """By key."""
-    yield "abstract.accuracy", _finder(("fig5", "fig6", "claims"), _perfect)
-    yield "abstract.stability", _finder("eq22", _stable_gains)
-    yield "1.tension", _finder(("fig5", "fig6"), _taut("fig5", "fig6"), "minimum_tension")
-    yield "1.elasticity", _finder("fig7", _elasticity)
-    yield "1.controller", _finder("claims", _controller, reading="task criterion")
-    yield "2.3.constraint", _finder("fig3", _constraint)
-    yield "3.1.poles", _finder("claims", _placed("planar"))
-    yield "3.2.poles", _finder("claims", _placed("spatial"))
-    yield "3.3.linear", _finder("eq22", _eq22, reading="β̈′ from v")
-    yield "3.3.bounded", _finder("eq22", _eq25, "eq24")
-    yield "3.3.robust", _finder("eq22", _eq22_robust, reading="β̈′ from v")
-    yield "3.4.uncontrollable", _finder("eq22", _controllable, "stiffness")
-    yield "3.4.lyapunov", _finder("eq22", _positive_definite, reading="signs as printed")
-    yield "3.4.stability", _finder("fig9", _lyapunov_term, reading="sign corrected")
-    yield "4.1.tension", _finder("fig5", _taut("fig5"), "minimum_tension")
-    yield "4.3.vibration", _finder("fig7", _vibration, "stiffness", "eq24")
+def finding_rules() -> Iterator[tuple[str, FindingRule]]:
+    """Yields all rules of results and claims with their keys."""
+    yield "abstract.accuracy", _rule(("fig5", "fig6", "claims"), _perfect)
+    yield "abstract.stability", _rule("eq22", _stable_gains)
+    yield "1.tension", _rule(("fig5", "fig6"), _taut("fig5", "fig6"), "minimum_tension")
+    yield "1.elasticity", _rule("fig7", _elasticity)
+    yield "1.controller", _rule("claims", _controller, note="task criterion")
+    yield "2.3.constraint", _rule("fig3", _constraint)
+    yield "3.1.poles", _rule("claims", _poles_match("planar"))
+    yield "3.2.poles", _rule("claims", _poles_match("spatial"))
+    yield "3.3.linear", _rule("eq22", _eq22, note="β̈′ computed from v")
+    yield "3.3.bounded", _rule("eq22", _eq25, "eq24")
+    yield "3.3.robust", _rule("eq22", _eq22_robust, note="β̈′ computed from v")
+    yield "3.4.uncontrollable", _rule("eq22", _controllable, "stiffness")
+    yield "3.4.lyapunov", _rule("eq22", _positive_definite, note="signs as printed")
+    yield "3.4.stability", _rule("fig9", _lyapunov_term, note="sign corrected")
+    yield "4.1.tension", _rule("fig5", _taut("fig5"), "minimum_tension")
+    yield "4.3.vibration", _rule("fig7", _vibration, "stiffness", "eq24")
     robust = {
         "4.4.sum": _reduction("sum"),
         "4.4.max": _reduction("max"),
-        "6.robust": _again(_reduction("sum"), "4.4.sum"),
+        "6.robust": _repeated(_reduction("sum"), "4.4.sum"),
     }
-    for key, say in robust.items():
-        yield key, _finder("fig9", say, reading=f"joint springs, ε = {LAYER}, our ζ and φ")
-    yield "5.1.linear-spatial", _finder("claims", _affine("spatial"))
-    yield "5.1.linear-planar", _finder("claims", _affine("planar"), "minimum_tension", reading="least α")
-    yield "5.1.converges", _finder("eq37", _converges, reading="as printed")
-    yield "5.1.answer", _finder("eq37", _answer, reading="as printed")
-    yield "5.1.accuracy", _finder("claims", _no_accuracy, reading="load not told")
+    for key, state in robust.items():
+        yield key, _rule("fig9", state, note=f"joint springs, ε = {LAYER}, ζ and φ of this project")
+    yield "5.1.linear-spatial", _rule("claims", _affine("spatial"))
+    yield "5.1.linear-planar", _rule("claims", _affine("planar"), "minimum_tension", note="smallest α")
+    yield "5.1.converges", _rule("eq37", _converges, note="as printed")
+    yield "5.1.answer", _rule("eq37", _answer, note="as printed")
+    yield "5.1.accuracy", _rule("claims", _no_accuracy, note="payload unknown")
     for kind, part, load in (("planar", "fig10", "5.2.1.payload"), ("spatial", "fig12", "5.2.2.payload")):
-        yield load, _finder(part, _load(kind, part), *_PAYLOAD_READINGS[kind])
-        yield load.replace("payload", "motor"), _finder(part, _motor(part), *_PAYLOAD_READINGS[kind][1:])
-    again = _again(_load("spatial", "fig12"), "5.2.2.payload")
-    yield "5.2.3.rigid", _finder("fig12", again, *_PAYLOAD_READINGS["spatial"])
-    yield "5.2.1.path", _finder("fig11", _inside("fig11"), "line", "planar_apex", "minimum_tension", "alpha")
-    yield "5.2.2.path", _finder("fig13", _inside("fig13"), *_PAYLOAD_READINGS["spatial"][1:])
-    yield "5.2.3.stable", _finder("eq22", _stable_springs)
-    yield "5.2.3.path", _finder("fig14", _inside_with_springs, "stiffness", "platform_mass", reading="Eq. 22")
-    yield "5.2.3.payload", _finder("fig15", _spring_load, *_PAYLOAD_READINGS["flexible"], reading="Eqs. 23–25")
-    yield "5.2.3.motor", _finder("fig15", _spring_motor, *_PAYLOAD_READINGS["flexible"][1:], reading="Eqs. 23–25")
-    yield "5.2.3.less", _finder("fig15", _less, *_PAYLOAD_READINGS["flexible"], "pulleys", reading="Eqs. 23–25")
-    yield "6.torque", _finder("fig7", _torque_changes, "stiffness", "eq24")
-    yield "6.drop", _finder("fig15", _drop, *_PAYLOAD_READINGS["flexible"], "pulleys", reading="Eqs. 23–25")
-    yield "6.uncertainty", _finder("claims", _uncertain)
-    yield "6.open-tracking", _finder("claims", _open_tracking)
-    yield "6.open-payload", _finder("claims", _open_payload, reading="paper criterion")
+        yield load, _rule(part, _load(kind, part), *_PAYLOAD_OPTIONS[kind])
+        yield load.replace("payload", "motor"), _rule(part, _motor(part), *_PAYLOAD_OPTIONS[kind][1:])
+    again = _repeated(_load("spatial", "fig12"), "5.2.2.payload")
+    yield "5.2.3.rigid", _rule("fig12", again, *_PAYLOAD_OPTIONS["spatial"])
+    yield "5.2.1.path", _rule("fig11", _inside("fig11"), "line", "planar_apex", "minimum_tension", "alpha")
+    yield "5.2.2.path", _rule("fig13", _inside("fig13"), *_PAYLOAD_OPTIONS["spatial"][1:])
+    yield "5.2.3.stable", _rule("eq22", _stable_springs)
+    yield "5.2.3.path", _rule("fig14", _inside_with_springs, "stiffness", "platform_mass", note="Eq. 22")
+    yield "5.2.3.payload", _rule("fig15", _spring_load, *_PAYLOAD_OPTIONS["flexible"], note="Eqs. 23–25")
+    yield "5.2.3.motor", _rule("fig15", _spring_motor, *_PAYLOAD_OPTIONS["flexible"][1:], note="Eqs. 23–25")
+    yield "5.2.3.less", _rule("fig15", _less, *_PAYLOAD_OPTIONS["flexible"], "pulleys", note="Eqs. 23–25")
+    yield "6.torque", _rule("fig7", _torque_changes, "stiffness", "eq24")
+    yield "6.drop", _rule("fig15", _drop, *_PAYLOAD_OPTIONS["flexible"], "pulleys", note="Eqs. 23–25")
+    yield "6.uncertainty", _rule("claims", _uncertain)
+    yield "6.open-tracking", _rule("claims", _open_tracking)
+    yield "6.open-payload", _rule("claims", _open_payload, note="paper criterion")

@@ -1,4 +1,4 @@
-// Small pieces of the page, and charts as SVG. Colours are those of Okabe and Ito; lines differ in their dashes too.
+// DOM helpers and SVG charts. Lines differ in their dashes and in their colours, which are those of Okabe and Ito.
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8a7d00", "#7a7a7a"];
 const DASHES = ["", "7 3", "2 3", "9 3 2 3", "4 2", "12 4", "1 2", "6 2 1 2 1 2"];
@@ -19,26 +19,26 @@ function drawing(name, attributes = {}, text = null) {
   return made;
 }
 
-const percent = (share) => `${Math.round(100 * share)}%`;
+const percent = (fraction) => `${Math.round(100 * fraction)}%`;
 
 function ticks(low, high, count) {
   const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
   const step = power * ([1, 2, 5, 10].find((times) => times * power >= raw) ?? 10);
-  const found = [];
-  for (let value = Math.ceil(low / step - 1e-9) * step; value <= high + 1e-9 * step; value += step) found.push(Number(value.toPrecision(10)));
-  return found;
+  const values = [];
+  for (let value = Math.ceil(low / step - 1e-9) * step; value <= high + 1e-9 * step; value += step) values.push(Number(value.toPrecision(10)));
+  return values;
 }
 
-/* options: x (numbers), series ([{name, values, note, style}], a value may be null; style: its number, if not the place), label, range [low, high] of y,
-   bounds ([y]), tube ([low, high]), log (x on a logarithmic scale), points (mark them), unit.
-   Returns {node, at(x)}: at moves the cursor. */
+/* options: x (numbers), series ([{name, values, note, style, plain}]; a value may be null; style is a style index, by default
+   the index of the series), label, range ([low, high] of y), bounds ([y]), tube ([low, high]), log (logarithmic x axis),
+   points (mark the samples). Returns {node, moveCursor(x)}. */
 function lineChart(options) {
   const width = 520, height = 230, left = 46, right = 10, top = 8, bottom = 26;
-  const { x, series } = options, place = options.log ? Math.log : (value) => value;
-  const first = place(x[0]), span = place(x[x.length - 1]) - first || 1;
-  const known = series.flatMap((one) => one.values).filter((value) => value !== null);
+  const { x, series } = options, scale = options.log ? Math.log : (value) => value;
+  const first = scale(x[0]), span = scale(x[x.length - 1]) - first || 1;
+  const known = series.flatMap((line) => line.values).filter((value) => value !== null);
   const low = options.range?.[0] ?? Math.min(...known), high = (options.range?.[1] ?? Math.max(...known)) || 1;
-  const across = (value) => left + (place(value) - first) / span * (width - left - right);
+  const across = (value) => left + (scale(value) - first) / span * (width - left - right);
   const down = (value) => height - bottom - (value - low) / (high - low) * (height - top - bottom);
 
   const picture = drawing("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": options.label });
@@ -54,10 +54,10 @@ function lineChart(options) {
   }
   picture.append(drawing("line", { class: "axis", x1: left, x2: width - right, y1: height - bottom, y2: height - bottom }));
   for (const bound of options.bounds ?? []) picture.append(drawing("line", { class: "bound", x1: left, x2: width - right, y1: down(bound), y2: down(bound) }));
-  series.forEach((one, number) => {
-    const style = strokeOf(one, number);
+  series.forEach((line, number) => {
+    const style = strokeStyle(line, number);
     let path = "", pen = "M";
-    one.values.forEach((value, index) => {
+    line.values.forEach((value, index) => {
       if (value === null) { pen = "M"; return; }
       path += `${pen}${across(x[index]).toFixed(1)} ${down(Math.max(low, Math.min(high, value))).toFixed(1)}`;
       pen = "L";
@@ -72,25 +72,25 @@ function lineChart(options) {
   node.append(picture);
   if (series.length > 1 || series[0]?.note) {
     const legend = element("ul", { class: "legend" });
-    series.forEach((one, number) => {
+    series.forEach((line, number) => {
       const item = element("li"), sample = drawing("svg", { viewBox: "0 0 32 12", "aria-hidden": "true" });
-      sample.append(drawing("line", { x1: 0, x2: 32, y1: 6, y2: 6, "stroke-width": 2.5, ...strokeOf(one, number) }));
-      item.append(sample, ` ${one.name}${one.note ? `: ${one.note}` : ""}`);
+      sample.append(drawing("line", { x1: 0, x2: 32, y1: 6, y2: 6, "stroke-width": 2.5, ...strokeStyle(line, number) }));
+      item.append(sample, ` ${line.name}${line.note ? `: ${line.note}` : ""}`);
       legend.append(item);
     });
     node.append(legend);
   }
   return {
     node,
-    at(value) {
+    moveCursor(value) {
       cursor.setAttribute("x1", across(value));
       cursor.setAttribute("x2", across(value));
     },
   };
 }
 
-function strokeOf(one, number) {
-  if (one.plain) return { stroke: "currentColor", "stroke-dasharray": "" };
-  const style = one.style ?? number;
+function strokeStyle(line, number) {
+  if (line.plain) return { stroke: "currentColor", "stroke-dasharray": "" };
+  const style = line.style ?? number;
   return { stroke: COLOURS[style % COLOURS.length], "stroke-dasharray": DASHES[style % DASHES.length] };
 }

@@ -1,18 +1,18 @@
-// The robot in space: a pinhole camera that stands upright, as that of the package's own pictures; z points down.
+// 3D view of the robot: an upright pinhole camera, as in the renderer of the package. The z axis points down.
 
 function makeScene(canvas) {
   const context = canvas.getContext("2d");
-  let robot = null, frames = null, motion = null, frame = 0, look = null;
+  let robot = null, frames = null, motion = null, frame = 0, view = null;
 
   const minus = (a, b) => a.map((value, index) => value - b[index]);
   const dot = (a, b) => a.reduce((sum, value, index) => sum + value * b[index], 0);
   const solid = (point) => (point.length === 3 ? point : [point[0], point[1], 0]);
 
   function camera() {
-    const [ca, sa, ce, se] = [Math.cos(look.azimuth), Math.sin(look.azimuth), Math.cos(look.elevation), Math.sin(look.elevation)];
+    const [ca, sa, ce, se] = [Math.cos(view.azimuth), Math.sin(view.azimuth), Math.cos(view.elevation), Math.sin(view.elevation)];
     const right = [ca, sa, 0], forward = [ce * sa, -ce * ca, se];
     const down = [forward[1] * right[2] - forward[2] * right[1], forward[2] * right[0] - forward[0] * right[2], forward[0] * right[1] - forward[1] * right[0]];
-    const eye = robot.middle.map((value, index) => value - look.distance * forward[index]);
+    const eye = robot.middle.map((value, index) => value - view.distance * forward[index]);
     const focal = 0.5 * Math.min(canvas.width, canvas.height) / Math.tan(0.28);
     return (point) => {
       const away = minus(solid(point), eye), depth = Math.max(dot(away, forward), 0.05);
@@ -42,11 +42,11 @@ function makeScene(canvas) {
     line(frames.position.slice(0, frame + 1).map(project), { strokeStyle: colour("--accent"), lineWidth: 2 * ratio });
     const corners = robot.base.map(project);
     line([...corners, corners[0]], { strokeStyle: colour("--line"), lineWidth: 2 * ratio });
-    const width = robot.base[0].length, ends = robot.cables.map((place) => frames.anchors[frame].slice(place * width, (place + 1) * width)).map(project);
+    const width = robot.base[0].length, ends = robot.cables.map((index) => frames.anchors[frame].slice(index * width, (index + 1) * width)).map(project);
     ends.forEach((end, cable) => {
-      const tension = frames.tension[frame][cable], slack = tension <= 0, share = Math.max(0, Math.min(1, tension / robot.fullTension));
+      const tension = frames.tension[frame][cable], slack = tension <= 0, fraction = Math.max(0, Math.min(1, tension / robot.fullTension));
       const start = corners[cable];
-      if (slack) {  // it hangs
+      if (slack) {  // draw it sagging
         const low = [(start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 0.08 * Math.hypot(start[0] - end[0], start[1] - end[1])];
         context.save();
         context.setLineDash([6 * ratio, 5 * ratio]);
@@ -58,7 +58,7 @@ function makeScene(canvas) {
         context.stroke();
         context.restore();
       } else {
-        line([start, end], { strokeStyle: mixed(colour("--low"), colour("--high"), share), lineWidth: (1.4 + 3 * share) * ratio });
+        line([start, end], { strokeStyle: mixColours(colour("--low"), colour("--high"), fraction), lineWidth: (1.4 + 3 * fraction) * ratio });
       }
       context.fillStyle = colour("--ink");
       context.beginPath();
@@ -98,20 +98,20 @@ function makeScene(canvas) {
     canvas.setAttribute("aria-label", `The robot at ${frames.times[frame].toFixed(2)} s: position ${frames.position[frame].map((value) => value.toFixed(3)).join(", ")} m`);
   }
 
-  function mixed(one, other, share) {
-    const parts = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
-    const a = parts(one), b = parts(other);
-    return `rgb(${a.map((value, index) => Math.round(value + share * (b[index] - value))).join(" ")})`;
+  function mixColours(low, high, fraction) {
+    const channels = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
+    const a = channels(low), b = channels(high);
+    return `rgb(${a.map((value, index) => Math.round(value + fraction * (b[index] - value))).join(" ")})`;
   }
 
-  function turn(across, up) {
-    look.azimuth += across;
-    look.elevation = Math.max(-1.5, Math.min(1.57, look.elevation + up));
+  function rotate(across, up) {
+    view.azimuth += across;
+    view.elevation = Math.max(-1.5, Math.min(1.57, view.elevation + up));
     draw();
   }
 
-  function nearer(times) {
-    look.distance = Math.max(0.3 * robot.size, Math.min(8 * robot.size, look.distance * times));
+  function zoom(factor) {
+    view.distance = Math.max(0.3 * robot.size, Math.min(8 * robot.size, view.distance * factor));
     draw();
   }
 
@@ -124,25 +124,25 @@ function makeScene(canvas) {
 
   canvas.addEventListener("keydown", (event) => {
     const moves = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
-    if (!look) return;
-    if (moves[event.key]) turn(...moves[event.key]);
-    else if (event.key === "+" || event.key === "=") nearer(0.9);
-    else if (event.key === "-") nearer(1.1);
+    if (!view) return;
+    if (moves[event.key]) rotate(...moves[event.key]);
+    else if (event.key === "+" || event.key === "=") zoom(0.9);
+    else if (event.key === "-") zoom(1.1);
     else return;
     event.preventDefault();
   });
-  let held = null;
-  canvas.addEventListener("pointerdown", (event) => { held = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
-  canvas.addEventListener("pointerup", () => { held = null; });
-  canvas.addEventListener("pointercancel", () => { held = null; });
+  let dragStart = null;
+  canvas.addEventListener("pointerdown", (event) => { dragStart = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
+  canvas.addEventListener("pointerup", () => { dragStart = null; });
+  canvas.addEventListener("pointercancel", () => { dragStart = null; });
   canvas.addEventListener("pointermove", (event) => {
-    if (!held || !look) return;
-    turn((held[0] - event.clientX) / 150, (event.clientY - held[1]) / 150);
-    held = [event.clientX, event.clientY];
+    if (!dragStart || !view) return;
+    rotate((dragStart[0] - event.clientX) / 150, (event.clientY - dragStart[1]) / 150);
+    dragStart = [event.clientX, event.clientY];
   });
   canvas.addEventListener("wheel", (event) => {
-    if (!look) return;
-    nearer(event.deltaY > 0 ? 1.1 : 0.9);
+    if (!view) return;
+    zoom(event.deltaY > 0 ? 1.1 : 0.9);
     event.preventDefault();
   }, { passive: false });
   new ResizeObserver(fit).observe(canvas);
@@ -150,13 +150,13 @@ function makeScene(canvas) {
   return {
     draw,
     show(newRobot, newFrames, newMotion) {
-      if (!robot || robot !== newRobot) look = newRobot.planar ? { azimuth: 0, elevation: 1.35, distance: 1.55 * newRobot.size } : { azimuth: 0.4, elevation: 0.35, distance: 1.5 * newRobot.size };
+      if (!robot || robot !== newRobot) view = newRobot.planar ? { azimuth: 0, elevation: 1.35, distance: 1.55 * newRobot.size } : { azimuth: 0.4, elevation: 0.35, distance: 1.5 * newRobot.size };
       [robot, frames, motion] = [newRobot, newFrames, newMotion];
       frame = Math.min(frame, frames.times.length - 1);
       fit();
     },
-    at(place) {
-      frame = place;
+    showFrame(index) {
+      frame = index;
       draw();
     },
   };

@@ -1,8 +1,9 @@
-"""Gymnasium wrappers that a learner trains through: the task's limits, heavier payloads step by step, a steered law.
+"""Gymnasium wrappers for training: the task's error bounds, a payload curriculum, and a steered base law.
 
-Each stands around a single environment of this package, and has a twin for N at once, :class:`CableBotVectorEnv` made
-with autoreset disabled; a lane of the twin is the single environment bit for bit. Arguments are plain JSON-able data.
-The order from the inside out: :class:`WithinLimits`, :class:`PayloadCurriculum`, :class:`Steered`.
+Each wraps a single environment of this package. Each has a vector form for N environments, which wraps a
+:class:`CableBotVectorEnv` with autoreset disabled; its environment i equals the single environment bit by bit.
+Arguments are JSON-able data. The order is :class:`WithinLimits` (innermost), :class:`PayloadCurriculum`,
+:class:`Steered`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What all wrappers share: where they may stand, and checks of what they are given."""
+"""Base classes of the wrappers, the check of their order, and checks of arguments."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.envs.vector import CableBotVectorEnv
 
 LIMITS, CURRICULUM, STEERED = range(3)
-"""Levels of wrappers: each goes around lower ones or its own, but nothing around :data:`STEERED`."""
+"""Levels of the wrappers: a wrapper may wrap lower levels and its own level; :data:`STEERED` is always outermost."""
 
 SingleStep = tuple[Array, float, bool, bool, dict[str, Any]]
 
 
-class Single(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConstructorArgs):
-    """Around a single environment of this package; ``arguments`` are those of the vector twin.
+class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConstructorArgs):
+    """Wrapper of a single environment of this package; ``arguments`` are those of the vector form.
 
     Raises:
-        TypeError: if the environment is none.
-        ValueError: if the wrappers beneath are in the wrong order.
+        TypeError: if the environment is not one of this package.
+        ValueError: if the order of the wrappers is wrong.
     """
 
     level: ClassVar[int]
-    """Where among the others it stands."""
+    """Level in the order of the wrappers."""
 
     env: gym.Env[Array, ArrayLike]
 
@@ -45,72 +45,70 @@ class Single(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConstructorA
         self._plant: CableBotEnv = env.unwrapped
 
 
-class Many(VectorWrapper[Array, ArrayLike, Array, ArrayLike, Array]):
-    """Around N environments of this package, which do not restart on their own.
+class BatchWrapper(VectorWrapper[Array, ArrayLike, Array, ArrayLike, Array]):
+    """Wrapper of N environments of this package with autoreset disabled.
 
     Raises:
-        TypeError: if the environment is no :class:`CableBotVectorEnv`.
-        ValueError: if it has another autoreset mode, or the wrappers beneath are in the wrong order.
+        TypeError: if the environment is not a :class:`CableBotVectorEnv`.
+        ValueError: if it has another autoreset mode, or the order of the wrappers is wrong.
     """
 
     level: ClassVar[int]
-    """Where among the others it stands."""
+    """Level in the order of the wrappers."""
 
     env: Any
 
     def __init__(self, env: VectorEnv[Array, ArrayLike, Array]) -> None:
         name = type(self).__name__
         if not isinstance(env, VectorEnv) or not isinstance(env.unwrapped, CableBotVectorEnv):
-            raise TypeError(f"{name} needs N environments of this package as one batch, from gym.make_vec, not {env!r}")
+            raise TypeError(f"{name} needs a vector environment of this package, from gym.make_vec, not {env!r}")
         super().__init__(env)
         _check_order(self)
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.DISABLED:
             raise ValueError(
-                f"{name} needs environments that do not restart on their own, not {getattr(mode, 'name', mode)}: "
-                "make them by gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED), or all by make_steered_vec"
+                f"{name} needs autoreset mode DISABLED, not {getattr(mode, 'name', mode)}: use "
+                "gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED), or make_steered_vec"
             )
         self._plant: CableBotVectorEnv = env.unwrapped
 
 
 def _levels(env: Any) -> Iterator[int]:
-    """Of an environment and its wrappers, from the outside in; wrappers of others have none."""
+    """Levels of an environment's wrappers from the outside in; wrappers of other packages are skipped."""
     while isinstance(env, (gym.Wrapper, VectorWrapper)):
-        if isinstance(env, (Single, Many)):
+        if isinstance(env, (SingleWrapper, BatchWrapper)):
             yield env.level
         env = env.env
 
 
-def _check_order(wrapper: Single | Many) -> None:
-    """Refuses what a wrapper cannot stand around.
+def _check_order(wrapper: SingleWrapper | BatchWrapper) -> None:
+    """Checks the order of the wrappers.
 
     Raises:
-        ValueError: naming the right order.
+        ValueError: if it is wrong; the message names the right order.
     """
     highest = max(_levels(wrapper.env), default=LIMITS)
     if highest == STEERED:
-        why = "has to see every control period"
+        reason = "must be inside Steered to process every control period"
     elif highest > wrapper.level:
-        why = "ends episodes of which PayloadCurriculum has to hear"
+        reason = "must be inside PayloadCurriculum, which counts the episodes that it ends"
     else:
         return
-    raise ValueError(
-        f"{type(wrapper).__name__} {why}: "
-        "the order is WithinLimits, PayloadCurriculum, Steered, the first one innermost"
-    )
+    order = "WithinLimits (innermost), PayloadCurriculum, Steered (outermost)"
+    raise ValueError(f"{type(wrapper).__name__} {reason}. The order is {order}")
 
 
-def restarted(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
-    """The environments that a reset with these options has restarted."""
+def restart_mask(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
+    """Mask of the environments that a reset with these options resets."""
     mask = (options or {}).get("reset_mask")
     return np.ones(count, np.bool_) if mask is None else np.array(mask, np.bool_)
 
 
 def check_number(name: str, value: Any, low: float, high: float = math.inf, *, above: bool = False) -> None:
-    """Refuses a value that is no finite number from ``low`` to ``high``, or, ``above``, beyond the lower one.
+    """Checks that a value is a finite number from ``low`` to ``high``; with ``above``, ``low`` itself is invalid.
 
     Raises:
-        ValueError: naming the bounds.
+        ValueError: if not; the message names the bounds.
     """
     if not is_number(value) or not low <= value <= high or (above and value == low):
         least = f"greater than {low:g}" if above else f"of at least {low:g}"

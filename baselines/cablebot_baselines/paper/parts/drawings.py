@@ -1,4 +1,4 @@
-"""Figs. 1 to 3: the robots and the elastic joint, drawn from the geometry and the values that the plants use."""
+"""Figs. 1 to 3: robots and elastic joint, drawn with the geometry and the parameters of the plants."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cablebot_baselines.paper.exact import paper_circle
-from cablebot_baselines.paper.part import Cell, Found, Outcome, Part, Table
-from cablebot_baselines.paper.readings import Readings
+from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.part import Cell, CellResults, Outcome, Part, Table
 from cablebot_gym.kinematics import Array, cable_lengths, cable_vectors
 from cablebot_gym.physics import textbook
 from cablebot_gym.plotting.comparison import COLOURS
-from cablebot_gym.plotting.figures import entitle, new_figure
+from cablebot_gym.plotting.figures import new_figure, set_title
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, SKY
@@ -22,31 +22,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOTORS = COLOURS[:6]
-"""Colour of each motor and its cable, in every figure that shows them together."""
+"""Colours of the motors and their cables."""
 
 PLATFORM_CORNERS = ("P1", "P1", "P3", "P3", "P2", "P2")
 BASE_CORNERS = ("A1", "A2", "A2", "A3", "A3", "A1")
-"""Where cables 1 to 6 end: Fig. 2's ring."""
+"""Corners at which cables 1 to 6 end (ring of Fig. 2)."""
 
 _AZIMUTH, _ELEVATION = np.radians((-72.0, 30.0))
-"""From where the spatial robot is seen, z down: a little from the right of +y, and from above."""
+"""View direction of the spatial robot with z down: slightly to the right of +y and from above [rad]."""
 
 _COUNT = 201
-"""Instants at which a path is drawn."""
+"""Number of instants of a drawn path."""
 
 
 def path(robot: Robot) -> tuple[Array, Reference]:
-    """Instants of the paper's circle [s], and the motion there."""
+    """Instants of the circle of the paper [s] and the motion at these instants."""
     circle = paper_circle(robot)
     times = np.linspace(0.0, circle.duration, _COUNT)
     return times, circle(times)
 
 
 def spring_modes(robot: Robot) -> Array:
-    """Frequencies [Hz] at which a flexible robot's motors swing against pulleys and platform at home, ascending.
+    """Frequencies of the oscillation of the motors against pulleys and platform at home, ascending [Hz].
 
-    Of the motion that :func:`~cablebot_gym.physics.textbook.highest_frequency` describes, whose others are at rest:
-    the twist δ = β′ − β of the free robot has δ̈ = −(1/J′ + (S/r) M⁻¹ (S/r)ᵀ) K δ, M platform and pulleys.
+    These are the modes of the motion that :func:`~cablebot_gym.physics.textbook.highest_frequency` describes. The twist
+    δ = β′ − β of the free robot satisfies δ̈ = −(1/J′ + (S/r) M⁻¹ (S/r)ᵀ) K δ with the mass matrix M of platform and
+    pulleys.
     """
     turning = textbook.jacobian(robot, robot.home) / robot.pulley_radius[:, None]
     pulleys = turning.T @ (robot.pulley_inertia[:, None] * turning)
@@ -57,17 +58,17 @@ def spring_modes(robot: Robot) -> Array:
 
 
 def wind_up(robot: Robot, pose: Array) -> Array:
-    """β′ − β of a flexible robot at rest [rad], (..., m)."""
+    """Static twist β′ − β of the joints of a flexible robot, shape (..., m) [rad]."""
     return textbook.static_torque(robot, robot.mass, pose) / robot.stiffness
 
 
-def _no_cells(readings: Readings) -> dict[str, Cell]:
+def _no_cells(interpretation: Interpretation) -> dict[str, Cell]:
     return {}
 
 
-def _spatial_cells(readings: Readings) -> dict[str, Cell]:
-    """None, but the robot has to be possible."""
-    readings.spatial("control")
+def _spatial_cells(interpretation: Interpretation) -> dict[str, Cell]:
+    """No cells; raises NoEquilibriumError if the interpretation does not allow the robot."""
+    interpretation.spatial("control")
     return {}
 
 
@@ -82,19 +83,19 @@ def _draw_lengths(axes: Axes, robot: Robot) -> None:
         axes.plot(times, lengths[:, cable], color=MOTORS[cable], linewidth=1.6, label=f"cable {cable + 1}")
     low, high = lengths.min(), lengths.max()
     axes.set(xlim=(times[0], times[-1]), ylim=(low - 0.1 * (high - low), high + 0.1 * (high - low)))
-    axes.set(xlabel="time [s]", ylabel="length of the cables on the path [m]")
+    axes.set(xlabel="time [s]", ylabel="cable length on the path [m]")
     axes.legend(frameon=False, fontsize=9, ncols=robot.cables // 3, loc="upper right")
     axes.set_ylim(top=high + 0.3 * (high - low))
 
 
-def _words(readings: Readings) -> list[str]:
-    """A line of the title where the readings are not the default."""
-    return [] if readings == Readings() else [f"readings: {readings.words()}"]
+def _interpretation_line(interpretation: Interpretation) -> list[str]:
+    """Title line on the interpretation if it differs from the default."""
+    return [] if interpretation == Interpretation() else [f"interpretation: {interpretation.text()}"]
 
 
-def _write(axes: Axes, place: Array, text: str, **style: Any) -> None:
-    """Text centred at a place."""
-    axes.text(float(place[0]), float(place[1]), text, **{"ha": "center", "va": "center", **style})
+def _write(axes: Axes, position: Array, text: str, **style: Any) -> None:
+    """Writes text centred at a position."""
+    axes.text(float(position[0]), float(position[1]), text, **{"ha": "center", "va": "center", **style})
 
 
 def _arrow(axes: Axes, start: Array, end: Array, style: str = "-|>", colour: str = "black") -> None:
@@ -109,8 +110,8 @@ def _box(colour: str = "white") -> dict[str, Any]:
 # Fig. 1
 
 
-def _planar_outcome(readings: Readings, found: Found) -> Outcome:
-    robot = readings.planar
+def _planar_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+    robot = interpretation.planar
     sides = np.linalg.norm(robot.base - np.roll(robot.base, 1, axis=0), axis=1)
     lengths = _lengths(robot)[1]
     motion = path(robot)[1]
@@ -124,14 +125,14 @@ def _planar_outcome(readings: Readings, found: Found) -> Outcome:
     )
 
 
-def _draw_planar(readings: Readings, found: Found) -> Figure:
-    robot = readings.planar
+def _draw_planar(interpretation: Interpretation, results: CellResults) -> Figure:
+    robot = interpretation.planar
     figure = new_figure(4.9)
     plane, lengths = figure.subplots(1, 2, width_ratios=[1.35, 1])
     _draw_plane(plane, robot)
     _draw_lengths(lengths, robot)
     mass = f"point mass m = {robot.mass:g} kg, pulleys r = {1e3 * robot.pulley_radius[0]:g} mm (to scale)"
-    entitle(figure, f"Planar robot (Tables 1 and 2): {mass}; dashed: the path", *_words(readings))
+    set_title(figure, f"Planar robot (Tables 1 and 2): {mass}; dashed: the path", *_interpretation_line(interpretation))
     return figure
 
 
@@ -150,7 +151,7 @@ def _draw_plane(axes: Axes, robot: Robot) -> None:
         outward = (anchor - middle) / np.linalg.norm(anchor - middle)
         axes.add_patch(Circle(anchor, robot.pulley_radius[i], facecolor=SHADE, edgecolor=MOTORS[i], linewidth=1.4))
         axes.plot(*np.stack([anchor, start]).T, color=MOTORS[i], linewidth=1.8)
-        aside = (0.0, -0.1) if abs(outward[1]) < 0.1 else (0.0, 0.0)  # not on the line that θ is measured from
+        aside = (0.0, -0.1) if abs(outward[1]) < 0.1 else (0.0, 0.0)  # keeps the text off the reference line of θ
         _write(axes, anchor + outward * (0.17, 0.13) + aside, f"motor {i + 1}", color=MOTORS[i], weight="bold")
         reach = 0.16
         axes.plot(anchor[0] + np.array([0, reach + 0.05]), [anchor[1]] * 2, ":", color=GREY, linewidth=1.0)
@@ -158,7 +159,7 @@ def _draw_plane(axes: Axes, robot: Robot) -> None:
         axes.add_patch(Arc(anchor, 2 * reach, 2 * reach, theta1=first, theta2=last, color="black", linewidth=1.0))
         half = np.radians(angle / 2)
         label = anchor + (reach + 0.055) * np.array([np.cos(half), np.sin(half)])
-        label[1] += 0.06 if abs(angle) < 10 else 0.0  # not on the cable
+        label[1] += 0.06 if abs(angle) < 10 else 0.0  # keeps the text off the cable
         _write(axes, label, f"$\\theta_{i + 1}$", fontsize=11)
     axes.plot(*start, "o", color="black", markersize=8, zorder=5)
     axes.annotate(
@@ -183,13 +184,13 @@ def _draw_plane(axes: Axes, robot: Robot) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _freest(occupied: Array, places: list[tuple[float, float]]) -> tuple[float, float]:
-    """Of some places for a text, the one that is farthest from what is drawn."""
-    return max(places, key=lambda place: float(np.linalg.norm(occupied - np.array(place), axis=1).min()))
+def _freest(occupied: Array, candidates: list[tuple[float, float]]) -> tuple[float, float]:
+    """Candidate position that is farthest from all occupied points."""
+    return max(candidates, key=lambda position: float(np.linalg.norm(occupied - np.array(position), axis=1).min()))
 
 
 def _dimension(axes: Axes, one: Array, other: Array, middle: Array, text: str) -> None:
-    """A dimension line outside the side between two corners."""
+    """Draws a dimension line outside the side between two corners."""
     along = other - one
     outward = np.array([along[1], -along[0]]) / np.linalg.norm(along)
     outward *= np.sign(outward @ ((one + other) / 2 - middle))
@@ -203,8 +204,8 @@ def _dimension(axes: Axes, one: Array, other: Array, middle: Array, text: str) -
 # Fig. 2
 
 
-def _spatial_outcome(readings: Readings, found: Found) -> Outcome:
-    robot = readings.spatial("control")
+def _spatial_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+    robot = interpretation.spatial("control")
     lengths, start = _lengths(robot)[1], path(robot)[1].position[0]
     depth = path(robot)[1].position[:, 2]
     ends = zip(BASE_CORNERS, PLATFORM_CORNERS, lengths.min(axis=0), lengths.max(axis=0), strict=True)
@@ -220,8 +221,8 @@ def _spatial_outcome(readings: Readings, found: Found) -> Outcome:
         },
         tables=(
             Table(
-                title="Where the cables end, and how long they are on the path.",
-                header=("cable", "base", "platform", "shortest [m]", "longest [m]"),
+                title="Ends of the cables and their lengths on the path.",
+                header=("cable", "base corner", "platform corner", "minimum length [m]", "maximum length [m]"),
                 rows=rows,
             ),
         ),
@@ -234,8 +235,8 @@ def _half_side(anchors: Array) -> float:
 
 
 def oblique(points: Array) -> Array:
-    """Points (..., 3) with z down as they are seen in parallel projection, (..., 2): right and up."""
-    upright = np.asarray(points) * (1, -1, -1)  # half a turn about x: z up, and still right-handed
+    """Parallel projection of points with z down, shape (..., 3) to (..., 2): right and up."""
+    upright = np.asarray(points) * (1, -1, -1)  # rotation by 180° about x: z up, still right-handed
     right = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
     across = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     above = np.cos(_ELEVATION) * np.array([0.0, 0.0, 1.0]) - np.sin(_ELEVATION) * across
@@ -246,8 +247,8 @@ def _flat(points: Array) -> Array:
     return np.asarray(points)[..., :2]
 
 
-def _draw_spatial(readings: Readings, found: Found) -> Figure:
-    robot = readings.spatial("control")
+def _draw_spatial(interpretation: Interpretation, results: CellResults) -> Figure:
+    robot = interpretation.spatial("control")
     figure = new_figure(7.4)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.05, 1])
     view, below = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
@@ -255,22 +256,27 @@ def _draw_spatial(readings: Readings, found: Found) -> Figure:
     _draw_triad(view)
     view.set_axis_off()
     view.set_title(
-        "seen obliquely from above, to scale: base triangle at z = 0, z points down; dotted: depth", fontsize=10
+        "oblique view from above, to scale: base triangle at z = 0, z points down; dotted: depth", fontsize=10
     )
     _draw_hanging(below, robot, _flat, names=False)
     below.set(xlabel="x [m]", ylabel="y [m]")
-    below.set_title("seen from below: z points to the reader", fontsize=10)
+    below.set_title("view from below: z points towards the reader", fontsize=10)
     _draw_lengths(figure.add_subplot(grid[1, 1]), robot)
     sides = f"half sides {_half_side(robot.base):.3g} m and {_half_side(robot.platform):.3g} m"
     start = path(robot)[1].position[0]
     pose = f"start of the path: z = {start[2]:g} m, ψ = θ = φ = {start[3]:g} rad"
-    head = f"Spatial robot (Tables 3 and 4): {sides}, m = {robot.mass:g} kg"
-    entitle(figure, head, f"{pose}; dashed: path of the platform's centre, dot: its start", *_words(readings))
+    title = f"Spatial robot (Tables 3 and 4): {sides}, m = {robot.mass:g} kg"
+    set_title(
+        figure,
+        title,
+        f"{pose}; dashed: path of the platform's centre, dot: its start",
+        *_interpretation_line(interpretation),
+    )
     return figure
 
 
 def _draw_hanging(axes: Axes, robot: Robot, project: Any, *, names: bool) -> None:
-    """Base, platform at the path's start, cables and path in a projection."""
+    """Draws base, platform at the start of the path, cables and path in a projection."""
     from matplotlib.patches import Polygon
 
     motion = path(robot)[1]
@@ -281,14 +287,14 @@ def _draw_hanging(axes: Axes, robot: Robot, project: Any, *, names: bool) -> Non
     axes.add_patch(Polygon(platform[::2], closed=True, facecolor=SKY, edgecolor="black", linewidth=1.2, alpha=0.9))
     if names:
         for corner, foot in zip(platform, project(ends * (1, 1, 0)), strict=True):
-            axes.plot(*np.stack([corner, foot]).T, ":", color=GREY, linewidth=1.0)  # how far below the base it hangs
+            axes.plot(*np.stack([corner, foot]).T, ":", color=GREY, linewidth=1.0)  # depth below the base
     axes.plot(*project(motion.position[:, :3]).T, "--", color="black", linewidth=1.0)
     axes.plot(*project(motion.position[0, :3]), "o", color="black", markersize=5, zorder=6)
     for i in range(robot.cables):
         line = np.stack([base[i], platform[i]])
         axes.plot(*line.T, color=MOTORS[i], linewidth=1.8)
-        place = line[0] + 0.42 * (line[1] - line[0])
-        _write(axes, place, str(i + 1), color=MOTORS[i], fontsize=9, bbox=_box(MOTORS[i]), zorder=7)
+        position = line[0] + 0.42 * (line[1] - line[0])
+        _write(axes, position, str(i + 1), color=MOTORS[i], fontsize=9, bbox=_box(MOTORS[i]), zorder=7)
     for corners, points, others in ((BASE_CORNERS, base, 0.1), (PLATFORM_CORNERS, platform, 0.06)):
         centre = points.mean(axis=0)
         for name in sorted(set(corners)):
@@ -306,7 +312,7 @@ def _draw_hanging(axes: Axes, robot: Robot, project: Any, *, names: bool) -> Non
 
 
 def _draw_triad(axes: Axes) -> None:
-    """The frame's axes in the lower left corner of the oblique view."""
+    """Draws the coordinate axes in the lower left corner of the oblique view."""
     corner = np.array([axes.get_xlim()[0] + 0.14, axes.get_ylim()[0] + 0.2])
     for name, direction in zip("xyz", np.eye(3), strict=True):
         _arrow(axes, corner, corner + 0.17 * oblique(direction))
@@ -316,8 +322,8 @@ def _draw_triad(axes: Axes) -> None:
 # Fig. 3
 
 
-def _joint_outcome(readings: Readings, found: Found) -> Outcome:
-    robot = readings.flexible("control")
+def _joint_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+    robot = interpretation.flexible("control")
     wound, modes = wind_up(robot, path(robot)[1].position), spring_modes(robot)
     return Outcome(
         numbers={
@@ -330,8 +336,8 @@ def _joint_outcome(readings: Readings, found: Found) -> Outcome:
     )
 
 
-def _draw_joint(readings: Readings, found: Found) -> Figure:
-    robot = readings.flexible("control")
+def _draw_joint(interpretation: Interpretation, results: CellResults) -> Figure:
+    robot = interpretation.flexible("control")
     figure = new_figure(4.6)
     scheme, curves = figure.subplots(1, 2, width_ratios=[1.35, 1])
     _draw_shaft(scheme, robot)
@@ -341,14 +347,18 @@ def _draw_joint(readings: Readings, found: Found) -> Figure:
     for i in range(robot.cables):
         curves.plot(turn, wound[:, i], color=MOTORS[i], linewidth=1.6, label=f"motor {i + 1}")
     curves.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, 1.3 * wound.max()))
-    curves.set(xlabel="place on the path, angle from +x [°]", ylabel="wind-up at rest, β′ − β = r T/K [rad]")
+    curves.set(xlabel="position on the path, angle from +x [°]", ylabel="static twist β′ − β = r T/K [rad]")
     curves.legend(frameon=False, fontsize=9, ncols=3, loc="upper center")
-    entitle(figure, f"Elastic joint (Table 5), one for each cable; platform m = {robot.mass:g} kg", *_words(readings))
+    set_title(
+        figure,
+        f"Elastic joint (Table 5), one per cable; platform m = {robot.mass:g} kg",
+        *_interpretation_line(interpretation),
+    )
     return figure
 
 
 def _draw_shaft(axes: Axes, robot: Robot) -> None:
-    """Motor, spring and pulley on one shaft, seen from the side, and the cable."""
+    """Draws motor, spring and pulley on one shaft in side view, and the cable."""
     from matplotlib.patches import FancyArrowPatch, Rectangle
 
     for first, last in ((0.3, 1.1), (3.3, 4.2), (5.2, 5.8)):
@@ -380,7 +390,7 @@ def _draw_shaft(axes: Axes, robot: Robot) -> None:
     )
     for x, y, text in texts:
         _write(axes, np.array([x, y]), text)
-    _write(axes, np.array([4.85, -2.6]), "T, tension of the cable", ha="left", color=BLUE)
+    _write(axes, np.array([4.85, -2.6]), "T, cable tension", ha="left", color=BLUE)
     axes.set(xlim=(-1.5, 7.4), ylim=(-3.1, 2.0), aspect="equal")
     axes.set_axis_off()
 
@@ -389,11 +399,11 @@ PARTS: tuple[Part, ...] = (
     Part(
         name="fig1",
         title="Fig. 1: the planar robot",
-        text="The planar robot to scale, from the anchors that the plant uses: an equilateral triangle of the side "
-        "that Table 2 prints, motors 1 to 3 at its corners, the platform at the start of Table 1's circle. θᵢ "
-        "is the angle of cable i as Eq. 2 counts it, from +x towards the platform. The paper does not say how "
-        "the triangle lies; `--planar-apex` is that reading. The published figure is known by its caption only, "
-        "so that nothing of it can be compared.",
+        text="Planar robot to scale with the anchors of the plant: an equilateral triangle with the side of Table 2, "
+        "motors 1 to 3 at its corners, and the platform at the start of the circle of Table 1. θᵢ is the angle of "
+        "cable i in Eq. 2, from +x towards the platform. The paper does not state the orientation of the triangle; the "
+        "option `--planar-apex` selects it. Only the caption of the published figure is available, so no comparison is "
+        "possible.",
         cells=_no_cells,
         outcome=_planar_outcome,
         draw=_draw_planar,
@@ -401,11 +411,12 @@ PARTS: tuple[Part, ...] = (
     Part(
         name="fig2",
         title="Fig. 2: the spatial robot",
-        text="The spatial robot to scale at the start of Table 3's path, its platform turned by the same rotation "
-        "matrix as in the plant. The cables make a ring, A1P1, A2P1, A2P3, A3P3, A3P2, A1P2, and motor i winds "
-        'cable i. a and b of Table 4, "half of the triangle", are read as half sides (`--sides`), and the '
-        "platform's triangle points away from the base's (`--triangles`): pointing the same way, no positive "
-        "tensions hold it at rest in its home pose. The published figure is known by its caption only.",
+        text="Spatial robot to scale at the start of the path of Table 3; the platform is rotated by the rotation "
+        "matrix of the plant. The cables form a ring, A1P1, A2P1, A2P3, A3P3, A3P2, A1P2, and motor i winds cable i. "
+        "The values "
+        'a and b of Table 4, "half of the triangle", are interpreted as half sides (`--sides`). The platform triangle '
+        "points away from the base triangle (`--triangles`); if both point in the same direction, the home pose has no "
+        "equilibrium with positive tensions. Only the caption of the published figure is available.",
         cells=_spatial_cells,
         outcome=_spatial_outcome,
         draw=_draw_spatial,
@@ -414,12 +425,11 @@ PARTS: tuple[Part, ...] = (
         name="fig3",
         title="Fig. 3: the elastic joint",
         text="Motor, spring and pulley of one joint with the values of Table 5, Eq. 4 with winding counted positive "
-        "for both, and how far the springs are wound when the robot rests on the path. The springs are soft: "
-        "the weight alone winds them by radians, which is why a robot that starts with its motors at the "
-        "pulleys' angles would drop. `wind_up_max_rad` is at the start of the path, `wind_up_path_max_rad` the "
-        "most on it; `mode_low_Hz` and "
-        "`mode_high_Hz` are the lowest and highest mode of the motors against pulleys and platform about the home "
-        "pose, cables taut.",
+        "for both angles, and the static twist of the springs on the path. The springs are soft: the weight alone "
+        "twists them by radians. A robot that starts with the motors at the angles of the pulleys would therefore "
+        "drop. `wind_up_max_rad` is the largest twist at the start of the path, `wind_up_path_max_rad` the largest "
+        "twist on the path. `mode_low_Hz` and `mode_high_Hz` are the lowest and the highest mode of the motors against "
+        "pulleys and platform about the home pose with taut cables.",
         cells=_spatial_cells,
         outcome=_joint_outcome,
         draw=_draw_joint,

@@ -12,28 +12,28 @@ from cablebot_baselines.classical.feedback_linearization import FeedbackLineariz
 from cablebot_baselines.classical.flex_eq22 import PaperFlexible
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from cablebot_baselines.paper.exact import exact_limit, paper_circle, state_space_limit, state_space_profile
-from cablebot_baselines.paper.part import Cell, Found, Number, Outcome, Part
+from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.part import Cell, CellResults, Number, Outcome, Part
 from cablebot_baselines.paper.parts.profiles import (
-    Carried,
+    PayloadSummary,
+    add_title,
     computed_profile,
     draw_panels,
+    drawn_run,
     early_end,
     first_saturation,
-    head,
     on_reference,
     payload_table,
     peaks,
-    run_of,
     simulated_profile,
     stays_within,
     travelled,
 )
-from cablebot_baselines.paper.readings import Readings
 from cablebot_baselines.paper.runs import Law, closed_loop, largest_payload
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import Travelled, add_legend, draw_plane, mark_bound, new_figure, torques_height
+from cablebot_gym.plotting.figures import TravelledPath, add_legend, draw_plane, mark_bound, new_figure, torques_height
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Limits
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 
 if TYPE_CHECKING:
@@ -43,20 +43,20 @@ if TYPE_CHECKING:
 _ENV_ID = "CableBot-FlexSpatial-v0"
 
 _LAWS: dict[str, Law] = {"fl4": FourthOrder, "motor_pd": MotorPD, "composite": Composite}
-"""Laws that work, by their names in results.json."""
+"""Stable laws by their names in results.json."""
 
 _EQ22 = partial(PaperFlexible, as_printed=True)
 
 _FAR = 4.0
-"""How many bounds away an error is still shown, not to flatten the others."""
+"""Upper end of the error axis as a multiple of the bound, so that small errors remain visible."""
 
 _OTHERS = (("z", "mm"), ("ψ", "mrad"), ("θ", "mrad"), ("φ", "mrad"))
-"""Coordinates beside x and y, and the thousandths of their units."""
+"""Coordinates besides x and y with their units of display."""
 
 
-def with_friction(readings: Readings, robot: Robot) -> Robot:
-    """The robot with the c of Table 4 on its motors' side of the springs, c′, where no table has any."""
-    friction = tuple(readings.spatial("payload").damping.tolist())
+def with_friction(interpretation: Interpretation, robot: Robot) -> Robot:
+    """The robot with the damping c of Table 4 as motor friction c′, for which the paper prints no value."""
+    friction = tuple(interpretation.spatial("payload").damping.tolist())
     return robot.replace(transmission=robot.transmission.replace(motor_damping=friction))
 
 
@@ -68,70 +68,72 @@ def _payload(robot: Robot, law: Law, name: str, criterion: str = "paper") -> Cel
     return partial(largest_payload, env_id=_ENV_ID, law=law, robot=robot, name=name, criterion=criterion)
 
 
-def _path_cells(readings: Readings) -> dict[str, Cell]:
-    if not readings.springs_play:
+def _path_cells(interpretation: Interpretation) -> dict[str, Cell]:
+    if not interpretation.flexible_loop_possible:
         return {}
-    robot = readings.motors(readings.flexible("payload"))
+    robot = interpretation.motors(interpretation.flexible("payload"))
     return {
         "fl4": _payload(robot, FourthOrder, "fl4"),
         "empty": _run(robot, FourthOrder),
         "eq22": _run(robot, _EQ22),
-        "eq22_friction": _run(with_friction(readings, robot), _EQ22),
+        "eq22_friction": _run(with_friction(interpretation, robot), _EQ22),
     }
 
 
-def _path_outcome(readings: Readings, found: Found) -> Outcome:
-    bounds = Limits()
-    if not readings.springs_play:
+def _path_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+    bounds = ErrorBounds()
+    if not interpretation.flexible_loop_possible:
         return Outcome(numbers={"peak_error_mm": None, "bound_mm": 1e3 * bounds.position, "within": None})
-    position, rotation = peaks(found["fl4"], found["empty"])
-    run = run_of(found["fl4"], found["empty"])
+    position, rotation = peaks(results["fl4"], results["empty"])
+    run = drawn_run(results["fl4"], results["empty"])
     numbers: dict[str, Number] = {
-        "payload_kg": found["fl4"].payload,
+        "payload_kg": results["fl4"].payload,
         "peak_error_mm": 1e3 * position,
         "bound_mm": 1e3 * bounds.position,
-        "within": stays_within(found["fl4"], found["empty"]),
+        "within": stays_within(results["fl4"], results["empty"]),
         "peak_rotation_mrad": 1e3 * rotation,
-        "peak_z_mm": 1e3 * float(np.abs(_errors(readings, run)[:, 2]).max()),
+        "peak_z_mm": 1e3 * float(np.abs(_errors(interpretation, run)[:, 2]).max()),
     }
     for name in ("eq22", "eq22_friction"):
-        arrays = found[name].arrays
+        arrays = results[name].arrays
         outside = arrays["tracking_error_peak"] > bounds.position
         numbers |= {
             f"{name}_peak_error_mm": 1e3 * float(arrays["tracking_error_peak"].max()),
-            f"{name}_within": found[name].verdict.complete and not outside.any(),
+            f"{name}_within": results[name].verdict.complete and not outside.any(),
             f"{name}_leaves_s": float(arrays["time"][np.argmax(outside)]) if outside.any() else None,
-            f"{name}_ends_s": None if found[name].verdict.complete else float(arrays["time"][-1]),
+            f"{name}_ends_s": None if results[name].verdict.complete else float(arrays["time"][-1]),
             f"{name}_slack": bool(arrays["slack"].any()),
-            f"{name}_peak_demand": float(np.abs(arrays["drive_demand"]).max()),
+            f"{name}_peak_action": float(np.abs(arrays["commanded_action"]).max()),
         }
     return Outcome(numbers=numbers)
 
 
-def _draw_path(readings: Readings, found: Found) -> Figure:
-    robot = readings.flexible("payload")
-    if not readings.springs_play:
+def _draw_path(interpretation: Interpretation, results: CellResults) -> Figure:
+    robot = interpretation.flexible("payload")
+    if not interpretation.flexible_loop_possible:
         still = on_reference(paper_circle(robot), name="state space")
-        lines = ("Robot with joint springs, no closed loop", "the path is the reference by assumption")
-        return _drawn(readings, [still], [np.zeros_like(still.pose)], lines)
-    carried = Carried.simulated(found["fl4"])
-    friction = readings.spatial("payload").damping[0]
+        lines = ("Robot with joint springs, no closed loop", "the path equals the reference by assumption")
+        return _drawn(interpretation, [still], [np.zeros_like(still.pose)], lines)
+    summary = PayloadSummary.simulated(results["fl4"])
+    friction = interpretation.spatial("payload").damping[0]
     runs: tuple[tuple[Mapping[str, Array], str, str], ...] = (
-        (run_of(found["fl4"], found["empty"]), f"fl4, {carried.payload or 0.0:.3f} kg", BLUE),
-        (found["eq22"].arrays, "Eq. 22 as printed, 0 kg", VERMILLION),
-        (found["eq22_friction"].arrays, f"Eq. 22, motors with friction {friction:g} N·m·s/rad, 0 kg", GREY),
+        (drawn_run(results["fl4"], results["empty"]), f"fl4, {summary.payload or 0.0:.3f} kg", BLUE),
+        (results["eq22"].arrays, "Eq. 22 as printed, 0 kg", VERMILLION),
+        (results["eq22_friction"].arrays, f"Eq. 22, motors with friction {friction:g} N·m·s/rad, 0 kg", GREY),
     )
     shown = [travelled(run, name=name, color=color) for run, name, color in runs]
     title = (
         "Robot with joint springs in closed loop",
-        "blue, fl4: " + carried.sentence(robot),
-        *early_end(found["fl4"], found["empty"]),
+        "blue, fl4: " + summary.sentence(robot),
+        *early_end(results["fl4"], results["empty"]),
     )
-    return _drawn(readings, shown, [_errors(readings, run) for run, _, _ in runs], title)
+    return _drawn(interpretation, shown, [_errors(interpretation, run) for run, _, _ in runs], title)
 
 
-def _drawn(readings: Readings, shown: Sequence[Travelled], errors: Sequence[Array], title: Sequence[str]) -> Figure:
-    bounds, trajectory = Limits(), paper_circle(readings.flexible("payload"))
+def _drawn(
+    interpretation: Interpretation, shown: Sequence[TravelledPath], errors: Sequence[Array], title: Sequence[str]
+) -> Figure:
+    bounds, trajectory = ErrorBounds(), paper_circle(interpretation.flexible("payload"))
     figure = new_figure(7.4)
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.15])
     plane, away = figure.add_subplot(grid[:3, 0]), figure.add_subplot(grid[3, 0])
@@ -147,36 +149,36 @@ def _drawn(readings: Readings, shown: Sequence[Travelled], errors: Sequence[Arra
     for axes in (away, others[-1]):
         axes.set(xlabel="time [s]", xlim=(0, trajectory.duration))
     add_legend(figure, plane)
-    head(figure, readings, *title)
+    add_title(figure, interpretation, *title)
     return figure
 
 
 def _curves(
-    axes: Axes, shown: Sequence[Travelled], errors: Sequence[Array], bound: float, name: str, unit: str
+    axes: Axes, shown: Sequence[TravelledPath], errors: Sequence[Array], bound: float, name: str, unit: str
 ) -> None:
-    """Errors of one kind against their bound; far beyond it they leave the panel."""
+    """Draws errors of one kind with their bound; much larger errors leave the panel."""
     for one, error in zip(shown, errors, strict=True):
         axes.plot(one.times, 1e3 * error, **one.line)
-    mark_bound(axes, bound, unit, side="left")  # errors start at zero
+    mark_bound(axes, bound, unit, side="left")  # the curves start at zero
     far = np.clip(max(float(np.abs(error).max()) for error in errors), 1.15 * bound, _FAR * bound)
     axes.set(ylabel=f"{name} error\n[{unit}]", ylim=(-1e3 * far, 1e3 * max(far, 1.8 * bound)))
 
 
-def _errors(readings: Readings, run: Mapping[str, Array]) -> Array:
-    """Pose less reference at the end of each step, (K, n)."""
-    times = run["command_time"] + run["command_time"][1]
-    return np.asarray(run["pose"] - paper_circle(readings.flexible("payload"))(times).position)
+def _errors(interpretation: Interpretation, run: Mapping[str, Array]) -> Array:
+    """Pose minus reference at the end of each step, shape (K, n)."""
+    times = run["action_time"] + run["action_time"][1]
+    return np.asarray(run["pose"] - paper_circle(interpretation.flexible("payload"))(times).position)
 
 
-def _torque_cells(readings: Readings) -> dict[str, Cell]:
-    rigid, robot = readings.spatial("payload"), readings.flexible("payload")
+def _torque_cells(interpretation: Interpretation) -> dict[str, Cell]:
+    rigid, robot = interpretation.spatial("payload"), interpretation.flexible("payload")
     cells: dict[str, Cell] = {
-        "rigid_exact": partial(exact_limit, readings=readings, robot=rigid),
-        "state_space": partial(state_space_limit, readings=readings, robot=robot),
+        "rigid_exact": partial(exact_limit, interpretation=interpretation, robot=rigid),
+        "state_space": partial(state_space_limit, interpretation=interpretation, robot=robot),
     }
-    if not readings.springs_play:
+    if not interpretation.flexible_loop_possible:
         return cells
-    rigid, robot = readings.motors(rigid), readings.motors(robot)
+    rigid, robot = interpretation.motors(rigid), interpretation.motors(robot)
     return (
         cells
         | {name: _payload(robot, law, name.replace("_", "-")) for name, law in _LAWS.items()}
@@ -184,7 +186,7 @@ def _torque_cells(readings: Readings) -> dict[str, Cell]:
             "empty": _run(robot, FourthOrder),
             "task": _payload(robot, FourthOrder, "fl4", "task"),
             "eq22": _payload(robot, _EQ22, "flex-eq22"),
-            "eq22_friction": _payload(with_friction(readings, robot), _EQ22, "flex-eq22"),
+            "eq22_friction": _payload(with_friction(interpretation, robot), _EQ22, "flex-eq22"),
             "rigid": partial(
                 largest_payload,
                 env_id="CableBot-Spatial-v0",
@@ -197,81 +199,90 @@ def _torque_cells(readings: Readings) -> dict[str, Cell]:
     )
 
 
-def _torque_outcome(readings: Readings, found: Found) -> Outcome:
-    rigid, robot = readings.spatial("payload"), readings.flexible("payload")
-    space, exact = Carried.computed(found["state_space"]), Carried.computed(found["rigid_exact"])
-    numbers = space.numbers(readings, robot, "state_space_") | exact.numbers(readings, rigid, "rigid_exact_")
+def _torque_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+    rigid, robot = interpretation.spatial("payload"), interpretation.flexible("payload")
+    space, exact = PayloadSummary.computed(results["state_space"]), PayloadSummary.computed(results["rigid_exact"])
+    numbers = space.numbers(interpretation, robot, "state_space_") | exact.numbers(
+        interpretation, rigid, "rigid_exact_"
+    )
     rows = {"rigid, exact tracking": (rigid, exact), "state space of Eqs. 23–25": (robot, space)}
     simulated, stiff = (space, exact)
-    if readings.springs_play:
-        simulated, stiff = Carried.simulated(found["fl4"]), Carried.simulated(found["rigid"])
+    if interpretation.flexible_loop_possible:
+        simulated, stiff = PayloadSummary.simulated(results["fl4"]), PayloadSummary.simulated(results["rigid"])
         others = ("motor_pd", "composite", "task", "eq22", "eq22_friction")
         for name in others:
-            numbers |= Carried.simulated(found[name]).numbers(readings, robot, f"{name}_")
+            numbers |= PayloadSummary.simulated(results[name]).numbers(interpretation, robot, f"{name}_")
         rows |= {
             "rigid, fl, paper criterion": (rigid, stiff),
             "fl4, paper criterion": (robot, simulated),
-            "motor-pd, paper criterion": (robot, Carried.simulated(found["motor_pd"])),
-            "composite, paper criterion": (robot, Carried.simulated(found["composite"])),
-            "Eq. 22 as printed, paper criterion": (robot, Carried.simulated(found["eq22"])),
-            "the same, motors with Table 4's friction": (robot, Carried.simulated(found["eq22_friction"])),
-            "fl4, task criterion": (robot, Carried.simulated(found["task"])),
+            "motor-pd, paper criterion": (robot, PayloadSummary.simulated(results["motor_pd"])),
+            "composite, paper criterion": (robot, PayloadSummary.simulated(results["composite"])),
+            "Eq. 22 as printed, paper criterion": (robot, PayloadSummary.simulated(results["eq22"])),
+            "Eq. 22 with the motor friction of Table 4, paper criterion": (
+                robot,
+                PayloadSummary.simulated(results["eq22_friction"]),
+            ),
+            "fl4, task criterion": (robot, PayloadSummary.simulated(results["task"])),
         }
-    numbers |= simulated.numbers(readings, robot) | stiff.numbers(readings, rigid, "rigid_")
+    numbers |= simulated.numbers(interpretation, robot) | stiff.numbers(interpretation, rigid, "rigid_")
     numbers |= {
-        "simulated": readings.springs_play,
-        "drop_share": _drop(numbers, "counted_kg", "rigid_counted_kg"),
-        "state_space_drop_share": _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg"),
+        "simulated": interpretation.flexible_loop_possible,
+        "drop_fraction": _drop(numbers, "counted_kg", "rigid_counted_kg"),
+        "state_space_drop_fraction": _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg"),
     }
-    return Outcome(numbers=numbers, tables=(payload_table("Largest payloads with joint springs, and without.", rows),))
+    return Outcome(numbers=numbers, tables=(payload_table("Largest payloads with and without joint springs.", rows),))
 
 
 def _drop(numbers: Mapping[str, Number], flexible: str, rigid: str) -> float | None:
-    """Share of the rigid robot's payload that the springs cost."""
-    less, all_of_it = numbers[flexible], numbers[rigid]
-    return 1 - float(less or 0.0) / float(all_of_it) if all_of_it else None
+    """Payload reduction by the springs as a fraction of the payload of the rigid robot."""
+    reduced, full = numbers[flexible], numbers[rigid]
+    return 1 - float(reduced or 0.0) / float(full) if full else None
 
 
-def _draw_torques(readings: Readings, found: Found) -> Figure:
-    robot = readings.flexible("payload")
+def _draw_torques(interpretation: Interpretation, results: CellResults) -> Figure:
+    robot = interpretation.flexible("payload")
     height = torques_height(robot.cables) + 0.3
-    figure = new_figure(2 * height if readings.springs_play else height)
-    parts = list(figure.subfigures(2, 1, squeeze=False)[:, 0]) if readings.springs_play else [figure]
-    if readings.springs_play:
-        carried = Carried.simulated(found["fl4"])
-        profile = simulated_profile(readings.motors(robot), run_of(found["fl4"], found["empty"]))
-        draw_panels(parts[0], profile, first_saturation(profile, carried))
-        how = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
-        ended = early_end(found["fl4"], found["empty"])
-        head(parts[0], readings, how, carried.sentence(robot), *ended, _beside(readings, found))
-    carried = Carried.computed(found["state_space"])
-    profile = computed_profile(state_space_profile(readings, robot, carried.payload or 0.0))
-    draw_panels(parts[-1], profile, first_saturation(profile, carried))
-    head(
+    figure = new_figure(2 * height if interpretation.flexible_loop_possible else height)
+    parts = list(figure.subfigures(2, 1, squeeze=False)[:, 0]) if interpretation.flexible_loop_possible else [figure]
+    if interpretation.flexible_loop_possible:
+        summary = PayloadSummary.simulated(results["fl4"])
+        profile = simulated_profile(interpretation.motors(robot), drawn_run(results["fl4"], results["empty"]))
+        draw_panels(parts[0], profile, first_saturation(profile, summary))
+        title = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
+        ended = early_end(results["fl4"], results["empty"])
+        add_title(
+            parts[0], interpretation, title, summary.sentence(robot), *ended, _rigid_line(interpretation, results)
+        )
+    summary = PayloadSummary.computed(results["state_space"])
+    profile = computed_profile(state_space_profile(interpretation, robot, summary.payload or 0.0))
+    draw_panels(parts[-1], profile, first_saturation(profile, summary))
+    add_title(
         parts[-1],
-        readings,
+        interpretation,
         "Robot with joint springs, state space of Eqs. 23–25, no closed loop",
-        carried.sentence(robot),
+        summary.sentence(robot),
     )
     return figure
 
 
-def _beside(readings: Readings, found: Found) -> str:
-    """The rigid robot in words."""
-    payload, drop = found["rigid"].payload, _torque_outcome(readings, found).numbers["drop_share"]
+def _rigid_line(interpretation: Interpretation, results: CellResults) -> str:
+    """Title line on the rigid robot."""
+    payload, drop = results["rigid"].payload, _torque_outcome(interpretation, results).numbers["drop_fraction"]
     change = "" if drop is None else f", with springs {abs(float(drop)):.0%} {'less' if float(drop) > 0 else 'more'}"
-    return f"rigid robot with fl, paper criterion: {'nothing' if payload is None else f'{payload:.3f} kg'}{change}"
+    text = "fails unloaded" if payload is None else f"{payload:.3f} kg"
+    return f"rigid robot with fl, paper criterion: {text}{change}"
 
 
 _FIG14 = Part(
     name="fig14",
     title="Fig. 14: path and other coordinates of the robot with joint springs",
     text="""\
-The paper shows a circle within R and "responses that are stable" with K = 3. The law of its Eq. 22 does not give them:
-as printed, it has a pole in the right half plane whatever K is, and even without a payload it leaves the tube (orange).
-What it lacks is damping of the motors: with the c of Table 4 put on their side of the springs, which no table says, the
-same law can stay inside (grey). Blue is the fourth-order feedback linearization, the law that does what the paper says
-of its own, at its largest payload under the paper's criterion. The bound of z is R; those of the angles are ours.
+The paper shows a circle within R and "responses that are stable" with K = 3. Its law, Eq. 22, does not produce these
+responses. As printed it has a pole in the right half plane for every K, and without payload its path leaves the tube
+(orange). The law lacks damping of the motors. With the damping c of Table 4 as motor friction, which no table states,
+the same law can stay within the tube (grey). Blue is the fourth-order feedback linearization at its largest payload
+under the paper criterion; this law has the properties that the paper claims for Eq. 22. The bound of z is R. The bounds
+of the angles are a choice of this project.
 """,
     cells=_path_cells,
     outcome=_path_outcome,
@@ -282,14 +293,14 @@ _FIG15 = Part(
     name="fig15",
     title="Fig. 15: torques of the robot with joint springs at its largest payload",
     text="""\
-Each panel has one motor's torque and its limits U± at the motor's own speed β̇′; the dot is the first saturation. Above,
-the closed loop with the fourth-order feedback linearization, at the largest payload with |a| ≤ 1 at every control
-instant, 500 Hz. Below, the paper's own way, its state space (Eqs. 23–25): the platform stays on the reference by
-assumption while undamped motors ring behind their springs, which is the motion of no robot. The table has the other
-laws, Eq. 22 as printed among them, and the rigid robot. The drop is one less the ratio of the payloads with springs and
-without, each found in the same way. Even where a closed loop comes near the published load, it starts from another
-rigid payload than the paper. *Readings* shows how much the state space's payload depends on the stiffness, the divisor
-of Eq. 24 and the speed that U± takes.
+Each panel shows the torque of one motor and its limits U± at the motor speed β̇′; the dot marks the first saturation.
+Top: closed loop with the fourth-order feedback linearization at 500 Hz, at the largest payload with |a| ≤ 1 at every
+control instant. Bottom: state space of the paper (Eqs. 23–25). There the platform is on the reference by assumption,
+and the undamped motors oscillate behind their springs; no physical robot moves like this. The table also contains the
+other laws, including Eq. 22 as printed, and the rigid robot. The reduction is one minus the ratio of the payloads with
+and without springs, both computed by the same method. A closed loop may come close to the published payload, but its
+rigid payload differs from the published one. The section *Interpretations* shows the effect of the stiffness, the
+divisor of Eq. 24 and the speed in U± on the payload of the state space.
 """,
     cells=_torque_cells,
     outcome=_torque_outcome,

@@ -1,4 +1,4 @@
-"""What the figures of saturation share: what is carried, torques against limits, the instant of first saturation."""
+"""Common code of the saturation figures: payload summaries, torque profiles with limits, first saturation."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablebot_baselines.paper.exact import Heaviest, Profile
+from cablebot_baselines.paper.exact import LargestPayload, Profile
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import Number, Table
-from cablebot_baselines.paper.readings import Readings
-from cablebot_gym.evaluation import DLCCResult, Limit
+from cablebot_gym.evaluation import DLCCResult, Violation
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.plotting.figures import Mark, TorqueProfile, Travelled, entitle, torque_panels
+from cablebot_gym.plotting.figures import Mark, TorqueProfile, TravelledPath, set_title, torque_panels
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.palette import BLUE
@@ -26,107 +26,112 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
 _SATURATED = 0.999
-"""|a| from which a motor is called saturated: payloads are found to a gram, torques to some tenths of a thousandth."""
+"""Smallest |a| of a saturated motor. Payloads are accurate to 1 g and torques to a few 1e-4."""
 
 _POINTS = 250
-"""Instants that a figure draws, not to fill its SVG."""
+"""Number of instants in a figure, limited to keep the SVG small."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Carried:
-    """A largest payload, simulated or not, and what ends it."""
+class PayloadSummary:
+    """A largest payload, simulated or computed, and its limiting violation."""
 
     payload: float | None
-    """Added to the platform [kg]; None if not even zero is carried, or nothing ends it."""
+    """Mass added to the platform [kg]; None if the robot fails unloaded or no limit exists."""
     motor: int | None
-    """The motor that saturates, counted from 1; None if something else gives way."""
+    """Motor that saturates, counted from 1; None if the limiting violation is not a motor torque."""
     time: float | None
-    """When it does [s]; None if that is not known of zero payload."""
-    gives_way: str
-    """What does."""
+    """Time of the limiting violation [s]; None if it is unknown for zero payload."""
+    violation: str
+    """Limiting violation as text."""
 
     @classmethod
-    def simulated(cls, result: DLCCResult) -> Carried:
-        """From an evaluation."""
-        limit = result.limit
-        motor = limit.index if limit.kind == "torque" else None
-        return cls(payload=result.payload, motor=motor, time=limit.time, gives_way=_gives_way(limit))
+    def simulated(cls, result: DLCCResult) -> PayloadSummary:
+        """Summary of a simulated evaluation."""
+        violation = result.violation
+        motor = violation.index if violation is not None and violation.kind == "torque" else None
+        return cls(
+            payload=result.payload,
+            motor=motor,
+            time=None if violation is None else violation.time,
+            violation=_violation_kind(violation),
+        )
 
     @classmethod
-    def computed(cls, heaviest: Heaviest) -> Carried:
-        """From exact tracking or the state space."""
-        some = 0 <= heaviest.payload < math.inf
-        gives_way = "nothing" if heaviest.motor is None else f"motor {heaviest.motor}"
-        # Without a payload the time is that of a negative one, and not the first at zero.
-        payload, time = (heaviest.payload, heaviest.time) if some else (None, None)
-        return cls(payload=payload, motor=heaviest.motor, time=time, gives_way=gives_way)
+    def computed(cls, largest: LargestPayload) -> PayloadSummary:
+        """Summary of exact tracking or of the state space."""
+        exists = 0 <= largest.payload < math.inf
+        violation = "none" if largest.motor is None else f"motor {largest.motor}"
+        # Without a feasible payload the time belongs to a negative payload, not to zero payload.
+        payload, time = (largest.payload, largest.time) if exists else (None, None)
+        return cls(payload=payload, motor=largest.motor, time=time, violation=violation)
 
-    def numbers(self, readings: Readings, robot: Robot, prefix: str = "") -> dict[str, Number]:
-        """For results.json."""
+    def numbers(self, interpretation: Interpretation, robot: Robot, prefix: str = "") -> dict[str, Number]:
+        """Numbers for results.json."""
         payload = self.payload
         return {
             f"{prefix}payload_kg": payload,
-            f"{prefix}counted_kg": None if payload is None else readings.counted(robot, payload),
+            f"{prefix}counted_kg": None if payload is None else interpretation.counted(robot, payload),
             f"{prefix}total_mass_kg": None if payload is None else robot.mass + payload,
             f"{prefix}motor": self.motor,
             f"{prefix}time_s": self.time,
-            f"{prefix}gives_way": self.gives_way,
+            f"{prefix}violation": self.violation,
         }
 
     def sentence(self, robot: Robot) -> str:
-        """For a title."""
+        """Sentence for a title."""
         when = "" if self.time is None else f" at t = {self.time:.3f} s"
         if self.payload is None:
-            return f"not even zero payload is carried (drawn: zero payload): {self.gives_way}{when}"
-        found = f"payload {self.payload:.3f} kg, total mass {robot.mass + self.payload:.3f} kg"
-        return f"{found}; first limit above it: {self.gives_way}{when}"
+            return f"fails unloaded (figure: zero payload): {self.violation}{when}"
+        text = f"payload {self.payload:.3f} kg, total mass {robot.mass + self.payload:.3f} kg"
+        return f"{text}; limiting violation: {self.violation}{when}"
 
 
-def payload_table(title: str, rows: Mapping[str, tuple[Robot, Carried]]) -> Table:
-    """A table of what is carried in several ways."""
-    header = ("how", "payload added [kg]", "total mass [kg]", "gives way first", "at [s]")
+def payload_table(title: str, rows: Mapping[str, tuple[Robot, PayloadSummary]]) -> Table:
+    """Table of the largest payloads of several methods."""
+    header = ("method", "added payload [kg]", "total mass [kg]", "limiting violation", "time [s]")
     return Table(
         title=title,
         header=header,
         rows=tuple(
-            (how, one.payload, None if one.payload is None else robot.mass + one.payload, one.gives_way, one.time)
-            for how, (robot, one) in rows.items()
+            (method, one.payload, None if one.payload is None else robot.mass + one.payload, one.violation, one.time)
+            for method, (robot, one) in rows.items()
         ),
     )
 
 
-def run_of(result: DLCCResult, empty: Rollout) -> Mapping[str, Array]:
-    """The episode to draw, by name: at the payload, or at zero, and then the whole of it, if none is carried."""
+def drawn_run(result: DLCCResult, empty: Rollout) -> Mapping[str, Array]:
+    """Arrays of the episode at the largest payload, or of the whole unloaded episode if the robot fails unloaded."""
     return empty.arrays if result.payload is None else result.history
 
 
 def peaks(result: DLCCResult, empty: Rollout) -> tuple[float, float]:
-    """Largest position [m] and rotation error [rad] of :func:`run_of`; that of position at any physics step."""
-    run = run_of(result, empty)
+    """Largest position error over all physics steps [m] and largest rotation error [rad] of :func:`drawn_run`."""
+    run = drawn_run(result, empty)
     if result.payload is None:
         position = float(run["tracking_error_peak"].max())
     else:
-        position = float((1 - result.margins["position"]) * (result.limits["position"] or 0.0))
+        position = float((1 - result.margins["position"]) * (result.error_bounds["position"] or 0.0))
     return position, float(run["rotation_error"].max())
 
 
 def stays_within(result: DLCCResult, empty: Rollout) -> bool:
-    """Whether the whole of :func:`run_of` is within the bound of position; what ended early is not."""
+    """Whether :func:`drawn_run` is complete and within the position error bound."""
     whole = result.payload is not None or empty.verdict.complete
-    return whole and peaks(result, empty)[0] <= (result.limits["position"] or 0.0)
+    return whole and peaks(result, empty)[0] <= (result.error_bounds["position"] or 0.0)
 
 
 def early_end(result: DLCCResult, empty: Rollout) -> list[str]:
-    """For a title: when and why :func:`run_of` ended before the motion did."""
+    """Title line with the time and the reason of an early end of :func:`drawn_run`; empty without an early end."""
     if result.payload is not None or empty.verdict.complete:
         return []
     return [f"the episode ends at t = {empty.arrays['time'][-1]:.3f} s: {empty.reason}"]
 
 
-def travelled(run: Mapping[str, Array], *, name: str, color: str = BLUE, style: str = "-") -> Travelled:
-    """An episode's motion, for the panels of its path."""
-    times, pose = run["command_time"] + run["command_time"][1], run["pose"]
-    return Travelled(
+def travelled(run: Mapping[str, Array], *, name: str, color: str = BLUE, style: str = "-") -> TravelledPath:
+    """Motion of an episode for the path panels."""
+    times, pose = run["action_time"] + run["action_time"][1], run["pose"]
+    return TravelledPath(
         times=times,
         pose=pose,
         position_error=run["tracking_error"],
@@ -137,32 +142,32 @@ def travelled(run: Mapping[str, Array], *, name: str, color: str = BLUE, style: 
     )
 
 
-def on_reference(trajectory: Trajectory, *, name: str) -> Travelled:
-    """A motion without error, where it is an assumption and nothing was simulated."""
+def on_reference(trajectory: Trajectory, *, name: str) -> TravelledPath:
+    """Motion without error for exact tracking, without simulation."""
     times = np.linspace(0.0, trajectory.duration, _POINTS)
     none = np.zeros(len(times))
     pose = trajectory(times).position
     rotation = none if pose.shape[1] > 2 else None
-    return Travelled(times=times, pose=pose, position_error=none, rotation_error=rotation, name=name)
+    return TravelledPath(times=times, pose=pose, position_error=none, rotation_error=rotation, name=name)
 
 
 def simulated_profile(robot: Robot, run: Mapping[str, Array]) -> TorqueProfile:
-    """An episode's torques; ``robot`` with the motors that it had."""
+    """Torques of an episode; ``robot`` has the motors of the episode."""
     lower, upper = textbook.torque_limits(robot, run["motor_speeds"])
     middle, half = (upper + lower) / 2, (upper - lower) / 2
-    times, demand = run["command_time"], run["drive_demand"]
+    times, action = run["action_time"], run["commanded_action"]
     return TorqueProfile(
         times=times,
         torques=run["torques"],
         lower=lower,
         upper=upper,
-        demanded=middle + half * demand if np.abs(demand).max() > 1 else None,
+        requested=middle + half * action if np.abs(action).max() > 1 else None,
         end=float(times[-1] + times[1]),
     )
 
 
 def computed_profile(profile: Profile) -> TorqueProfile:
-    """Torques that were not simulated."""
+    """Torques without simulation."""
     return TorqueProfile(
         times=profile.times,
         torques=profile.torques,
@@ -173,60 +178,67 @@ def computed_profile(profile: Profile) -> TorqueProfile:
     )
 
 
-def first_saturation(profile: TorqueProfile, carried: Carried) -> Mark:
-    """The instant to mark: that of ``carried`` if its payload is drawn, the first with |a| ≥ 1 of the zero payload
-    otherwise, and if there is none, the tightest."""
-    share = _demand(profile)
-    if carried.payload is not None and carried.motor is not None and carried.time is not None:
-        # The circle's acceleration has two values at half time; the tighter side is meant.
-        near = np.flatnonzero(np.abs(profile.times - carried.time) <= np.abs(profile.times - carried.time).min() + 1e-6)
-        place = int(near[np.argmax(share[near, carried.motor - 1])]), carried.motor - 1
-    elif share.max() >= 1:
-        step = int(np.argmax(share.max(axis=1) >= 1))
-        place = step, int(np.argmax(share[step]))
+def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
+    """Instant to mark in the figure.
+
+    This is the instant of ``summary`` if the figure shows its payload. Otherwise it is the first instant with |a| ≥ 1
+    at zero payload, or the instant of the largest |a|.
+    """
+    action = _action(profile)
+    if summary.payload is not None and summary.motor is not None and summary.time is not None:
+        # The acceleration of the circle has two values at half time; use the value with the larger |a|.
+        near = np.flatnonzero(np.abs(profile.times - summary.time) <= np.abs(profile.times - summary.time).min() + 1e-6)
+        position = int(near[np.argmax(action[near, summary.motor - 1])]), summary.motor - 1
+    elif action.max() >= 1:
+        step = int(np.argmax(action.max(axis=1) >= 1))
+        position = step, int(np.argmax(action[step]))
     else:
-        tightest = np.unravel_index(np.argmax(share), share.shape)
-        place = int(tightest[0]), int(tightest[1])
-    reached = share[place] >= _SATURATED
-    note = "first saturation" if reached else f"{1 - share[place]:.1%} left"
-    name = "first saturation" if reached else "tightest instant"
-    return Mark(step=place[0], motor=place[1], name=name, note=note)
+        tightest = np.unravel_index(np.argmax(action), action.shape)
+        position = int(tightest[0]), int(tightest[1])
+    reached = action[position] >= _SATURATED
+    note = "first saturation" if reached else f"{1 - action[position]:.1%} margin"
+    name = "first saturation" if reached else "largest |a|"
+    return Mark(step=position[0], motor=position[1], name=name, note=note)
 
 
 def draw_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark) -> None:
-    """Panels of torques with fewer instants, the marked one and its neighbours among them."""
+    """Draws the torque panels with fewer instants; keeps the marked instant and its neighbours."""
     count = len(profile.times)
-    some, around = np.arange(0, count, math.ceil(count / _POINTS)), mark.step + np.arange(-2, 3)
-    kept = np.unique(np.concatenate([some, [count - 1], np.clip(around, 0, count - 1)]))
+    thinned, around = np.arange(0, count, math.ceil(count / _POINTS)), mark.step + np.arange(-2, 3)
+    kept = np.unique(np.concatenate([thinned, [count - 1], np.clip(around, 0, count - 1)]))
     thinner = dataclasses.replace(
         profile,
         times=profile.times[kept],
         torques=profile.torques[kept],
         lower=profile.lower[kept],
         upper=profile.upper[kept],
-        demanded=None if profile.demanded is None else profile.demanded[kept],
+        requested=None if profile.requested is None else profile.requested[kept],
     )
     torque_panels(figure, thinner, dataclasses.replace(mark, step=int(np.searchsorted(kept, mark.step))))
 
 
-def head(figure: FigureBase, readings: Readings, *lines: str) -> None:
-    """A title, and the reading where it is not the default."""
-    words = readings.words()
-    entitle(figure, *lines, *([] if words == "default" else [f"reading: {words}"]))
+def add_title(figure: FigureBase, interpretation: Interpretation, *lines: str) -> None:
+    """Adds a title, with the interpretation if it differs from the default."""
+    text = interpretation.text()
+    set_title(figure, *lines, *([] if text == "default" else [f"interpretation: {text}"]))
 
 
-def _demand(profile: TorqueProfile) -> Array:
-    """|a|, (K, m)."""
-    torques = profile.torques if profile.demanded is None else profile.demanded
-    share: Array = np.abs(2 * torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
-    return share
+def _action(profile: TorqueProfile) -> Array:
+    """|a|, shape (K, m)."""
+    torques = profile.torques if profile.requested is None else profile.requested
+    action: Array = np.abs(2 * torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
+    return action
 
 
-def first_limit(limit: Limit) -> str:
-    """What gives way first, and when, without the last digits of the search for it."""
-    return _gives_way(limit) + ("" if limit.time is None else f" at {limit.time:.3f} s")
+def violation_text(violation: Violation | None) -> str:
+    """Limiting violation and its time, rounded to milliseconds."""
+    return _violation_kind(violation) + (
+        "" if violation is None or violation.time is None else f" at {violation.time:.3f} s"
+    )
 
 
-def _gives_way(limit: Limit) -> str:
-    where = {"torque": f"motor {limit.index}", "slack": f"cable {limit.index} slack", "scan_end": "nothing"}
-    return where.get(limit.kind, limit.reason or limit.kind)
+def _violation_kind(violation: Violation | None) -> str:
+    if violation is None:
+        return "none"
+    where = {"torque": f"motor {violation.index}", "slack": f"cable {violation.index} slack"}
+    return where.get(violation.kind, violation.reason or violation.kind)

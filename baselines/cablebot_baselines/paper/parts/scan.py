@@ -1,4 +1,4 @@
-"""Whether the published payloads tell the geometry: how many geometries give them."""
+"""Scan of geometries: number of geometries that give the published payloads."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cablebot_baselines.paper.exact import COARSE, exact_limit, paper_circle
-from cablebot_baselines.paper.finding import reading_words
-from cablebot_baselines.paper.part import Cell, Found, Outcome, Part
+from cablebot_baselines.paper.finding import option_text
+from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.part import Cell, CellResults, Outcome, Part
 from cablebot_baselines.paper.published import LOADS
-from cablebot_baselines.paper.readings import Readings
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import add_legend, entitle, new_figure
+from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ROUNDING = 0.06
-"""How far from the published load a geometry still counts as giving it [kg]."""
+"""Maximum difference from the published payload that counts as a match [kg]."""
 
 SIZES = {"half side": 1.0, "circumradius": np.sqrt(3) / 2, "inradius": np.sqrt(3), "half altitude": 2 / np.sqrt(3)}
-"""What "half of the triangle" can measure, and the triangle's size then, in multiples of the first."""
+"""Possible meanings of "half of the triangle", with the resulting size of the triangle relative to the first."""
 
 BASE_TURNS = np.radians(np.arange(0, 120, 10))
-"""Turns of the base triangle about z [rad]; further on, the same shapes come again with other numbers."""
+"""Rotations of the base triangle about z [rad]. Larger angles give the same shapes with other motor numbers."""
 
 PLATFORM_TURNS = np.radians(np.arange(-60, 60, 5))
-"""Turns of the platform's triangle against the base's inverse [rad]."""
+"""Rotations of the platform triangle relative to the inverted base triangle [rad]."""
 
 PLANAR_TURNS = np.radians(np.arange(0, 121, 2))
-"""Turns of the planar robot's triangle [rad]; further on, the same again with other motors."""
+"""Rotations of the planar triangle [rad]. Larger angles give the same triangles with other motor numbers."""
 
 
 class Geometry(NamedTuple):
-    """One geometry, its largest payload of exact tracking and the motor that limits it."""
+    """Largest payload of exact tracking and limiting motor of one geometry."""
 
     payload: float
-    """Added to 10 kg [kg]; -inf where the platform alone does not keep all cables taut."""
+    """Mass added to 10 kg [kg]; -inf if the platform alone does not keep all cables taut."""
     motor: int
 
 
-def geometries(*, readings: Readings, base_size: str) -> list[Geometry]:
-    """All geometries with one size of the base; those that cannot even hang at home are left out."""
-    found = []
+def geometries(*, interpretation: Interpretation, base_size: str) -> list[Geometry]:
+    """All geometries with one base size. Geometries without equilibrium in the home pose are omitted."""
+    results = []
     trajectory = paper_circle(SPATIAL)
     for platform_size, base_turn, platform_turn in product(SIZES, BASE_TURNS, PLATFORM_TURNS):
         try:
@@ -58,69 +58,71 @@ def geometries(*, readings: Readings, base_size: str) -> list[Geometry]:
             )
         except ValueError:
             continue
-        limit = exact_payload(robot, trajectory, line_speed=readings.line_speed(robot), grid=COARSE)
-        found.append(Geometry(limit.payload if limit.lowest <= 0 else -np.inf, limit.motor or 0))
-    return found
+        limit = exact_payload(robot, trajectory, line_speed=interpretation.line_speed(robot), grid=COARSE)
+        results.append(Geometry(limit.payload if limit.lowest <= 0 else -np.inf, limit.motor or 0))
+    return results
 
 
-def planar_turns(*, readings: Readings) -> list[float]:
-    """Largest payload of exact tracking for each turn of the planar triangle [kg]."""
-    robot, found = readings.planar, []
+def planar_turns(*, interpretation: Interpretation) -> list[float]:
+    """Largest payload of exact tracking for each rotation of the planar triangle [kg]."""
+    robot, results = interpretation.planar, []
     for turn in PLANAR_TURNS:
-        found.append(exact_limit(readings, robot.replace(base_anchors=_turned(robot.base, turn))).payload)
-    return found
+        results.append(exact_limit(interpretation, robot.replace(base_anchors=_turned(robot.base, turn))).payload)
+    return results
 
 
 def _turned(points: Array, angle: float) -> Array:
-    """Points turned about z."""
+    """Points rotated about z."""
     cosine, sine = np.cos(angle), np.sin(angle)
     turned = points.copy()
     turned[:, :2] = points[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
     return turned
 
 
-def _cells(readings: Readings) -> dict[str, Cell]:
-    line = Readings(line=readings.line)  # all else is scanned, or has no part in it
-    cells: dict[str, Cell] = {f"base {size}": partial(geometries, readings=line, base_size=size) for size in SIZES}
-    return cells | {"planar": partial(planar_turns, readings=readings.replace(alpha="least"))}
+def _cells(interpretation: Interpretation) -> dict[str, Cell]:
+    line = Interpretation(line=interpretation.line)  # all other options are scanned or have no effect
+    cells: dict[str, Cell] = {
+        f"base {size}": partial(geometries, interpretation=line, base_size=size) for size in SIZES
+    }
+    return cells | {"planar": partial(planar_turns, interpretation=interpretation.replace(alpha="least"))}
 
 
-def _payloads(found: Found) -> Array:
-    return np.array([item.payload for size in SIZES for item in found[f"base {size}"]])
+def _payloads(results: CellResults) -> Array:
+    return np.array([item.payload for size in SIZES for item in results[f"base {size}"]])
 
 
-def _outcome(readings: Readings, found: Found) -> Outcome:
-    everything = [item for size in SIZES for item in found[f"base {size}"]]
-    payload, target = _payloads(found), LOADS["spatial"]
-    carries = payload > 0
+def _outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+    all_geometries = [item for size in SIZES for item in results[f"base {size}"]]
+    payload, target = _payloads(results), LOADS["spatial"]
+    positive = payload > 0
     hit = np.abs(payload - target) <= ROUNDING
-    second = np.array([item.motor == 2 for item in everything])
-    planar = np.array(found["planar"])
+    second = np.array([item.motor == 2 for item in all_geometries])
+    planar = np.array(results["planar"])
     return Outcome(
         numbers={
             "geometries": len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS),
-            "hang": len(everything),
-            "carry": int(carries.sum()),
+            "with_equilibrium": len(all_geometries),
+            "with_positive_payload": int(positive.sum()),
             "hits": int(hit.sum()),
             "hits_second_motor": int((hit & second).sum()),
-            "least_kg": float(payload[carries].min()) if carries.any() else None,
-            "largest_kg": float(payload.max()) if carries.any() else None,
+            "least_kg": float(payload[positive].min()) if positive.any() else None,
+            "largest_kg": float(payload.max()) if positive.any() else None,
             "planar_best_added_kg": float(planar.max()),
             "planar_best_turn_deg": float(np.degrees(PLANAR_TURNS[planar.argmax()])),
         }
     )
 
 
-def _draw(readings: Readings, found: Found) -> Figure:
+def _draw(interpretation: Interpretation, results: CellResults) -> Figure:
     figure = new_figure(4.4)
     left, right = figure.subplots(1, 2)
-    payload = _payloads(found)
-    carried = payload[payload > 0]
+    payload = _payloads(results)
+    positive = payload[payload > 0]
     left.hist(
-        carried,
-        bins=np.arange(0, carried.max(initial=0.25) + 0.25, 0.25),
+        positive,
+        bins=np.arange(0, positive.max(initial=0.25) + 0.25, 0.25),
         color=BLUE,
-        label="geometries that carry a load",
+        label="geometries with a positive payload",
     )
     target = LOADS["spatial"]
     left.axvspan(
@@ -129,30 +131,31 @@ def _draw(readings: Readings, found: Found) -> Figure:
         color=VERMILLION,
         alpha=0.6,
         linewidth=0,
-        label=f"as published, {target:g} ± {ROUNDING:g} kg",
+        label=f"published: {target:g} ± {ROUNDING:g} kg",
     )
     left.set(
-        xlabel="payload of exact tracking [kg]", ylabel="geometries", title="spatial: size and turn of both triangles"
+        xlabel="payload of exact tracking [kg]",
+        ylabel="geometries",
+        title="spatial: sizes and rotations of both triangles",
     )
-    degrees, planar = np.degrees(PLANAR_TURNS), np.array(found["planar"])
-    mass = readings.planar.mass
+    degrees, planar = np.degrees(PLANAR_TURNS), np.array(results["planar"])
+    mass = interpretation.planar.mass
     right.plot(degrees, planar, color=BLUE, label="added to the platform")
-    right.plot(degrees, planar + mass, "--", color=GREY, label="platform and load")
+    right.plot(degrees, planar + mass, "--", color=GREY, label="total mass of platform and load")
     low, high = 0.95 * LOADS["planar"], 1.05 * LOADS["planar"]
-    right.axhspan(
-        low, high, color=VERMILLION, alpha=0.3, linewidth=0, label=f"as published, {LOADS['planar']:g} kg ± 5 %"
-    )
+    right.axhspan(low, high, color=VERMILLION, alpha=0.3, linewidth=0, label=f"published: {LOADS['planar']:g} kg ± 5 %")
     right.set(
-        xlabel="turn of the planar triangle [°]",
+        xlabel="rotation of the planar triangle [°]",
         ylabel="mass [kg]",
-        title="planar: turn of the triangle",
+        title="planar: rotation of the triangle",
         xlim=(0, 120),
         ylim=(0, None),
     )
     add_legend(figure, left)
     right.legend(loc="lower right", fontsize=9)
-    entitle(
-        figure, f"Geometries that give the published payloads; exact tracking, {reading_words('line', readings.line)}"
+    set_title(
+        figure,
+        f"Geometries that give the published payloads; exact tracking, {option_text('line', interpretation.line)}",
     )
     return figure
 
@@ -160,15 +163,16 @@ def _draw(readings: Readings, found: Found) -> Figure:
 PARTS: tuple[Part, ...] = (
     Part(
         name="scan",
-        title="Does a payload of 2.56 kg tell the geometry?",
+        title="Does a payload of 2.56 kg identify the geometry?",
         text=(
-            "The paper gives a and b, but neither which length of a triangle they are nor how the triangles stand. "
-            f"All {len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS)} combinations of four meanings for each, of "
-            f"{len(BASE_TURNS)} turns of the base and {len(PLATFORM_TURNS)} of the platform are tried for exact "
-            "tracking, with Table 4's pulleys and 10 kg. Many different robots carry what the paper publishes, so that "
-            "the number alone identifies none; a geometry chosen because it gives the number would prove nothing. "
-            "*Readings* has the few readings of the paper's own words that come close. For the planar robot the "
-            "triangle is turned about its centre, from the reading chosen."
+            "The paper prints a and b, but does not state which length of a triangle they are, nor how the triangles "
+            "are oriented. "
+            f"All {len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS)} combinations of four meanings for each "
+            f"length, {len(BASE_TURNS)} rotations of the base and {len(PLATFORM_TURNS)} of the platform are evaluated "
+            "for exact tracking with the pulleys of Table 4 and 10 kg. Many different geometries give the published "
+            "payload, so the payload alone does not identify the geometry, and a geometry that is chosen to match it "
+            "proves nothing. The section *Interpretations* lists the interpretations of the paper that come close. For "
+            "the planar robot the triangle is rotated about its centre, starting from the chosen interpretation."
         ),
         cells=_cells,
         outcome=_outcome,

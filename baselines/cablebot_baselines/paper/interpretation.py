@@ -1,6 +1,6 @@
-"""What the paper leaves open, as parameters: each is a way to read it, and every figure and number follows from them.
+"""Interpretation of the paper: the choices that the paper leaves open. All figures and numbers depend on them.
 
-The defaults are the readings that this project holds for right, not those that come closest to a published number.
+The defaults are the choices that this project considers correct. They are not fitted to the published numbers.
 """
 
 from __future__ import annotations
@@ -17,62 +17,72 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
 
 Source = Literal["control", "payload"]
-"""Which section's values hold where sections differ: ``control`` §4 (Tables 2, 4 and 5), ``payload`` §5.2 (Tables 7 to
-9 and the text of §5.2.3)."""
+"""Section that supplies a value if the sections differ: ``control`` is §4 (Tables 2, 4 and 5), ``payload`` is §5.2
+(Tables 7 to 9 and the text of §5.2.3)."""
 
 AS_PRINTED: dict[str, dict[Source, float]] = {
     "platform_mass": {"control": published_value("table4.m"), "payload": published_value("table8.m")},
     "stiffness": {"control": published_value("table5.K"), "payload": published_value("5.2.3.K")},
 }
-"""What "as printed" is where sections differ."""
+"""Values of "as-printed" by section."""
 
 _HALF_SIDE_OF_CIRCUMRADIUS = math.sqrt(3) / 2
 _ALIGNED_RING = (0, 0, 1, 1, 2, 2)
 _FLAT = 1e9
-"""Free speed that makes a torque-speed line flat [rad/s]; it must be finite."""
+"""Free speed of a flat torque-speed line [rad/s]; the value must be finite."""
 
 
-class NoRobot(ValueError):
-    """No positive tensions hold the robot as it was read."""
+class NoEquilibriumError(ValueError):
+    """The robot of the interpretation has no equilibrium with positive tensions."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Readings:
-    """One way to read the paper.
+class Interpretation:
+    """A set of choices for all points that the paper leaves open.
 
     Raises:
-        ValueError: if a value is not one of its choices.
+        ValueError: if a value is not among its choices.
     """
 
     payload: Literal["added", "total"] = "added"
-    """What "load capacity" counts: kilograms added to the platform, or platform and load together."""
+    """Meaning of "load capacity": the mass added to the platform, or the total mass of platform and load."""
     line: Literal["physical", "pulley", "flat", "cable", "reversed"] = "physical"
-    """q̇ of U± = ±k₁ − k₂ q̇ (Eq. 37): the motor's own speed in rad/s (``physical``); with joint springs that of the
-    ``pulley``; none (``flat``); the rate of the cable's length in m/s (``cable``), which is what q is elsewhere in the
-    paper; or the motor's speed counted positive when unwinding (``reversed``)."""
+    """q̇ of U± = ±k₁ − k₂ q̇ (Eq. 37).
+
+    * ``physical``: motor speed in rad/s.
+    * ``pulley``: pulley speed in rad/s, which differs from the motor speed with joint springs.
+    * ``flat``: no dependence on speed.
+    * ``cable``: rate of the cable length in m/s, the meaning of q elsewhere in the paper.
+    * ``reversed``: motor speed in rad/s, positive when unwinding.
+    """
     platform_mass: Literal["as-printed", "10", "11"] = "as-printed"
-    """[kg]. As printed it is 11 in Tables 4 and 5 and 10 in Table 8."""
+    """Platform mass of the spatial robot [kg]. The paper prints 11 in Tables 4 and 5 and 10 in Table 8."""
     triangles: Literal["inverted", "turned", "aligned"] = "inverted"
-    """The platform's triangle points away from the base's, whose third corner is on +y (``inverted``); the same with
-    both turned by half a turn about z (``turned``); or both point the same way (``aligned``)."""
+    """Orientation of the platform triangle and the base triangle.
+
+    * ``inverted``: the third corner of the base is on +y, and the platform triangle points in the opposite direction.
+    * ``turned``: the same with both triangles rotated by 180° about z.
+    * ``aligned``: both triangles point in the same direction.
+    """
     sides: Literal["half-side", "circumradius"] = "half-side"
-    """What a and b of Table 4, "half of the triangle", measure."""
+    """Meaning of a and b in Table 4, "half of the triangle"."""
     pulleys: Literal["table4", "table5"] = "table4"
-    """J and c of the rigid spatial robot: those of Table 4, or those of the robot with joint springs, whose pulleys
-    alone have half the inertia and no damping (Table 5)."""
+    """Source of J and c of the rigid spatial robot. The pulleys of Table 5 (robot with joint springs) have half the
+    inertia and no damping."""
     planar_apex: Literal["up", "left", "down", "right"] = "up"
-    """Where the third motor of the planar robot stands; the path starts on the right and goes up."""
+    """Position of the third motor of the planar robot. The path starts on the right and goes up."""
     stiffness: Literal["as-printed", "2", "3"] = "as-printed"
-    """K [N·m/rad]. As printed it is 2 in Table 5 and 3 in §5.2.3."""
+    """Joint stiffness K [N·m/rad]. The paper prints 2 in Table 5 and 3 in §5.2.3."""
     minimum_tension: float = textbook.MINIMUM_TENSION
-    """T_min that the planar cables keep [N]; the paper asks for "positive"."""
+    """Lower tension bound T_min of the planar robot [N]. The paper only requires positive tensions."""
     alpha: Literal["least", "constant"] = "least"
-    """α of Eq. 11: at each instant the least that keeps T_min, or the least constant that keeps it all the way."""
+    """α of Eq. 11: the smallest value at each instant that keeps T_min (``least``), or the smallest constant that keeps
+    T_min at all instants (``constant``)."""
     eq24: Literal["corrected", "verbatim"] = "corrected"
-    """Divisor of Eqs. 24 and 25, by which §3.3 moves the motors behind their springs: J′, which the units ask for, or
-    "1 + J′" as printed. Neither goes with Eq. 22 on a robot."""
+    """Divisor of Eqs. 24 and 25 for the motion of the motors behind their springs: J′, as the units require, or
+    "1 + J′" as printed. On a physical robot neither form is consistent with Eq. 22."""
     eq37: Literal["corrected", "literal"] = "corrected"
-    """The load coefficient of Eqs. 37–39."""
+    """Form of the load coefficient in Eqs. 37–39."""
 
     def __post_init__(self) -> None:
         for name, choices in choices_of().items():
@@ -81,13 +91,13 @@ class Readings:
         if not 0 <= self.minimum_tension < math.inf:
             raise ValueError(f"minimum_tension must be at least 0 N, not {self.minimum_tension}")
 
-    def replace(self, **changes: Any) -> Readings:
-        """A copy with some readings changed."""
-        return Readings(**{field.name: getattr(self, field.name) for field in fields(self)} | changes)
+    def replace(self, **changes: Any) -> Interpretation:
+        """A copy with changed choices."""
+        return Interpretation(**{field.name: getattr(self, field.name) for field in fields(self)} | changes)
 
-    def words(self) -> str:
-        """The readings that are not the default, ``name = value``, or "default"."""
-        default = Readings()
+    def text(self) -> str:
+        """Choices that differ from the default as ``name = value``, or "default"."""
+        default = Interpretation()
         changed = [field.name for field in fields(self) if getattr(self, field.name) != getattr(default, field.name)]
         return ", ".join(f"{name} = {getattr(self, name)}" for name in changed) or "default"
 
@@ -104,7 +114,7 @@ class Readings:
         """The rigid spatial robot (Tables 4 and 8).
 
         Raises:
-            NoRobot: if no positive tensions hold it in its home pose.
+            NoEquilibriumError: if the home pose has no equilibrium with positive tensions.
         """
         robot = self._read(SPATIAL, source)
         if self.pulleys == "table4":
@@ -117,7 +127,7 @@ class Readings:
         """The spatial robot with joint springs (Tables 5 and 9).
 
         Raises:
-            NoRobot: if no positive tensions hold it in its home pose.
+            NoEquilibriumError: if the home pose has no equilibrium with positive tensions.
         """
         robot = self._read(FLEX_SPATIAL, source)
         stiffness = self._value("stiffness", source)
@@ -128,7 +138,7 @@ class Readings:
         base, platform = robot.base, robot.platform
         if self.triangles == "turned":
             base, platform = -base, -platform
-        if self.triangles == "aligned":  # the same ring of six about corners that lie below those of the base
+        if self.triangles == "aligned":  # same cable order; the platform corners are below those of the base
             platform = -np.roll(platform[::2], 1, axis=0)[list(_ALIGNED_RING)]
         try:
             return robot.replace(
@@ -137,8 +147,9 @@ class Readings:
                 platform_anchors=scale * platform,
             )
         except ValueError as error:
-            raise NoRobot(
-                f"no positive tensions hold the robot with triangles {self.triangles}: choose inverted or turned"
+            raise NoEquilibriumError(
+                f"the robot with triangles {self.triangles} has no equilibrium with positive tensions; "
+                "use inverted or turned"
             ) from error
 
     def _value(self, name: str, source: Source) -> float:
@@ -146,42 +157,46 @@ class Readings:
         return AS_PRINTED[name][source] if choice == "as-printed" else float(choice)
 
     def line_speed(self, robot: Robot) -> Array:
-        """What the torque-speed line takes for the speed, as a multiple of the pulley's β̇, (m,)."""
+        """Factor of the pulley speed β̇ in the torque-speed line, shape (m,)."""
         scale = {"physical": 1.0, "pulley": 1.0, "flat": 0.0, "reversed": -1.0}
         return -robot.pulley_radius if self.line == "cable" else np.full(robot.cables, scale[self.line])
 
     @property
-    def plays(self) -> bool:
-        """Whether motors of a rigid robot can have this torque-speed line, so that closed loops can be run with it."""
-        return self.springs_play or self.line == "pulley"  # which turns as its motor does
+    def closed_loop_possible(self) -> bool:
+        """Whether a motor of a rigid robot can have this torque-speed line. Closed loops require such a motor."""
+        return self.flexible_loop_possible or self.line == "pulley"  # the pulley of a rigid robot turns with its motor
 
     @property
-    def springs_play(self) -> bool:
-        """The same with joint springs."""
+    def flexible_loop_possible(self) -> bool:
+        """Whether a motor of a robot with joint springs can have this torque-speed line."""
         return self.line in ("physical", "flat")
 
     def motors(self, robot: Robot) -> Robot:
-        """The robot with this reading's torque-speed line in its motors.
+        """The robot with the torque-speed line of this interpretation.
 
         Raises:
-            ValueError: if no motor has such a line.
+            ValueError: if no motor can have this line.
         """
-        if not (self.springs_play if robot.flexible else self.plays):
+        if not (self.flexible_loop_possible if robot.flexible else self.closed_loop_possible):
             raise ValueError(
-                f"no motor has the line {self.line!r}, so that no loop can be run with it: choose flat or physical"
+                f"no motor can have the torque-speed line {self.line!r} in closed loop; use flat or physical"
             )
         return robot.replace(motors=robot.motors.replace(free_speed=_FLAT)) if self.line == "flat" else robot
 
-    def moved(self, robot: Robot) -> Robot:
-        """The robot of a closed loop: with this torque-speed line if motors can have it, else as it is."""
-        return self.motors(robot) if (self.springs_play if robot.flexible else self.plays) else robot
+    def closed_loop_robot(self, robot: Robot) -> Robot:
+        """Robot for closed loops: with this torque-speed line if a motor can have it, otherwise unchanged."""
+        return (
+            self.motors(robot)
+            if (self.flexible_loop_possible if robot.flexible else self.closed_loop_possible)
+            else robot
+        )
 
     def counted(self, robot: Robot, added: float) -> float:
-        """A payload [kg] as this reading counts it."""
+        """Payload by the definition of this interpretation [kg]."""
         return added + (robot.mass if self.payload == "total" else 0.0)
 
 
 def choices_of() -> dict[str, tuple[str, ...]]:
-    """The readings that have choices, and these."""
-    hints = get_type_hints(Readings)
+    """Valid choices by option name, for all options with a fixed set of choices."""
+    hints = get_type_hints(Interpretation)
     return {name: get_args(hint) for name, hint in hints.items() if get_args(hint)}

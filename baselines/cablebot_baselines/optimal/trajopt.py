@@ -1,0 +1,341 @@
+"""Policy that plans one motion within the error bounds for each task and then tracks it."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, EstimatorState
+from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
+from cablebot_baselines.classical.flexible import composite_tuned
+from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.physics import textbook
+from cablebot_gym.planning import Follower, Infeasible, Margins, PlannedMotion, State, plan_motion
+from cablebot_gym.planning.stage_functions import import_casadi
+from cablebot_gym.policies import PolicyEntry
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.trajectories import Trajectory
+
+_LOGGER = logging.getLogger("cablebot_gym")
+
+INTERVALS_PER_SECOND = 50.0
+"""Spline intervals of a plan per second [1/s].
+
+Twice as many increase the DLCC by 0.3 % and triple the planning time.
+"""
+
+MINIMUM_INTERVALS = 20
+"""Minimum number of spline intervals of a plan."""
+
+INITIAL_ESTIMATE_WEIGHT = 0.05
+"""Weight of the static mass estimate at the start of an episode [s].
+
+After this estimation time in motion, the dynamic estimate and the static estimate have equal weight.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajOptSettings:
+    """Margins of a plan and parameters of the law that tracks it."""
+
+    error_margin: float
+    """Margin to the error bounds of position and rotation, as a fraction of the bounds."""
+    action_margin: float
+    """Margin to the action limits ±1."""
+    minimum_tension: float
+    """Minimum cable tension of the plan [N]."""
+    gains: tuple[float, float]
+    """(K_P, K_D) of the platform's pose error [1/s², 1/s]."""
+    estimator_prior_weight: float
+    """Estimator prior weight [s], see :class:`~cablebot_baselines.classical.adaptive.Adaptive`."""
+    motor_frequency: float = 100.0
+    """Angular frequency of the motor loop of a flexible robot [rad/s]."""
+    mass_deficit: float = 0.0
+    """Relative deviation of the platform mass below its nominal value that the plan covers."""
+
+    def margins(self, error_bounds: ErrorBounds) -> Margins:
+        """Margins of the plan for given error bounds."""
+        position, rotation = self.error_margin * error_bounds.position, self.error_margin * error_bounds.rotation
+        return Margins(position=position, rotation=rotation, action=self.action_margin, tension=self.minimum_tension)
+
+
+TRAJOPT_SETTINGS = {
+    "rigid": TrajOptSettings(
+        error_margin=0.02,
+        action_margin=0.005,
+        minimum_tension=2.0,
+        gains=(2500.0, 100.0),
+        estimator_prior_weight=1e-4,
+    ),
+    "flexible": TrajOptSettings(
+        error_margin=0.02,
+        action_margin=0.01,
+        minimum_tension=4.0,
+        gains=(100.0, 10.0),
+        estimator_prior_weight=1e-4,
+    ),
+}
+"""Settings of ``trajopt`` with small margins, for a robot with nominal parameters and any payload."""
+
+TRAJOPT_MARGIN_SETTINGS = {
+    "rigid": TrajOptSettings(
+        error_margin=0.2,
+        action_margin=0.02,
+        minimum_tension=5.0,
+        gains=(400.0, 40.0),
+        estimator_prior_weight=2e-3,
+        mass_deficit=0.15,
+    ),
+    "flexible": TrajOptSettings(
+        error_margin=0.35,
+        action_margin=0.03,
+        minimum_tension=4.5,
+        gains=(200.0, 20.0),
+        estimator_prior_weight=2e-3,
+        mass_deficit=0.15,
+    ),
+}
+"""Settings of ``trajopt-margin`` with margins for sensor noise and for model error."""
+
+
+class PlanLaw(ClassicalLaw):
+    """Tracks one planned motion with a given mass.
+
+    Args:
+        robot: nominal robot.
+        plan: planned motion.
+        period: control period [s].
+        settings: parameters of the tracking law.
+    """
+
+    def __init__(self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings) -> None:
+        super().__init__(robot, minimum_tension=settings.minimum_tension)
+        self._follower = Follower(robot=robot, gains=settings.gains, motor_frequency=settings.motor_frequency)
+        self._plan, self._period = plan, period
+
+    def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
+        """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
+        plan = self._plan
+        state = State.of(blocks, plan.duration - blocks["time_to_go"][..., 0])
+        return self._follower.torques(plan, state, mass - self.robot.mass, self._period)
+
+    @property
+    def rotor_inertia(self) -> Array:
+        """J of a rigid robot, J + J′ of a flexible robot [kg·m²], (m,)."""
+        robot = self.robot
+        return robot.pulley_inertia + robot.motor_inertia if robot.flexible else robot.pulley_inertia
+
+
+class AdaptivePlanLaw(Adaptive):
+    """Tracks one planned motion and estimates the payload with the acceleration of the plan as weight.
+
+    When the plan moves below the reference, it accelerates downward at g/2 or more. The reference acceleration does not
+    contain this motion. As a weight it would overrate the small remaining cable forces.
+
+    Args:
+        robot: nominal robot.
+        plan: planned motion.
+        period: control period [s].
+        settings: parameters of the tracking law and of the estimator.
+    """
+
+    def __init__(self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings) -> None:
+        law = PlanLaw(robot, plan, period, settings)
+        super().__init__(law, estimator_prior_weight=settings.estimator_prior_weight)
+        self._plan = plan
+
+    def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
+        """Actions from the blocks of an observation, with the plan in place of the reference."""
+        motion = self._plan(self._plan.duration - blocks["time_to_go"][..., 0])
+        reference = {
+            "reference_pose": motion.position,
+            "reference_velocity": motion.velocity,
+            "reference_acceleration": motion.acceleration,
+        }
+        return super().respond(blocks | reference, state, episode_start)
+
+    def _updated_state(
+        self, blocks: dict[str, Array], before: EstimatorState | None, episode_start: Any
+    ) -> EstimatorState:
+        """Estimator state, with a static estimate of the first step for a robot with joint springs.
+
+        An episode starts at rest, so the initial spring torques give the mass.
+        """
+        memory, robot = super()._updated_state(blocks, before, episode_start), self.robot
+        if not robot.flexible or robot.planar:
+            return memory
+        first = first_steps(before, episode_start, blocks["pose"].shape[:-1])[..., None]
+        wrench = (
+            np.swapaxes(textbook.jacobian(robot, blocks["pose"]), -1, -2)
+            @ (memory.torques / robot.pulley_radius)[..., None]
+        )
+        weight = INITIAL_ESTIMATE_WEIGHT * robot.gravity
+        return replace(
+            memory,
+            weighted_impulse=np.where(first, weight * wrench[..., 2, :], memory.weighted_impulse),
+            weighted_change=np.where(first, weight * robot.gravity, memory.weighted_change),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Group:
+    """Environments of a batch with the same task, and their control law."""
+
+    env_indices: NDArray[np.intp]
+    law: Adaptive
+
+
+class TrajOpt:
+    """Plans one motion per task for the largest possible payload, and tracks it with the actual payload.
+
+    The plan is feasible with the largest payload and without payload, and therefore with every payload in between. The
+    policy tracks it with an estimate of the mass, so it corrects a wrong or unknown payload
+    (:class:`~cablebot_baselines.classical.adaptive.Adaptive`). The first planning of a task takes seconds. The plan is
+    then stored on disk.
+
+    Without a plan, or without a call of :meth:`reset`, the policy tracks the reference itself with the adaptive law.
+    :attr:`fallbacks` counts these episodes, and a warning gives the reason.
+
+    Args:
+        robot: nominal robot.
+        settings: margins and parameters of the tracking law for this kind of robot.
+
+    Raises:
+        ImportError: if CasADi is missing; the message names the command that installs it.
+    """
+
+    unsaturated_actions = False
+
+    def __init__(self, robot: Robot, settings: TrajOptSettings) -> None:
+        import_casadi()
+        self.robot, self.settings = robot, settings
+        self.fallbacks = 0
+        """Number of episodes without a plan since the last :meth:`reset`."""
+        self._groups: tuple[_Group, ...] | None = None
+        self._plans: dict[Any, tuple[Trajectory, PlannedMotion | str]] = {}
+        self._reference_law = _reference_law(robot)
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Plans one motion for each different task.
+
+        Raises:
+            ValueError: if a task's robot differs from the policy's robot in kind or anchors.
+        """
+        self._reference_law.reset(tasks)
+        self.fallbacks = 0
+        groups: dict[Any, list[int]] = {}
+        for env_index, task in enumerate(tasks):
+            groups.setdefault(_plan_key(task), []).append(env_index)
+        self._groups = tuple(
+            _Group(env_indices=np.array(indices), law=self._law(tasks[indices[0]], len(indices)))
+            for indices in groups.values()
+        )
+
+    def _law(self, task: Task, episodes: int) -> Adaptive:
+        key = _plan_key(task)
+        if key not in self._plans:
+            self._plans[key] = task.trajectory, self._plan(task)  # keeps the trajectory alive, because its id is a key
+        plan = self._plans[key][1]
+        if isinstance(plan, str):
+            return self._fall_back(episodes, plan)
+        return AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, self.settings)
+
+    def _plan(self, task: Task) -> PlannedMotion | str:
+        """The motion for the largest possible payload, or the reason why there is no plan."""
+        try:
+            plan = plan_motion(
+                self.robot,
+                task.trajectory,
+                task.error_bounds,
+                intervals=max(MINIMUM_INTERVALS, math.ceil(INTERVALS_PER_SECOND * task.trajectory.duration)),
+                margins=self.settings.margins(task.error_bounds),
+                lightest=-self.settings.mass_deficit * self.robot.mass,
+                period=1 / task.control_frequency,
+            )
+        except Infeasible as error:
+            _LOGGER.debug("no plan for %r: %s", task.trajectory.name, error)
+            return f"trajectory {task.trajectory.name!r} has no feasible motion within the error bounds"
+        return plan if plan.payload > 0 else f"trajectory {task.trajectory.name!r} allows no payload"
+
+    def _fall_back(self, episodes: int, reason: str) -> Adaptive:
+        self.fallbacks += episodes
+        _LOGGER.warning("trajopt tracks the reference without a plan in %d episodes: %s", episodes, reason)
+        return self._reference_law
+
+    def predict(
+        self,
+        observation: ArrayLike,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Actions (m,) or (N, m), and the state to pass next time.
+
+        Raises:
+            ValueError: if the observation does not have this robot's layout.
+        """
+        observation = np.asarray(observation, float)
+        count = len(observation) if observation.ndim == 2 else 1
+        groups = self._groups
+        if groups is None or (len(groups) > 1 and sum(len(group.env_indices) for group in groups) != count):
+            if state is None:
+                self._fall_back(count, "the tasks of the batch are unknown; call reset(tasks) before predict()")
+            return self._reference_law.predict(observation, state, episode_start, deterministic)
+        if len(groups) == 1:
+            return groups[0].law.predict(observation, state, episode_start, deterministic)
+        actions, states = np.empty((count, self.robot.cables)), []
+        for index, group in enumerate(groups):
+            rows = group.env_indices
+            start = None if episode_start is None else np.asarray(episode_start)[rows]
+            before = None if state is None else state[index]
+            actions[rows], after = group.law.predict(observation[rows], before, start, deterministic)
+            states.append(after)
+        return actions, tuple(states)
+
+
+def _plan_key(task: Task) -> tuple[Any, ...]:
+    """Key of the plan of a task. A trajectory that is not hashable is equal only to itself."""
+    motion = task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
+    return motion, task.error_bounds, task.control_frequency
+
+
+def _reference_law(robot: Robot) -> Adaptive:
+    """Law that tracks the reference itself."""
+    if robot.flexible:
+        return Adaptive(composite_tuned(robot))
+    return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
+
+
+def make_trajopt(robot: Robot) -> TrajOpt:
+    """Makes the policy ``trajopt``."""
+    return TrajOpt(robot, TRAJOPT_SETTINGS[robot.joints])
+
+
+def make_trajopt_margin(robot: Robot) -> TrajOpt:
+    """Makes the policy ``trajopt-margin``."""
+    return TrajOpt(robot, TRAJOPT_MARGIN_SETTINGS[robot.joints])
+
+
+TRAJOPT = PolicyEntry(
+    name="trajopt",
+    kind="optimal",
+    env_ids=tuple(ENV_IDS),
+    factory=make_trajopt,
+    summary="plans for the largest payload, tracks the plan, estimates the payload",
+)
+
+TRAJOPT_MARGIN = PolicyEntry(
+    name="trajopt-margin",
+    kind="optimal",
+    env_ids=tuple(ENV_IDS),
+    factory=make_trajopt_margin,
+    summary="trajopt with margins for sensor noise and model error",
+)
