@@ -43,7 +43,7 @@ def _on_circle(cell: object) -> bool:
 def _best(scores: Sequence[Score], kind: str) -> str:
     entries = policy_entries()
     best = max((one for one in scores if entries[one.cell.policy].kind == kind), key=lambda one: one.score or 0.0)
-    return f"`{best.cell.policy}` {best.payload_text} ({best.score:.0%})"
+    return f"`{best.cell.policy}` {best.payload_text} ({best.score:.0%})" if best.score else "–"
 
 
 def with_table(readme: str, table: str) -> str:

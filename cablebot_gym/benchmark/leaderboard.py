@@ -30,7 +30,7 @@ from cablebot_gym.benchmark.tables import (
 
 _HEAD = """# Leaderboard
 
-An entry is the dynamic load-carrying capacity (DLCC) of a policy [kg] and its fraction of the best known payload.
+An entry is the dynamic load carrying capacity (DLCC) of a policy [kg] and its fraction of the best known payload.
 
 * **DLCC:** the largest payload that the policy carries over the whole motion, by the task criterion:
   position error ≤ {position:g} mm, rotation error ≤ {rotation:g} mrad and no slack cable at any physics step. Motor

@@ -67,7 +67,7 @@ app = typer.Typer(
     cls=_GroupedCommands,
     help=(
         "Evaluate controllers of cable-driven parallel robots by the largest payload that they carry along a "
-        "trajectory, the dynamic load-carrying capacity (DLCC).\n\n"
+        "trajectory, the dynamic load carrying capacity (DLCC).\n\n"
         "`cablebot COMMAND --help` shows the options of a command and examples.\n\n"
         "\b\n"
         "Exit status:\n"

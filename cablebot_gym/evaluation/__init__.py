@@ -1,4 +1,4 @@
-"""Evaluation of policies: dynamic load-carrying capacity (DLCC), comparison, recorded episodes.
+"""Evaluation of policies: dynamic load carrying capacity (DLCC), comparison, recorded episodes.
 
 The DLCC is the largest payload that a policy carries within the limits.
 """

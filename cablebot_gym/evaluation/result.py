@@ -50,7 +50,7 @@ class History:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DLCCResult:
-    """Dynamic load-carrying capacity (DLCC) of a policy in an environment. ``print(result)`` shows a summary."""
+    """Dynamic load carrying capacity (DLCC) of a policy in an environment. ``print(result)`` shows a summary."""
 
     env_id: str
     """Id of the environment."""

@@ -366,7 +366,7 @@ def _notes(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[st
         {
             "title": "Definitions",
             "lines": [
-                "The dynamic load-carrying capacity (DLCC) is the upper end of the interval of feasible payloads that "
+                "The dynamic load carrying capacity (DLCC) is the upper end of the interval of feasible payloads that "
                 "starts at zero. A scan finds the interval, and a bisection refines its end.",
                 "The task criterion requires, at every physics step, a position error within R, a rotation error "
                 "within its bound and no slack cable. Motor torques are clipped.",

@@ -28,7 +28,7 @@ PICTURED = 0.3, 0.5
 
 def write(folder: Folder) -> None:
     """Writes all pages, their pictures, and the table that lists them."""
-    rows = [["id", "cables m", "coordinates n", "platform [kg]", "joints", "observation", "action"]]
+    rows = [["id", "cables", "coordinates", "platform mass [kg]", "joints", "observation size", "action size"]]
     for env_id in ENV_IDS:
         env = gym.make(env_id, render_mode="rgb_array")
         plain: Any = env.unwrapped

@@ -27,7 +27,7 @@ A learned policy steers a classical law, the base law: its network shifts the la
 actions. Each policy was trained with several seeds, and the table includes all of them. The shipped seed is the one
 with the median payload in training, so that it is typical and not the luckiest.
 
-* Payloads are dynamic load-carrying capacities (DLCC) in kg on the paper's circle by the task criterion, as on the
+* Payloads are dynamic load carrying capacities (DLCC) in kg on the paper's circle by the task criterion, as on the
   [leaderboard](../LEADERBOARD.md){drawn}.
   A policy that fails unloaded counts as 0.
 * IQM is the interquartile mean over the training seeds. The brackets contain its {confidence:.0%} interval from
