@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.robots import FLEX_SPATIAL
+from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import KINDS, TRAJECTORIES
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
 from generate.folder import Folder, number, table
@@ -32,7 +33,7 @@ def write(folder: Folder) -> None:
 
 def trajectories() -> str:
     """The named motions with their duration and peak speeds and accelerations."""
-    rows = [["name", "robots", "class", "duration [s]", "largest speed [m/s]", "largest acceleration [m/s²]"]]
+    rows = [["name", "robots", "class", "fields", "duration [s]", "largest speed [m/s]", "largest acceleration [m/s²]"]]
     for name, make in TRAJECTORIES.items():
         motion = make()
         reference = motion(np.linspace(0, motion.duration, 2001))
@@ -42,7 +43,8 @@ def trajectories() -> str:
         )
         kind, peak = type(motion).__name__, [f"{value:.3g}" for value in peaks]
         made = f"{{py:class}}`~{type(motion).__module__}.{kind}`"
-        rows.append([f"`{name}`", KINDS[motion.coordinates], made, number(motion.duration), *peak])
+        own = ", ".join(f"`{field}`" for field in to_jsonable(motion) if field != "name")
+        rows.append([f"`{name}`", KINDS[motion.coordinates], made, own, number(motion.duration), *peak])
     return table(rows)
 
 
