@@ -39,7 +39,7 @@ class PolicyCell:
     payload_known: bool = True
     """Whether the policy's model includes the payload."""
     model_payload_factor: float = 1.0
-    """Ratio of the policy's model payload to the true payload."""
+    """Ratio of the policy's model payload to the nominal payload."""
     uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
     draws: int = 1

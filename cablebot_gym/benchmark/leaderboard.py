@@ -38,7 +38,7 @@ An entry is the dynamic load carrying capacity (DLCC) of a policy [kg] and its f
 * **Best known payload:** the largest payload for which a motion within the same limits is known. It is verified by
   replay, and it is a lower bound of the true optimum.
 * **Payload known, payload unknown:** whether the policy's model includes the payload.
-  **Payload model × 0.9:** the model payload is 0.9 times the true payload.
+  **Payload model × 0.9:** the model payload is 0.9 times the nominal payload.
 * **`table6`, `sensors`:** uncertainty of the robot or of the measurements. A payload counts as carried if at least
   {probability:.0%} of {draws} sampled episodes succeed. All policies see the same samples. The fraction refers to the
   best known payload without uncertainty.

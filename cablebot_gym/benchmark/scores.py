@@ -104,7 +104,7 @@ class Column:
     payload_known: bool
     """Whether the policies' models include the payload."""
     model_payload_factor: float
-    """Ratio of the policies' model payload to the true payload."""
+    """Ratio of the policies' model payload to the nominal payload."""
     uncertainty: str | None
     """Name of an uncertainty; None for none."""
     criterion: str

@@ -26,7 +26,7 @@ class Block:
     payload_known: tuple[bool, ...] = (True, False)
     """Whether the policies' models include the payload."""
     model_payload_factors: tuple[float, ...] = (1.0,)
-    """Ratios of the policies' model payload to the true payload."""
+    """Ratios of the policies' model payload to the nominal payload."""
     criterion: str = "task"
     """DLCC criterion. ``paper`` applies to laws that declare ``unsaturated_actions``, and is never ranked."""
     uncertainty: str | None = None

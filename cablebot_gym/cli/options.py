@@ -33,7 +33,7 @@ PayloadKnown = Annotated[
     bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy's model includes the payload.")
 ]
 ModelPayloadFactor = Annotated[
-    float, typer.Option("--model-payload-factor", help="Payload of the policy's model over the true payload.")
+    float, typer.Option("--model-payload-factor", help="Payload of the policy's model over the nominal payload.")
 ]
 UncertaintyName = Annotated[
     str | None,

@@ -282,7 +282,7 @@ def _facts(score: Score, record: Record) -> list[list[str]]:
     if not result.get("applicable", True):
         return [["Not applicable", NOT_APPLICABLE], *facts]
     if cell.model_payload_factor != 1.0:
-        text = f"{cell.model_payload_factor:g} times the true payload; all payloads on this page are true payloads"
+        text = f"{cell.model_payload_factor:g} times the nominal payload"
         facts.insert(0, ["Payload model", text])
     if score.best_known is not None:
         facts.insert(0, ["Best known payload", f"{score.best_known:.3f} kg"])
