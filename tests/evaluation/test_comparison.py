@@ -345,12 +345,12 @@ def test_progress_does_not_run_backwards_or_stop_before_its_end():
 
 
 def test_payload_that_is_not_told_is_not_told():
-    told, untold = (
+    known, unknown = (
         compare_policies(["fl"], SPATIAL_ID, payload=3.0, payload_known=known, trajectory=HANG)
         for known in (True, False)
     )
-    assert (told.payload_known, untold.payload_known) == (True, False)
-    assert untold.metrics[0].max_error[0] > 10 * told.metrics[0].max_error[0]
+    assert (known.payload_known, unknown.payload_known) == (True, False)
+    assert unknown.metrics[0].max_error[0] > 10 * known.metrics[0].max_error[0]
 
 
 def test_names_of_the_policies_are_not_lost():

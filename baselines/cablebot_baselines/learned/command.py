@@ -46,7 +46,7 @@ def train(
     threads: Annotated[int | None, typer.Option(help="Number of torch's threads. Default: 1.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the evaluations as JSON.")] = False,
 ) -> None:
-    """Trains a learned policy and writes the one with the largest DLCC to best.zip.
+    """Train a learned policy and write the one with the largest DLCC to best.zip.
 
     The same seed on the same machine gives the same policy. Ctrl-C writes a checkpoint; --resume continues from the
     checkpoint and gives the same policy as an uninterrupted run.
