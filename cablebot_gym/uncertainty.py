@@ -94,6 +94,8 @@ class _Parameter:
 
     attribute: str
     """Name of the attribute of :class:`~cablebot_gym.robots.Robot`."""
+    unit: str
+    """SI unit."""
     positive: bool
     """Whether the value must be greater than 0."""
     flexible: bool = False
@@ -108,17 +110,21 @@ class _Parameter:
 
 PARAMETERS: Mapping[str, _Parameter] = MappingProxyType(
     {
-        "platform_mass": _Parameter(attribute="mass", positive=True, lowers_frequency=True),
-        "payload": _Parameter(attribute="payload", positive=False),
-        "platform_inertia": _Parameter(attribute="inertia", positive=True, spatial=True, lowers_frequency=True),
-        "pulley_inertia": _Parameter(attribute="pulley_inertia", positive=False, lowers_frequency=True),
-        "damping": _Parameter(attribute="damping", positive=False),
-        "stiffness": _Parameter(attribute="stiffness", positive=True, flexible=True),
-        "motor_inertia": _Parameter(attribute="motor_inertia", positive=True, flexible=True, lowers_frequency=True),
-        "motor_damping": _Parameter(attribute="motor_damping", positive=False, flexible=True),
-        "motor_strength": _Parameter(attribute="stall_torque", positive=True),
-        "base_anchors": _Parameter(attribute="base", positive=False, position=True),
-        "platform_anchors": _Parameter(attribute="platform", positive=False, spatial=True, position=True),
+        "platform_mass": _Parameter(attribute="mass", unit="kg", positive=True, lowers_frequency=True),
+        "payload": _Parameter(attribute="payload", unit="kg", positive=False),
+        "platform_inertia": _Parameter(
+            attribute="inertia", unit="kg·m²", positive=True, spatial=True, lowers_frequency=True
+        ),
+        "pulley_inertia": _Parameter(attribute="pulley_inertia", unit="kg·m²", positive=False, lowers_frequency=True),
+        "damping": _Parameter(attribute="damping", unit="N·m·s/rad", positive=False),
+        "stiffness": _Parameter(attribute="stiffness", unit="N·m/rad", positive=True, flexible=True),
+        "motor_inertia": _Parameter(
+            attribute="motor_inertia", unit="kg·m²", positive=True, flexible=True, lowers_frequency=True
+        ),
+        "motor_damping": _Parameter(attribute="motor_damping", unit="N·m·s/rad", positive=False, flexible=True),
+        "motor_strength": _Parameter(attribute="stall_torque", unit="N·m", positive=True),
+        "base_anchors": _Parameter(attribute="base", unit="m", positive=False, position=True),
+        "platform_anchors": _Parameter(attribute="platform", unit="m", positive=False, spatial=True, position=True),
     }
 )
 """The parameters that may be uncertain. ``motor_strength`` scales the stall torque; the free speed does not change."""

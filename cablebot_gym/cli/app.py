@@ -66,7 +66,7 @@ app = typer.Typer(
     name="cablebot",
     cls=_GroupedCommands,
     help=(
-        "Evaluate controllers of cable-driven parallel robots by the largest payload that they carry along a "
+        "Evaluate controllers of cable-suspended robots by the largest payload that they carry along a "
         "trajectory, the dynamic load carrying capacity (DLCC).\n\n"
         "`cablebot COMMAND --help` shows the options of a command and examples.\n\n"
         "\b\n"

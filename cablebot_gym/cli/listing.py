@@ -51,21 +51,6 @@ _UNCERTAINTY_UNITS = {
 }
 """Unit of each uncertainty field that has one. Parameters are fractions of their nominal values if ``relative``."""
 
-_PARAMETER_UNITS = {
-    "platform_mass": "kg",
-    "payload": "kg",
-    "platform_inertia": "kg·m²",
-    "pulley_inertia": "kg·m²",
-    "damping": "N·m·s/rad",
-    "stiffness": "N·m/rad",
-    "motor_inertia": "kg·m²",
-    "motor_damping": "N·m·s/rad",
-    "motor_strength": "N·m",
-    "base_anchors": "m",
-    "platform_anchors": "m",
-}
-"""Unit of each uncertain parameter."""
-
 
 def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False) -> None:
     """List environments, trajectories, uncertainties and installed policies.
@@ -92,8 +77,6 @@ def _data() -> dict[str, Any]:
     from cablebot_gym.trajectories import TRAJECTORIES, trajectory_names
     from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
 
-    policies = [{"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in _sorted_policies()]
-    by_name = {policy["name"]: policy for policy in policies}
     return {
         "env_ids": list(ENV_IDS),
         "trajectories": trajectory_names(),
@@ -101,16 +84,11 @@ def _data() -> dict[str, Any]:
         "uncertainties": list(UNCERTAINTIES),
         "uncertainty_fields": {name: _uncertainty_fields(name) for name in UNCERTAINTIES},
         "uncertain_parameters": list(PARAMETERS),
-        "uncertain_parameter_units": {name: _PARAMETER_UNITS.get(name, "") for name in PARAMETERS},
-        "policies": [by_name[name] for name in policy_entries()],
+        "uncertain_parameter_units": {name: parameter.unit for name, parameter in PARAMETERS.items()},
+        "policies": [
+            {"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in policy_entries().values()
+        ],
     }
-
-
-def _sorted_policies() -> list[Any]:
-    """Entries of the installed policies, by kind and name."""
-    from cablebot_gym.policies import policy_entries
-
-    return sorted(policy_entries().values(), key=lambda item: (item.kind, item.name))
 
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
@@ -145,6 +123,8 @@ def _uncertainty_fields(name: str) -> dict[str, dict[str, Any]]:
 
 def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
     """Value and unit of each field that an uncertainty sets, by its path in JSON. A parameter omits default values."""
+    from cablebot_gym.uncertainty import PARAMETERS
+
     found: dict[str, tuple[Any, str]] = {}
     for name, distribution in uncertainty.parameters.items():
         value = {
@@ -152,7 +132,7 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
             for field in fields(distribution)
             if (setting := getattr(distribution, field.name)) != field.default
         }
-        found[f"parameters.{name}"] = (value, "" if distribution.relative else _PARAMETER_UNITS.get(name, ""))
+        found[f"parameters.{name}"] = (value, "" if distribution.relative else PARAMETERS[name].unit)
     for group in ("wrench", "sensors"):
         part = getattr(uncertainty, group)
         for field in () if part is None else fields(part):
@@ -165,6 +145,7 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
 def _tables() -> Iterator[Table]:
     """The tables for the terminal."""
     from cablebot_gym.envs import ENV_IDS, env_robot
+    from cablebot_gym.policies import policy_entries
     from cablebot_gym.robots import find_robot
     from cablebot_gym.trajectories import TRAJECTORIES
     from cablebot_gym.uncertainty import (
@@ -219,16 +200,16 @@ def _tables() -> Iterator[Table]:
     table = _table("Uncertain parameters", "name", "unit", "robots")
     for name, parameter in PARAMETERS.items():
         robots = "flexible" if parameter.flexible else "spatial" if parameter.spatial else "all"
-        table.add_row(name, _PARAMETER_UNITS.get(name, ""), robots)
+        table.add_row(name, parameter.unit, robots)
     yield table
 
-    policies = _sorted_policies()
-    for kind in dict.fromkeys(item.kind for item in policies):
-        table = _table(f"{kind.capitalize()} policies", "name", "environments", "summary")
-        for item in policies:
-            if item.kind == kind:
-                ids = "all" if set(item.env_ids) >= set(ENV_IDS) else _short_ids(item.env_ids)
-                table.add_row(item.name, ids, item.summary)
+    policies = sorted(policy_entries().values(), key=lambda policy: (policy.kind, policy.name))
+    for policy_kind in dict.fromkeys(policy.kind for policy in policies):
+        table = _table(f"{policy_kind.capitalize()} policies", "name", "environments", "summary")
+        for policy in policies:
+            if policy.kind == policy_kind:
+                ids = "all" if set(policy.env_ids) >= set(ENV_IDS) else _short_ids(policy.env_ids)
+                table.add_row(policy.name, ids, policy.summary)
         yield table
 
 

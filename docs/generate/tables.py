@@ -69,10 +69,10 @@ def _changed(value: Any) -> Any:
 
 def parameters() -> str:
     """The uncertain parameters."""
-    rows = [["parameter", "attribute of the robot", "robots"]]
+    rows = [["parameter", "unit", "attribute of the robot", "robots"]]
     for name, one in PARAMETERS.items():
         robots = [*(["with joint springs"] if one.flexible else []), *(["spatial"] if one.spatial else [])]
-        rows.append([f"`{name}`", f"`{one.attribute}`", ", ".join(robots) or "all"])
+        rows.append([f"`{name}`", one.unit, f"`{one.attribute}`", ", ".join(robots) or "all"])
     return table(rows)
 
 
