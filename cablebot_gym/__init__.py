@@ -89,7 +89,7 @@ PUBLIC = (
     "cablebot_gym.utils.console",
     "cablebot_gym.utils.files",
     "cablebot_gym.utils.palette",
-    "cablebot_gym.utils.suggestions",
+    "cablebot_gym.utils.checks",
     "cablebot_gym.utils.workers",
     "cablebot_gym.video",
     "cablebot_gym.video.recording",

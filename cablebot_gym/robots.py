@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from cablebot_gym.kinematics import SPATIAL_COORDINATES, Array, cable_lengths, structure_jacobian
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""

@@ -19,7 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 Distribution = Literal["uniform", "normal"]
 

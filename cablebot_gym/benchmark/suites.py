@@ -14,7 +14,7 @@ from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 ENV_ROBOTS = {
     "CableBot-Planar-v0": "planar",

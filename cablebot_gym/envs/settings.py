@@ -18,7 +18,7 @@ from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 LONGEST_PHYSICS_STEP = 1e-3
 """Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at this step. Accuracy

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import ErrorBounds, find_error_bounds
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 Criterion = Literal["task", "paper"]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)

@@ -13,7 +13,7 @@ from typing import Any
 from cablebot_gym.policies.protocol import Policy, PolicyEntry, as_policy, code_line
 from cablebot_gym.policies.sb3 import load_sb3
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 _LOGGER = logging.getLogger("cablebot_gym")
 

@@ -1,1 +1,1 @@
-"""Utilities: files, console output, code hashes, suggestions, colours and worker processes."""
+"""Utilities: files, console output, code hashes, checks of arguments, colours and worker processes."""

@@ -13,7 +13,7 @@ from cablebot_baselines.classical.feedback_linearization import FeedbackLineariz
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from cablebot_baselines.classical.law import ClassicalLaw
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 
 @dataclass(frozen=True, kw_only=True)

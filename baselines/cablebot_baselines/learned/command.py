@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from cablebot_gym.utils.console import counting, notes_console
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 
 def train(

@@ -29,7 +29,7 @@ from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.steering import Residual, Shift, find_action_mapping
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 ALGORITHMS = ("ppo", "sac", "tqc")
 """Names for ``--algo``; each has a file of the same name in :data:`HYPERPARAMS`."""

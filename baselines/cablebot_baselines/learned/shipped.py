@@ -10,7 +10,7 @@ from types import MappingProxyType
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.policies import Policy, PolicyEntry
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 WEIGHTS = Path(__file__).parent / "weights"
 """Folder of the shipped files: the bundles ``NAME-KIND.zip`` and their cards ``NAME-KIND.json``; see :func:`stem`."""

@@ -9,7 +9,7 @@ from cablebot_gym.evaluation.constraints import find_criterion
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import find_uncertainty
-from cablebot_gym.utils.suggestions import unknown_name_error
+from cablebot_gym.utils.checks import unknown_name_error
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,148 @@
+"""Checks of arguments. Each check returns the value in one type, or raises a ValueError that names the argument."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from difflib import get_close_matches
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+INF = math.inf
+
+
+def number(
+    name: str,
+    value: Any,
+    *,
+    above: float = -INF,
+    least: float = -INF,
+    below: float = INF,
+    most: float = INF,
+    unit: str = "",
+) -> float:
+    """A finite number within bounds. ``above`` and ``below`` exclude the bound, ``least`` and ``most`` include it.
+
+    Args:
+        name: name of the argument in the message.
+        value: the argument.
+        above, least, below, most: bounds.
+        unit: unit of the bounds in the message, such as ``kg``.
+
+    Raises:
+        ValueError: if the value is not such a number.
+    """
+    real = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    if not (real and above < value < below and least <= value <= most):
+        bounds = _bounds_text(above, least, below, most, unit)
+        raise ValueError(f"{name} must be a finite number{bounds}, not {value!r}")
+    return float(value)
+
+
+def whole(name: str, value: Any, *, least: int = 0) -> int:
+    """An integer of at least ``least``.
+
+    Raises:
+        ValueError: if the value is not such an integer.
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} must be an integer of at least {least}, not {value!r}")
+    return int(value)
+
+
+def numbers(
+    name: str,
+    value: Any,
+    *,
+    shapes: Collection[tuple[int, ...]] = (),
+    form: str = "",
+    above: float = -INF,
+    least: float = -INF,
+    below: float = INF,
+    most: float = INF,
+    unit: str = "",
+) -> NDArray[np.float64]:
+    """Finite numbers as a new array of floats.
+
+    Args:
+        name: name of the argument in the message.
+        value: the argument: a number, a sequence or an array.
+        shapes: valid shapes; every shape is valid if empty.
+        form: valid forms in words, such as ``one number or one per motor``; the shapes if empty.
+        above, least, below, most: bounds of each number, as for :func:`number`.
+        unit: unit of the bounds in the message.
+
+    Raises:
+        ValueError: if the value does not consist of numbers, or a shape, a number or a bound is wrong.
+    """
+    try:
+        given = np.array(value)
+    except ValueError:  # rows of different lengths
+        given = np.array(None)
+    if given.dtype.kind not in "iuf":
+        raise ValueError(f"{name} must be {form or 'numbers'}, not {value!r}")
+    if shapes and given.shape not in shapes:
+        valid = form or "an array of shape " + " or ".join(map(str, shapes))
+        raise ValueError(f"{name} must be {valid}, not an array of shape {given.shape}")
+    inside = np.isfinite(given) & (above < given) & (given < below) & (least <= given) & (given <= most)
+    if not inside.all():
+        bounds = _bounds_text(above, least, below, most, unit)
+        raise ValueError(f"{name} must be finite{bounds and ' and'}{bounds}, not {value!r}")
+    return given.astype(np.float64)
+
+
+def mapping(name: str, value: Any, keys: Iterable[str]) -> dict[str, Any]:
+    """A mapping whose keys are all valid, as a new dict.
+
+    Args:
+        name: name of the argument in the message.
+        value: the argument.
+        keys: the valid keys.
+
+    Raises:
+        ValueError: if the value is not a mapping, or a key is unknown.
+    """
+    keys = list(keys)
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a dict with the keys {', '.join(keys)}, not {value!r}")
+    for key in value:
+        choice(f"key of {name}", key, keys)
+    return dict(value)
+
+
+def choice(kind: str, value: Any, valid: Iterable[str], otherwise: str = "") -> str:
+    """One of the valid names.
+
+    Raises:
+        ValueError: if the name is unknown, see :func:`unknown_name_error`.
+    """
+    valid = list(valid)
+    if value not in valid:
+        raise unknown_name_error(kind, value, valid, otherwise)
+    return str(value)
+
+
+def unknown_name_error(kind: str, name: object, names: Iterable[str], otherwise: str = "") -> ValueError:
+    """The error to raise for an unknown name. Its message lists the valid names and suggests the closest one.
+
+    Args:
+        kind: kind of the named thing, such as ``environment``.
+        name: the unknown name, as the user gave it.
+        names: the valid names.
+        otherwise: other valid input, such as ``, or pass a Robot``.
+    """
+    known = {valid.lower(): valid for valid in names}
+    close = get_close_matches(str(name).strip().lower(), known, 1)
+    suggestion = f"; did you mean {known[close[0]]!r}?" if close else ""
+    return ValueError(f"unknown {kind} {name!r}; choose one of {', '.join(known.values())}{otherwise}{suggestion}")
+
+
+def _bounds_text(above: float, least: float, below: float, most: float, unit: str) -> str:
+    unit = f" {unit}" if unit else ""
+    low = f"greater than {above:g}" if above > -INF else f"at least {least:g}" if least > -INF else ""
+    high = f"less than {below:g}" if below < INF else f"at most {most:g}" if most < INF else ""
+    text = " and ".join(part for part in (low, high) if part)
+    return f" {text}{unit}" if text else ""
