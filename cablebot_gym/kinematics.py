@@ -2,6 +2,7 @@
 
 Arrays may have any number of leading batch axes. A planar pose is ``(x, y)``. A spatial pose is
 ``(x, y, z, ψ, θ, φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` and z pointing down. Lengths are in m, angles in rad.
+``euler`` are the angles (ψ, θ, φ), shape (..., 3).
 
 All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations serve numbers and
 symbolic derivatives.
@@ -104,14 +105,21 @@ def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) ->
 
 
 def structure_jacobian_rate(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
-    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n)."""
+    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n). Arguments as in :func:`cable_vectors`."""
     return jacobian_and_rate(base, platform, pose, velocity)[1]
 
 
 def jacobian_and_rate(
     base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike
 ) -> tuple[Array, Array]:
-    """S and Ṡ, each (..., m, n), computed together at little more than the cost of one."""
+    """S and Ṡ, each (..., m, n), computed together at little more than the cost of one.
+
+    Args:
+        base: base anchors, as in :func:`cable_vectors`.
+        platform: platform anchors, as in :func:`cable_vectors`.
+        pose: X, shape (..., n).
+        velocity: Ẋ, shape (..., n).
+    """
     base, pose, velocity, platform = (as_numbers(array) for array in (base, pose, velocity, platform))
     if pose.shape[-1] != SPATIAL_COORDINATES:
         unit, unit_rate = _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :])

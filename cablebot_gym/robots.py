@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from itertools import combinations
+from typing import Any, Literal
 
 import numpy as np
 
 from cablebot_gym.kinematics import SPATIAL_COORDINATES, Array, cable_lengths, structure_jacobian
-from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.checks import choice, number, numbers, record
 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""
@@ -39,7 +41,7 @@ class Motors:
     """Free-running speed ω_n [rad/s], one value or one per motor; > 0. Multiply a value in rpm by :data:`RPM`."""
 
     def __post_init__(self) -> None:
-        _freeze_fields(self)
+        _set_per_motor(self, positive=("stall_torque", "free_speed"))
 
     def replace(self, **changes: Any) -> Motors:
         """A copy with the fields in ``changes`` replaced."""
@@ -68,87 +70,42 @@ class Transmission:
     """Viscous damping c′ at the motor of a flexible robot [N·m·s/rad], one value or one per motor; ≥ 0. 0 if rigid."""
 
     def __post_init__(self) -> None:
-        _freeze_fields(self)
+        _set_per_motor(self, positive=("pulley_radius", "stiffness", "motor_inertia"))
+        if (self.stiffness is None) != (self.motor_inertia is None):
+            raise ValueError("a flexible transmission needs stiffness and motor_inertia; a rigid one has neither")
+        if self.stiffness is None and np.any(self.motor_damping):
+            raise ValueError("a rigid transmission has no motor_damping; use damping")
 
     def replace(self, **changes: Any) -> Transmission:
         """A copy with the fields in ``changes`` replaced."""
         return dataclasses.replace(self, **changes)
 
 
-class RobotArrays(Protocol):
-    """The values of a :class:`Robot` that the equations use. For N robots they have a leading axis N."""
+def _set_per_motor(data: Motors | Transmission, positive: tuple[str, ...]) -> None:
+    """Checks all fields and converts lists and arrays to tuples, which keep a robot hashable."""
+    for field in dataclasses.fields(data):
+        value = _as_tuples(getattr(data, field.name))
+        if value is not None or field.default is not None:
+            above = 0.0 if field.name in positive else -math.inf
+            numbers(field.name, value, form="one number or one per motor", above=above, least=0.0)
+        object.__setattr__(data, field.name, value)
 
-    @property
-    def planar(self) -> bool:
-        """Whether the robot moves in the horizontal plane."""
 
-    @property
-    def flexible(self) -> bool:
-        """Whether there are springs between motors and pulleys."""
+def _as_tuples(value: Any) -> Any:
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    return tuple(_as_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value
 
-    @property
-    def cables(self) -> int:
-        """Number of cables m."""
 
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n."""
+def _per_motor(part: Literal["motors", "transmission"], field: str) -> cached_property[Array]:
+    """Property of a :class:`Robot` with a value of its motors or its transmission, shape (m,)."""
 
-    @property
-    def home(self) -> Array:
-        """Home pose X₀, shape (n,) [m, rad]."""
+    def values(robot: Robot) -> Array:
+        value = getattr(getattr(robot, part), field)
+        if value is None or (field == "motor_damping" and not robot.flexible):
+            raise ValueError(f"{robot.name} has a rigid transmission without {field}; choose a flexible robot")
+        return robot.per_motor(value)
 
-    @property
-    def gravity(self) -> float:
-        """Gravitational acceleration along +z [m/s²]."""
-
-    @property
-    def mass(self) -> float | Array:
-        """Platform mass [kg]."""
-
-    @property
-    def inertia(self) -> tuple[float, ...] | Array:
-        """Principal moments of inertia, shape (3,) [kg·m²]."""
-
-    @property
-    def base(self) -> Array:
-        """Base anchors, shape (m, 2) or (m, 3) [m]."""
-
-    @property
-    def platform(self) -> Array:
-        """Platform anchors, shape (m, 2) or (m, 3) [m]."""
-
-    @property
-    def pulley_radius(self) -> Array:
-        """Pulley radius r, shape (m,) [m]."""
-
-    @property
-    def pulley_inertia(self) -> Array:
-        """Pulley inertia J, shape (m,) [kg·m²]."""
-
-    @property
-    def damping(self) -> Array:
-        """Pulley damping c, shape (m,) [N·m·s/rad]."""
-
-    @property
-    def stiffness(self) -> Array:
-        """Joint stiffness K, shape (m,) [N·m/rad]."""
-
-    @property
-    def motor_inertia(self) -> Array:
-        """Motor inertia J′, shape (m,) [kg·m²]."""
-
-    @property
-    def motor_damping(self) -> Array:
-        """Motor damping c′, shape (m,) [N·m·s/rad]."""
-
-    @property
-    def stall_torque(self) -> Array:
-        """Stall torque τ_s, shape (m,) [N·m]."""
-
-    @property
-    def speed_slope(self) -> Array:
-        """Slope τ_s/ω_n of the torque-speed line, shape (m,) [N·m·s/rad]."""
+    return cached_property(values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,12 +144,10 @@ class Robot:
     def __post_init__(self) -> None:
         for name in ("base_anchors", "platform_anchors", "inertia", "home_pose", "workspace"):
             object.__setattr__(self, name, _as_tuples(getattr(self, name)))  # accept lists and arrays
-        for name, kind in (("motors", Motors), ("transmission", Transmission)):
-            if not isinstance(getattr(self, name), kind):
-                raise ValueError(f"{name} must be a {kind.__name__}, such as robot.{name}.replace(…)")
-        _check_shapes(self)
-        _check_values(self)
-        _check_home(self)
+        object.__setattr__(self, "motors", record("motors", Motors, self.motors))
+        object.__setattr__(self, "transmission", record("transmission", Transmission, self.transmission))
+        _check_fields(self)
+        _check_geometry(self)
 
     @property
     def cables(self) -> int:
@@ -239,20 +194,25 @@ class Robot:
         """A value of the motors or the transmission as an array, shape (m,)."""
         return np.broadcast_to(np.asarray(value, float), (self.cables,))
 
-    @cached_property
-    def pulley_radius(self) -> Array:
-        """Pulley radius r, shape (m,) [m]."""
-        return self.per_motor(self.transmission.pulley_radius)
+    pulley_radius = _per_motor("transmission", "pulley_radius")
+    """Pulley radius r, shape (m,) [m]."""
+    pulley_inertia = _per_motor("transmission", "pulley_inertia")
+    """Pulley inertia J, shape (m,) [kg·m²]."""
+    damping = _per_motor("transmission", "damping")
+    """Pulley damping c, shape (m,) [N·m·s/rad]."""
+    stiffness = _per_motor("transmission", "stiffness")
+    """Joint stiffness K of a flexible robot, shape (m,) [N·m/rad]."""
+    motor_inertia = _per_motor("transmission", "motor_inertia")
+    """Motor inertia J′ of a flexible robot, shape (m,) [kg·m²]."""
+    motor_damping = _per_motor("transmission", "motor_damping")
+    """Motor damping c′ of a flexible robot, shape (m,) [N·m·s/rad]."""
+    stall_torque = _per_motor("motors", "stall_torque")
+    """Stall torque τ_s, shape (m,) [N·m]."""
 
     @cached_property
-    def pulley_inertia(self) -> Array:
-        """Pulley inertia J, shape (m,) [kg·m²]."""
-        return self.per_motor(self.transmission.pulley_inertia)
-
-    @cached_property
-    def damping(self) -> Array:
-        """Pulley damping c, shape (m,) [N·m·s/rad]."""
-        return self.per_motor(self.transmission.damping)
+    def speed_slope(self) -> Array:
+        """Slope τ_s/ω_n of the torque-speed line, k₂ of Eq. 37, shape (m,) [N·m·s/rad]."""
+        return self.stall_torque / self.per_motor(self.motors.free_speed)
 
     @property
     def flexible(self) -> bool:
@@ -264,37 +224,6 @@ class Robot:
         """``rigid`` or ``flexible``; used as a key in tables of settings."""
         return "flexible" if self.flexible else "rigid"
 
-    @cached_property
-    def stiffness(self) -> Array:
-        """Joint stiffness K of a flexible robot, shape (m,) [N·m/rad]."""
-        return self.per_motor(self._flexible("stiffness"))
-
-    @cached_property
-    def motor_inertia(self) -> Array:
-        """Motor inertia J′ of a flexible robot, shape (m,) [kg·m²]."""
-        return self.per_motor(self._flexible("motor_inertia"))
-
-    @cached_property
-    def motor_damping(self) -> Array:
-        """Motor damping c′ of a flexible robot, shape (m,) [N·m·s/rad]."""
-        return self.per_motor(self._flexible("motor_damping"))
-
-    def _flexible(self, field: str) -> PerMotor:
-        if not self.flexible:
-            raise ValueError(f"{self.name} has a rigid transmission without {field}; choose a flexible robot")
-        value: PerMotor = getattr(self.transmission, field)
-        return value
-
-    @cached_property
-    def stall_torque(self) -> Array:
-        """Stall torque τ_s, shape (m,) [N·m]."""
-        return self.per_motor(self.motors.stall_torque)
-
-    @cached_property
-    def speed_slope(self) -> Array:
-        """Slope τ_s/ω_n of the torque-speed line, k₂ of Eq. 37, shape (m,) [N·m·s/rad]."""
-        return self.stall_torque / self.per_motor(self.motors.free_speed)
-
     def replace(self, **changes: Any) -> Robot:
         """A copy with the fields in ``changes`` replaced. The copy is checked again."""
         return dataclasses.replace(self, **changes)
@@ -304,38 +233,13 @@ class Robot:
         return dataclasses.asdict(self)
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Robot:
+    def from_dict(cls, data: Mapping[str, Any]) -> Robot:
         """A robot from the data of :meth:`to_dict`. Lists may replace tuples.
 
         Raises:
             ValueError: if a key is unknown or missing, or the robot is not physical.
         """
-        fields = dataclasses.fields(cls)
-        known = {field.name for field in fields}
-        if unknown := set(data) - known:
-            raise ValueError(f"unknown robot field {sorted(unknown)[0]!r}; the fields are {', '.join(sorted(known))}")
-        needed = [field.name for field in fields if field.default is field.default_factory is dataclasses.MISSING]
-        if missing := [name for name in needed if name not in data]:
-            raise ValueError(f"a robot needs the field {missing[0]!r}; see Robot.to_dict() for the format")
-        try:
-            values = {key: _as_tuples(value) for key, value in data.items()}
-            values["motors"] = Motors(**{key: _as_tuples(value) for key, value in data["motors"].items()})
-            transmission = {key: _as_tuples(value) for key, value in data["transmission"].items()}
-            values["transmission"] = Transmission(**transmission)
-            return cls(**values)
-        except (TypeError, AttributeError) as error:
-            raise ValueError(f"invalid robot data: {error}; see Robot.to_dict() for the format") from error
-
-
-def _freeze_fields(data: Motors | Transmission) -> None:
-    """Converts lists and arrays to tuples, which keep a robot hashable."""
-    for field in dataclasses.fields(data):
-        object.__setattr__(data, field.name, _as_tuples(getattr(data, field.name)))
-
-
-def _as_tuples(value: Any) -> Any:
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    return tuple(_as_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value
+        return record("robot", cls, data)
 
 
 def _frozen(values: Any) -> Array:
@@ -344,99 +248,40 @@ def _frozen(values: Any) -> Array:
     return array
 
 
-def _check_shapes(robot: Robot) -> None:
-    points = robot.base_anchors
-    if not isinstance(points, tuple) or {len(a) if isinstance(a, tuple) else 0 for a in points} not in ({2}, {3}):
-        raise ValueError(
-            "base_anchors must hold one (x, y) per cable for a planar robot or one (x, y, z) for a spatial robot"
-        )
-    m, n = robot.cables, robot.coordinates
-    if robot.planar and (robot.platform_anchors or robot.inertia):
-        raise ValueError("a planar robot is a point mass; leave platform_anchors and inertia empty")
-    if robot.planar and m < n:
-        raise ValueError(f"a planar robot needs at least {n} cables, not {m}; add base_anchors")
-    if not robot.planar:
-        if m != SPATIAL_COORDINATES:
-            raise ValueError(f"a spatial robot must have six cables, not {m}; give six base_anchors")
-        if len(robot.platform_anchors) != m or any(len(anchor) != 3 for anchor in robot.platform_anchors):
-            raise ValueError(f"platform_anchors must hold one (x, y, z) for each of the {m} cables")
-        if len(robot.inertia) != 3:
-            raise ValueError("inertia must hold the three principal moments (I_xx, I_yy, I_zz) in kg·m²")
-    if len(robot.home_pose) != n:
-        raise ValueError(f"home_pose must hold {n} coordinates, not {len(robot.home_pose)}")
-    if robot.workspace and (len(robot.workspace) != n or any(len(pair) != 2 for pair in robot.workspace)):
-        raise ValueError(f"workspace must hold one (low, high) for each of the {n} coordinates, or be empty")
+def _check_fields(robot: Robot) -> None:
+    """Checks the shape and the bounds of each field."""
+    given = robot.base_anchors
+    m = len(given) if isinstance(given, tuple) else 0
+    numbers("base_anchors", given, shapes=[(m, 2), (m, 3)], form="one (x, y) or one (x, y, z) per cable")
+    n, planar = robot.coordinates, robot.planar
+    if not planar and m != SPATIAL_COORDINATES:
+        raise ValueError(f"base_anchors: a spatial robot has six cables, not {m}")
+    ends, moments = ("empty for a planar robot",) * 2 if planar else ("one (x, y, z) per cable", "(I_xx, I_yy, I_zz)")
+    numbers("platform_anchors", robot.platform_anchors, shapes=[(0,) if planar else (m, 3)], form=ends)
+    numbers("inertia", robot.inertia, shapes=[(0,) if planar else (3,)], form=moments, above=0)
+    numbers("home_pose", robot.home_pose, shapes=[(n,)], form=f"{n} coordinates")
+    numbers("workspace", robot.workspace, shapes=[(0,), (n, 2)], form=f"{n} pairs (low, high), or empty")
+    number("mass", robot.mass, above=0, unit="kg")
+    number("gravity", robot.gravity, least=0, unit="m/s²")
+    for part in (robot.motors, robot.transmission):
+        for field in dataclasses.fields(part):
+            if np.shape(getattr(part, field.name)) not in ((), (m,)):
+                raise ValueError(f"{field.name} must be one number or one for each of the {m} motors")
 
 
-def _numbers(field: str, value: Any) -> Array:
-    values = np.asarray(value)
-    if values.dtype.kind not in "iuf":
-        raise ValueError(f"{field} must be a number, not {value!r}")
-    return values.astype(float)
-
-
-def _check_values(robot: Robot) -> None:
-    positive = {
-        "mass": robot.mass,
-        "inertia": robot.inertia,
-        "motors.stall_torque": robot.motors.stall_torque,
-        "motors.free_speed": robot.motors.free_speed,
-        "transmission.pulley_radius": robot.transmission.pulley_radius,
-    }
-    not_negative = {
-        "transmission.pulley_inertia": robot.transmission.pulley_inertia,
-        "transmission.damping": robot.transmission.damping,
-        "gravity": robot.gravity,
-    }
-    spring = {
-        "transmission.stiffness": robot.transmission.stiffness,
-        "transmission.motor_inertia": robot.transmission.motor_inertia,
-    }
-    given = {field: value for field, value in spring.items() if value is not None}
-    not_negative["transmission.motor_damping"] = robot.transmission.motor_damping
-    if len(given) == 1:
-        raise ValueError("a flexible transmission needs both stiffness and motor_inertia; a rigid one needs neither")
-    if not given and np.any(np.asarray(robot.transmission.motor_damping) != 0):
-        raise ValueError("transmission.motor_damping requires a flexible transmission; use damping for a rigid one")
-    positive |= given
-    for field, value in (positive | not_negative).items():
-        values = _numbers(field, value)
-        if field in ("mass", "gravity") and values.shape != ():
-            raise ValueError(f"{field} must be one number, not {value!r}")
-        if field.startswith(("motors", "transmission")) and values.shape not in ((), (robot.cables,)):
-            raise ValueError(f"{field} must be one number or one for each of the {robot.cables} motors")
-        strict = field in positive
-        if not np.all(np.isfinite(values)) or np.any(values <= 0 if strict else values < 0):
-            raise ValueError(f"{field} must be {'greater than' if strict else 'at least'} 0 and finite, not {value}")
-    if not np.all(np.isfinite(robot.speed_slope)):
-        raise ValueError(f"motors.free_speed {robot.motors.free_speed} is too small: τ_s/ω_n is not finite")
-    if not robot.planar:
-        moments = sorted(robot.inertia)
-        if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
-            raise ValueError(f"inertia {robot.inertia}: no principal moment may exceed the sum of the other two")
-    for field, points in (
-        ("base_anchors", robot.base),
-        ("platform_anchors", robot.platform),
-        ("home_pose", robot.home),
-    ):
-        if not np.all(np.isfinite(points)):
-            raise ValueError(f"{field} must be finite")
+def _check_geometry(robot: Robot) -> None:
+    """Checks that a body and cables of this form exist and that the cables hold the home pose."""
+    if not robot.planar and 2 * max(robot.inertia) > sum(robot.inertia) + 1e-9 * max(robot.inertia):
+        raise ValueError(f"inertia {robot.inertia}: no principal moment may exceed the sum of the other two")
     low, high = robot.pose_bounds
-    if not robot.workspace and np.any(low[:2] >= high[:2]):
-        raise ValueError("base_anchors must not lie on a line along an axis: no cable could pull across that line")
-    if not np.all(np.isfinite(robot.pose_bounds)) or np.any(low >= high):
-        raise ValueError("workspace must be finite and have low < high for each coordinate")
+    if np.any(low >= high):
+        raise ValueError("workspace must have low < high; give one if the base anchors lie on a line along an axis")
     if not robot.planar and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
         raise ValueError("workspace: θ must stay within ± π/2, where the Euler angles are singular")
     ends = np.concatenate([robot.base, robot.platform], axis=1)
-    for i in range(robot.cables):
-        for j in range(i):
-            if np.allclose(ends[i], ends[j], rtol=0, atol=1e-9):
-                raise ValueError(f"cables {j + 1} and {i + 1} coincide; give them different anchors")
-
-
-def _check_home(robot: Robot) -> None:
-    low, high = robot.pose_bounds
+    for i, j in combinations(range(robot.cables), 2):
+        if np.allclose(ends[i], ends[j], rtol=0, atol=1e-9):
+            raise ValueError(f"cables {i + 1} and {j + 1} coincide; give them different anchors")
     if np.any(robot.home < low) or np.any(robot.home > high):
         raise ValueError(f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}")
     if np.any(cable_lengths(robot.base, robot.platform, robot.home) < 1e-6):
@@ -524,7 +369,7 @@ ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL, FLE
 """The paper's robots by name."""
 
 
-def find_robot(robot: str | dict[str, Any] | Robot) -> Robot:
+def find_robot(robot: str | Mapping[str, Any] | Robot) -> Robot:
     """A robot from a name, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
 
     Raises:
@@ -532,8 +377,6 @@ def find_robot(robot: str | dict[str, Any] | Robot) -> Robot:
     """
     if isinstance(robot, Robot):
         return robot
-    if isinstance(robot, dict):
+    if isinstance(robot, Mapping):
         return Robot.from_dict(robot)
-    if not isinstance(robot, str) or robot not in ROBOTS:
-        raise unknown_name_error("robot", robot, ROBOTS, ", or pass a Robot")
-    return ROBOTS[robot]
+    return ROBOTS[choice("robot", robot, ROBOTS, ", or pass a Robot")]

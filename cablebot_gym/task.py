@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from numbers import Real
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.utils.checks import number, record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +29,8 @@ class ErrorBounds:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value) or value <= 0:
-                raise ValueError(f"error_bounds: {field.name} must be a number greater than 0, not {value!r}")
-            object.__setattr__(self, field.name, float(value))
+            value = number(f"error_bounds.{field.name}", getattr(self, field.name), above=0)
+            object.__setattr__(self, field.name, value)
 
     @property
     def termination_radius(self) -> float:
@@ -50,16 +48,7 @@ def find_error_bounds(error_bounds: ErrorBounds | dict[str, float] | None) -> Er
     Raises:
         ValueError: if a key is unknown or a bound is not positive.
     """
-    if error_bounds is None:
-        return ErrorBounds()
-    if isinstance(error_bounds, ErrorBounds):
-        return error_bounds
-    known = [field.name for field in fields(ErrorBounds)]
-    if not isinstance(error_bounds, dict) or set(error_bounds) - set(known):
-        raise ValueError(
-            f"error_bounds must be an ErrorBounds or a dict with the keys {', '.join(known)}, not {error_bounds!r}"
-        )
-    return ErrorBounds(**error_bounds)
+    return record("error_bounds", ErrorBounds, {} if error_bounds is None else error_bounds)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,8 +83,7 @@ class Task:
                 than the error bounds.
         """
         if self.steps < 1:
-            motion = f"trajectory {self.trajectory.name!r} of {self.trajectory.duration:g} s"
-            raise ValueError(f"{motion} is shorter than a control period; choose a longer duration")
+            raise ValueError(f"trajectory {self.trajectory.name!r} is shorter than a control period; make it longer")
         check_workspace(self.robot, self.trajectory, self.error_bounds)
 
 
@@ -121,7 +109,7 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
         raise ValueError(
             f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[sample]:.3f} s: "
             f"{'xyzψθφ'[channel]} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to "
-            f"{high[channel]:.3g}; make it smaller, move it, or give the robot a wider workspace"
+            f"{high[channel]:.3g}; change the motion or the workspace"
         )
 
 
@@ -142,10 +130,10 @@ def to_jsonable(value: Any) -> Any:
 
     A dataclass becomes a dict of its fields. Any other trajectory becomes a dict of its name, duration and coordinates.
     """
-    if isinstance(value, Trajectory) and not hasattr(value, "__dataclass_fields__"):
-        return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
-    if hasattr(value, "__dataclass_fields__"):
+    if is_dataclass(value):
         return {field.name: to_jsonable(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Trajectory):
+        return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
     if isinstance(value, Mapping):
         return {name: to_jsonable(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

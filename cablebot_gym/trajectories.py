@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from numbers import Integral, Real
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.checks import mapping, number, numbers, unknown_name_error, whole
 
 Array = NDArray[np.float64]
 
@@ -66,13 +65,27 @@ class Trajectory(Protocol):
 
 
 class _Motion:
-    """Base of the motions in this module: clamps the time and checks the duration."""
+    """Base of the motions in this module: clamps the time and checks the duration and the poses."""
 
     name: str
     duration: float
+    _POSES: ClassVar[tuple[str, ...]] = ("center",)
+    """Names of the fields that are poses."""
 
     def __post_init__(self) -> None:
-        _check_positive("duration", self.duration)
+        number("duration", self.duration, above=0, unit="s")
+        for field in self._POSES:
+            form = "(x, y) for a planar or (x, y, z, ψ, θ, φ) for a spatial robot"
+            self._set_numbers(field, shapes=[(n,) for n in KINDS], form=form)
+
+    def _set_numbers(self, field: str, **form: Any) -> None:
+        """Checks the numbers of a field and converts them to a tuple."""
+        object.__setattr__(self, field, tuple(numbers(field, getattr(self, field), **form).tolist()))
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates n of the pose."""
+        return len(getattr(self, self._POSES[0]))
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
@@ -115,13 +128,7 @@ class PaperCircle(_Motion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_positive("radius", self.radius)
-        _set_pose(self, "center")
-
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose."""
-        return len(self.center)
+        number("radius", self.radius, above=0, unit="m")
 
     def _derivatives(self, time: Array) -> Array:
         u = time / self.duration
@@ -152,13 +159,7 @@ class SmoothCircle(_Motion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_positive("radius", self.radius)
-        _set_pose(self, "center")
-
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose."""
-        return len(self.center)
+        number("radius", self.radius, above=0, unit="m")
 
     def _derivatives(self, time: Array) -> Array:
         return _circle(self.center, self.radius, 2 * np.pi * self._blend(time))
@@ -178,15 +179,7 @@ class Dwell(_Motion):
     """Duration of the dwell [s]; > 0."""
     name: str = "dwell"
     """Name shown in tables and error messages."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _set_pose(self, "pose")
-
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose."""
-        return len(self.pose)
+    _POSES = ("pose",)
 
     def _derivatives(self, time: Array) -> Array:
         derivatives = np.zeros((5, *time.shape, self.coordinates))
@@ -210,20 +203,12 @@ class PointToPoint(_Motion):
     """Duration of the motion [s]; > 0."""
     name: str = "line"
     """Name shown in tables and error messages."""
+    _POSES = ("start", "end")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _set_pose(self, "start")
-        _set_pose(self, "end")
         if len(self.start) != len(self.end):
-            raise ValueError(
-                f"start has {len(self.start)} coordinates and end has {len(self.end)}; give poses of the same robot"
-            )
-
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose."""
-        return len(self.start)
+            raise ValueError(f"start has {len(self.start)} coordinates and end has {len(self.end)}")
 
     def _derivatives(self, time: Array) -> Array:
         derivatives = self._blend(time)[..., None] * np.subtract(self.end, self.start)
@@ -252,16 +237,7 @@ class Lemniscate(_Motion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        amplitude = _numbers("amplitude", self.amplitude)
-        if len(amplitude) != 2 or min(amplitude) <= 0:
-            raise ValueError(f"amplitude must be two lengths (a_x, a_y) in m greater than 0, not {self.amplitude}")
-        object.__setattr__(self, "amplitude", amplitude)
-        _set_pose(self, "center")
-
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose."""
-        return len(self.center)
+        self._set_numbers("amplitude", shapes=[(2,)], form="two lengths (a_x, a_y)", above=0, unit="m")
 
     def _derivatives(self, time: Array) -> Array:
         alpha = 2 * np.pi * self._blend(time)
@@ -284,9 +260,7 @@ def held_out_seeds(count: int) -> range:
     Raises:
         ValueError: if ``count`` is not a whole number of at least 1.
     """
-    if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
-        raise ValueError(f"count must be a whole number of at least 1, such as 20, not {count!r}")
-    return range(FIRST_HELD_OUT_SEED, FIRST_HELD_OUT_SEED + int(count))
+    return range(FIRST_HELD_OUT_SEED, FIRST_HELD_OUT_SEED + whole("count", count, least=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,22 +302,15 @@ class RandomLoop(_Motion):
     """Name shown in tables and error messages."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", _seed(self.seed))
-        _set_pose(self, "center")
-        for field in ("reach", "acceleration"):
-            values = _numbers(field, getattr(self, field))
-            if len(values) != len(_GROUPS[self.coordinates]) or min(values) <= 0:
-                groups = "(x, y)" if self.coordinates == 2 else "(x, y), one for z and one for the angles"
-                raise ValueError(f"{field} must contain one number greater than 0 for {groups}, not {values}")
-            object.__setattr__(self, field, values)
-        if self.duration is None:
-            object.__setattr__(self, "duration", self._shortest_duration())
+        object.__setattr__(self, "seed", whole("seed", self.seed))
+        given = self.duration
+        object.__setattr__(self, "duration", 1.0 if given is None else given)
         super().__post_init__()
-
-    @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose."""
-        return len(self.center)
+        groups = len(_GROUPS[self.coordinates])
+        for field in ("reach", "acceleration"):
+            self._set_numbers(field, shapes=[(groups,)], form=f"{groups} numbers, one per group", above=0)
+        if given is None:
+            object.__setattr__(self, "duration", self._shortest_duration())
 
     @cached_property
     def _curve(self) -> tuple[float, Array, Array]:
@@ -389,15 +356,6 @@ _GROUPS = {2: (slice(0, 2),), 6: (slice(0, 2), slice(2, 3), slice(3, 6))}
 
 _SAMPLES = 1001
 """Number of times or phases at which :class:`RandomLoop` samples its peaks."""
-
-
-def _seed(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
-        raise ValueError(
-            f"seed must be a whole number of at least 0, not {value!r}; 0 to {TRAINING_SEEDS[-1]} are for training, "
-            f"seeds from {FIRST_HELD_OUT_SEED} on are held out"
-        )
-    return int(value)
 
 
 def _uniform(seed: int, count: int) -> Array:
@@ -483,31 +441,6 @@ def _in_plane(center: tuple[float, ...], x: Array, y: Array, angle: Array) -> Ar
     return derivatives
 
 
-def _check_positive(field: str, value: Any) -> None:
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0 < float(value) < np.inf:
-        unit = "s" if field == "duration" else "m"
-        raise ValueError(f"{field} must be a finite number greater than 0 in {unit}, not {value!r}")
-
-
-def _numbers(field: str, values: Any) -> tuple[float, ...]:
-    """The values of a tuple, list or array as a tuple of finite floats."""
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        raise ValueError(f"{field} must contain numbers, not {values!r}") from None
-    if not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{field} must contain finite numbers, not {values!r}")
-    return numbers
-
-
-def _set_pose(trajectory: _Motion, field: str) -> None:
-    """Checks that a field is a pose and converts it to a tuple."""
-    pose = _numbers(field, getattr(trajectory, field))
-    if len(pose) not in KINDS:
-        raise ValueError(f"{field} must be (x, y) for a planar or (x, y, z, ψ, θ, φ) for a spatial robot, not {pose}")
-    object.__setattr__(trajectory, field, pose)
-
-
 TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     "paper-planar": partial(PaperCircle, name="paper-planar", radius=0.2165, center=(0.0, 0.0)),  # Table 1
     "paper-spatial": partial(
@@ -554,7 +487,7 @@ def trajectory_names(coordinates: int | None = None) -> list[str]:
     return [name for name, make in TRAJECTORIES.items() if coordinates is None or make().coordinates == coordinates]
 
 
-def find_trajectory(trajectory: str | dict[str, Any] | Trajectory, coordinates: int) -> Trajectory:
+def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, coordinates: int) -> Trajectory:
     """A trajectory for a robot from a name, from a dict with a name and fields, or from a trajectory object.
 
     Args:
@@ -565,40 +498,23 @@ def find_trajectory(trajectory: str | dict[str, Any] | Trajectory, coordinates: 
     Raises:
         ValueError: if the name, a field or a value is invalid, or the trajectory is for another kind of robot.
     """
+    names = trajectory_names(coordinates)
     if isinstance(trajectory, str):
-        result = _make({"name": trajectory}, coordinates)
-    elif isinstance(trajectory, dict):
-        result = _make(trajectory, coordinates)
-    elif isinstance(trajectory, Trajectory) and not isinstance(trajectory, type):
-        result = trajectory
-    else:
-        raise ValueError(
-            f"{trajectory!r} is not a trajectory; pass {_choices(coordinates)}, a dict with one of these as 'name', "
-            "or an object with name, duration, coordinates and __call__(times)"
+        trajectory = {"name": trajectory}
+    if isinstance(trajectory, Mapping):
+        fields = dict(trajectory)
+        name = fields.pop("name", None)
+        if name not in names:
+            raise unknown_name_error("trajectory", name, names)
+        valid = set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"}
+        trajectory = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(valid)))
+    elif not isinstance(trajectory, Trajectory) or isinstance(trajectory, type):
+        raise unknown_name_error(
+            "trajectory", trajectory, names, ", a dict with one of these as 'name', or pass a Trajectory"
         )
-    _check_positive("duration", result.duration)
-    if result.coordinates != coordinates:
+    number("duration", trajectory.duration, above=0, unit="s")
+    if trajectory.coordinates != coordinates:
         raise ValueError(
-            f"trajectory {result.name!r} has {result.coordinates} coordinates and the robot has {coordinates}; "
-            f"choose {_choices(coordinates)}"
+            f"{trajectory.name!r} has {trajectory.coordinates} coordinates and the robot has {coordinates}"
         )
-    return result
-
-
-def _make(data: dict[str, Any], coordinates: int) -> Trajectory:
-    if "name" not in data:
-        raise ValueError(f"a trajectory's dict needs a 'name': {_choices(coordinates)}")
-    name, fields = data["name"], {key: value for key, value in data.items() if key != "name"}
-    if name not in trajectory_names():
-        raise unknown_name_error("trajectory", name, trajectory_names(coordinates))
-    if TRAJECTORIES[name]().coordinates != coordinates:
-        raise ValueError(f"trajectory {name!r} is not for {coordinates} coordinates; choose {_choices(coordinates)}")
-    known = [key for key in inspect.signature(TRAJECTORIES[name]).parameters if key != "name"]
-    for key in fields:
-        if key not in known:
-            raise ValueError(f"trajectory {name!r} has no field {key!r}; its fields are {', '.join(known)}")
-    return TRAJECTORIES[name](**fields)
-
-
-def _choices(coordinates: int) -> str:
-    return f"one of {', '.join(trajectory_names(coordinates))}"
+    return trajectory

@@ -10,16 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from numbers import Real
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
 
 Distribution = Literal["uniform", "normal"]
 
@@ -52,24 +50,17 @@ class ParameterDistribution:
 
     def __post_init__(self) -> None:
         for name in ("low", "high", "mean"):
-            object.__setattr__(self, name, _number(name, getattr(self, name)))
+            object.__setattr__(self, name, number(name, getattr(self, name)))
         for name in ("relative", "each"):
             if not isinstance(getattr(self, name), (bool, np.bool_)):
                 raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
         if self.low > self.high:
             raise ValueError(f"low must not exceed high, but they are {self.low:g} and {self.high:g}; exchange them")
-        if self.distribution not in get_args(Distribution):
-            raise ValueError(
-                f"unknown distribution {self.distribution!r}; choose one of {', '.join(get_args(Distribution))}"
-            )
+        choice("distribution", self.distribution, get_args(Distribution))
         if (self.distribution == "normal") != (self.std is not None):
-            raise ValueError("a normal distribution needs std and a uniform one must not have it; give both or neither")
+            raise ValueError("a normal distribution needs std and a uniform one has none")
         if self.std is not None:
-            object.__setattr__(self, "std", _number("std", self.std))
-            if not self.std > 0:
-                raise ValueError(
-                    f"std must be greater than 0, not {self.std:g}; leave the parameter out if it is not uncertain"
-                )
+            object.__setattr__(self, "std", number("std", self.std, above=0))
             if not self.low < self.mean + 8 * self.std or not self.high > self.mean - 8 * self.std:
                 raise ValueError("low and high must lie within eight std of the mean; change them, mean or std")
 
@@ -77,6 +68,8 @@ class ParameterDistribution:
         """Deviations from numbers that are uniform in [0, 1), by the inverse cumulative distribution function."""
         if self.std is None:
             return self.low + (self.high - self.low) * uniform
+        from scipy.special import ndtr, ndtri  # slow to import
+
         bounds = (np.array([self.low, self.high]) - self.mean) / self.std
         side = -1.0 if bounds[0] > 0 else 1.0  # the upper tail is mirrored: ndtr loses digits near 1
         first, last = ndtr(side * bounds)
@@ -153,19 +146,17 @@ class ExternalWrench:
 
     def __post_init__(self) -> None:
         for name in ("force_mean", "force_std", "moment_mean", "moment_std"):
-            values = _numbers(name, getattr(self, name))
-            if values.shape not in ((), (2,), (3,)):
-                raise ValueError(f"{name} must be one number or one per axis, not {getattr(self, name)!r}")
-            if name.endswith("std") and np.any(values < 0):
-                raise ValueError(f"{name} must be at least 0, not {getattr(self, name)!r}")
-            object.__setattr__(self, name, values.tolist() if values.shape == () else tuple(values.tolist()))
-        object.__setattr__(self, "correlation_time", _number("correlation_time", self.correlation_time))
-        if not self.correlation_time > 0:
-            raise ValueError(f"correlation_time must be greater than 0 s, not {self.correlation_time:g}")
-        bounds = _numbers("factor", self.factor)
-        if bounds.shape != (2,) or bounds[0] > bounds[1]:
+            least = 0.0 if name.endswith("std") else -math.inf
+            form = "one number or one per axis"
+            values = numbers(name, getattr(self, name), shapes=[(), (2,), (3,)], form=form, least=least).tolist()
+            object.__setattr__(self, name, tuple(values) if isinstance(values, list) else values)
+        object.__setattr__(
+            self, "correlation_time", number("correlation_time", self.correlation_time, above=0, unit="s")
+        )
+        low, high = numbers("factor", self.factor, shapes=[(2,)], form="(low, high)").tolist()
+        if low > high:
             raise ValueError(f"factor must be (low, high) with low ≤ high, not {self.factor!r}")
-        object.__setattr__(self, "factor", tuple(bounds.tolist()))
+        object.__setattr__(self, "factor", (low, high))
 
     @property
     def random(self) -> bool:
@@ -180,17 +171,16 @@ class ExternalWrench:
             ValueError: if the length of a tuple is not the number of axes of the robot.
         """
         axes = 2 if robot.planar else 3
-        kinds = ("force",) if robot.planar else ("force", "moment")
-        rows = []
-        for statistic in ("mean", "std"):
-            components = []
-            for kind in kinds:
-                value = np.asarray(getattr(self, f"{kind}_{statistic}"))
+
+        def components(statistic: str) -> Array:
+            names = [f"{kind}_{statistic}" for kind in (("force",) if robot.planar else ("force", "moment"))]
+            values = [np.asarray(getattr(self, name)) for name in names]
+            for name, value in zip(names, values, strict=True):
                 if value.shape not in ((), (axes,)):
-                    raise ValueError(f"wrench: {kind}_{statistic} needs {axes} components for {robot.name!r}")
-                components.append(np.broadcast_to(value, (axes,)))
-            rows.append(np.concatenate(components))
-        return rows[0], rows[1]
+                    raise ValueError(f"wrench: {name} needs {axes} components for {robot.name!r}")
+            return np.concatenate([np.broadcast_to(value, (axes,)) for value in values])
+
+        return components("mean"), components("std")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,10 +206,7 @@ class SensorNoise:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            value = _number(item.name, getattr(self, item.name))
-            if value < 0:
-                raise ValueError(f"sensors: {item.name} must be at least 0, not {value:g}")
-            object.__setattr__(self, item.name, value)
+            object.__setattr__(self, item.name, number(f"sensors.{item.name}", getattr(self, item.name), least=0))
 
     def deviations(self, robot: Robot) -> Array:
         """Standard deviations of the measured quantities: pose, velocity and, if flexible, motor angle and speed."""
@@ -252,26 +239,17 @@ class Uncertainty:
     episode never take effect."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.parameters, Mapping):
-            raise ValueError(f"parameters must be a dict; valid keys are {', '.join(PARAMETERS)}")
-        kinds = [("wrench", self.wrench, ExternalWrench), ("sensors", self.sensors, SensorNoise)]
-        for name, value, kind in kinds:
-            if value is not None and not isinstance(value, kind):
-                raise ValueError(f"{name} must be a {kind.__name__} or None, not {value!r}")
-        for name, distribution in self.parameters.items():
-            if name not in PARAMETERS:
-                raise ValueError(f"unknown uncertain parameter {name!r}; choose one of {', '.join(PARAMETERS)}")
-            if not isinstance(distribution, ParameterDistribution):
-                raise ValueError(f"{name} must be a ParameterDistribution, not {distribution!r}")
-            if PARAMETERS[name].position and distribution.relative:
-                raise ValueError(
-                    f"{name}: the deviation of a position cannot be relative; give it in m with relative=False"
-                )
-        whole = isinstance(self.delay, (int, np.integer)) and not isinstance(self.delay, bool)
-        if not whole or not 0 <= self.delay <= LONGEST_DELAY:
-            raise ValueError(f"delay must be 0 to {LONGEST_DELAY} whole control steps, not {self.delay!r}")
-        object.__setattr__(self, "delay", int(self.delay))
-        object.__setattr__(self, "parameters", dict(self.parameters))
+        parameters = mapping("parameters", self.parameters, PARAMETERS)
+        for name, given in parameters.items():
+            parameters[name] = record(f"distribution of {name}", ParameterDistribution, given)
+            if PARAMETERS[name].position and parameters[name].relative:
+                raise ValueError(f"{name}: a position has no relative deviation; give it in m with relative=False")
+        object.__setattr__(self, "parameters", parameters)
+        if self.wrench is not None:
+            object.__setattr__(self, "wrench", record("wrench", ExternalWrench, self.wrench))
+        if self.sensors is not None:
+            object.__setattr__(self, "sensors", record("sensors", SensorNoise, self.sensors))
+        object.__setattr__(self, "delay", whole("delay", self.delay, most=LONGEST_DELAY))
 
     def __hash__(self) -> int:
         return hash((frozenset(self.parameters.items()), self.wrench, self.sensors, self.delay))
@@ -293,21 +271,16 @@ class Uncertainty:
             parameter = PARAMETERS[name]
             if (parameter.flexible and not robot.flexible) or (parameter.spatial and robot.planar):
                 raise ValueError(f"{robot.name!r} has no parameter {name}; leave it out of the uncertainty")
-            if parameter.position:
-                continue
-            nominal = np.asarray(0.0 if name == "payload" else getattr(robot, parameter.attribute))
-            least = float(np.min(distribution.applied(nominal, np.asarray(distribution.low))))
-            if name == "payload" and not distribution.relative:
-                continue  # the nominal payload is arbitrary; draw() clips a negative payload to zero
-            if name == "payload":
-                if distribution.low < -1:
-                    raise ValueError(f"payload: low must be at least -1, not {distribution.low:g}")
-                continue
-            if least < 0 or (least == 0 and parameter.positive):
-                bound = "greater than" if parameter.positive else "at least"
-                raise ValueError(f"{name} of {robot.name!r} can reach {least:g} but must be {bound} 0; raise low")
-            if name == "platform_inertia":
-                self._check_inertia(robot, distribution)
+            if name == "payload":  # draw() clips a negative absolute payload to zero
+                if distribution.relative:
+                    number("low of payload", distribution.low, least=-1)
+            elif not parameter.position:
+                nominal = np.asarray(getattr(robot, parameter.attribute))
+                least = float(np.min(distribution.applied(nominal, np.asarray(distribution.low))))
+                above = 0.0 if parameter.positive else -math.inf
+                number(f"smallest {name} of {robot.name!r}", least, above=above, least=0.0, unit=parameter.unit)
+        if "platform_inertia" in self.parameters:
+            self._check_inertia(robot, self.parameters["platform_inertia"])
         if self.wrench is not None:
             self.wrench.statistics(robot)
 
@@ -318,8 +291,8 @@ class Uncertainty:
         for others, own in ((least, most),) if distribution.each else ((least, least), (most, most)):
             if np.any(np.sum(others) - others < own * (1 - 1e-9)):
                 raise ValueError(
-                    "platform_inertia: one moment can exceed the sum of the other two, which is impossible; "
-                    "use one relative deviation for all with each=False, or move low and high closer together"
+                    "platform_inertia: one moment can exceed the sum of the other two; use a relative deviation "
+                    "with each=False, or move low and high closer together"
                 )
 
     def draw(self, robot: Robot, payload: Array, uniform: Array) -> TrueRobots:
@@ -361,9 +334,8 @@ class Uncertainty:
             name: true_value(name, getattr(robot, name)) if robot.flexible else np.zeros((count, robot.cables))
             for name in ("stiffness", "motor_inertia", "motor_damping")
         }
-        load = (
-            self.parameters["payload"].applied(payload, deviations["payload"]) if "payload" in deviations else payload
-        )
+        if "payload" in deviations:
+            payload = self.parameters["payload"].applied(payload, deviations["payload"])
         return TrueRobots(
             planar=robot.planar,
             flexible=robot.flexible,
@@ -373,7 +345,7 @@ class Uncertainty:
             gravity=robot.gravity,
             pulley_radius=robot.pulley_radius,
             mass=true_value("platform_mass", robot.mass),
-            payload=np.maximum(load, 0.0),
+            payload=np.maximum(payload, 0.0),
             inertia=true_value("platform_inertia", robot.inertia),
             base=true_value("base_anchors", robot.base),
             platform=true_value("platform_anchors", robot.platform),
@@ -432,6 +404,10 @@ class TrueRobots:
     """Motor damping c′, shape (N, m) [N·m·s/rad]; zeros if rigid."""
 
 
+RobotArrays = Robot | TrueRobots
+"""Robots as the equations see them: one robot, or N robots whose uncertain values have a leading axis N."""
+
+
 def draw_size(robot: Robot) -> int:
     """Number of uniform numbers that :meth:`Uncertainty.draw` needs per episode."""
     return sum(math.prod(shape) for _, shape in _columns(robot).values())
@@ -474,7 +450,7 @@ UNCERTAINTIES = {"none": lambda robot: Uncertainty(), "table6": _table6, "sensor
 """
 
 
-def find_uncertainty(uncertainty: str | dict[str, Any] | Uncertainty | None, robot: Robot) -> Uncertainty:
+def find_uncertainty(uncertainty: str | Mapping[str, Any] | Uncertainty | None, robot: Robot) -> Uncertainty:
     """An uncertainty for a robot from a name, names joined by ``+``, JSON-able data or an :class:`Uncertainty`.
 
     Args:
@@ -488,17 +464,8 @@ def find_uncertainty(uncertainty: str | dict[str, Any] | Uncertainty | None, rob
     """
     if uncertainty is None:
         return Uncertainty()
-    if isinstance(uncertainty, str):
-        result = _joined(uncertainty, robot)
-    elif isinstance(uncertainty, Mapping):
-        result = _from_data(uncertainty)
-    elif isinstance(uncertainty, Uncertainty):
-        result = uncertainty
-    else:
-        raise ValueError(
-            f"{uncertainty!r} is not an uncertainty; pass one of {', '.join(UNCERTAINTIES)}, names joined by '+', "
-            f"a dict with keys among {', '.join(_FIELDS)}, or an Uncertainty"
-        )
+    result = _joined(uncertainty, robot) if isinstance(uncertainty, str) else uncertainty
+    result = record("uncertainty", Uncertainty, result)
     result.check(robot)
     return result
 
@@ -506,57 +473,9 @@ def find_uncertainty(uncertainty: str | dict[str, Any] | Uncertainty | None, rob
 def _joined(names: str, robot: Robot) -> Uncertainty:
     merged: dict[str, Any] = {}
     for name in names.split("+"):
-        if name not in UNCERTAINTIES:
-            raise unknown_name_error("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")
-        one = UNCERTAINTIES[name](robot)
-        given = {key: getattr(one, key) for key in _FIELDS if getattr(one, key)}
+        one = UNCERTAINTIES[choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")](robot)
+        given = {item.name: getattr(one, item.name) for item in fields(one) if getattr(one, item.name)}
         if twice := set(given) & set(merged):
             raise ValueError(f"uncertainty {names!r} defines {sorted(twice)[0]} twice; leave one name out")
         merged |= given
     return Uncertainty(**merged)
-
-
-def _from_data(data: Mapping[str, Any]) -> Uncertainty:
-    if unknown := [key for key in data if key not in _FIELDS]:
-        raise ValueError(f"unknown field {unknown[0]!r} of an uncertainty; the fields are {', '.join(_FIELDS)}")
-    values = {key: value for key, value in data.items() if value is not None}
-    if isinstance(parameters := values.get("parameters", {}), Mapping):
-        values["parameters"] = {
-            name: _from_dict(ParameterDistribution, item, f"distribution of {name}")
-            for name, item in parameters.items()
-        }
-    for key, kind in (("wrench", ExternalWrench), ("sensors", SensorNoise)):
-        if key in values:
-            values[key] = _from_dict(kind, values[key], key)
-    return Uncertainty(**values)
-
-
-def _from_dict(kind: type, data: Any, name: str) -> Any:
-    if isinstance(data, kind):
-        return data
-    known = [item.name for item in fields(kind)]
-    if not isinstance(data, Mapping) or set(data) - set(known):
-        raise ValueError(f"{name} must be a dict with keys among {', '.join(known)}, not {data!r}")
-    try:
-        return kind(**data)
-    except TypeError as error:
-        raise ValueError(f"{name}: {error}") from error
-
-
-_FIELDS = [item.name for item in fields(Uncertainty)]
-
-
-def _number(name: str, value: Any) -> float:
-    if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
-        raise ValueError(f"{name} must be a finite number, not {value!r}")
-    return float(value)
-
-
-def _numbers(name: str, value: Any) -> Array:
-    try:
-        numbers = np.asarray(value)
-        if numbers.dtype.kind in "iuf" and np.all(np.isfinite(numbers)):
-            return numbers.astype(float)
-    except ValueError:
-        pass
-    raise ValueError(f"{name} must be finite numbers, not {value!r}")

@@ -11,25 +11,49 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
+from cablebot_gym import INTERNAL
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 project = "cablebot_gym"
 author = "The cablebot_gym authors"
 version = release = version_of("cablebot-gym")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generate"]
-exclude_patterns = ["parts", "leaderboard", "maps", "reproduction/*.html"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generate", "sphinx.ext.apidoc"]
+exclude_patterns = ["parts", "leaderboard", "maps", "paper-maps", "reproduction/*.html"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
 # Sphinx mocks packages that are not installed, so that a missing extra removes no page.
 autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None]
-# Sphinx checks all references except classes of other packages, short type names and private names.
+# Sphinx checks all references except classes of other packages, short type names, type variables and private names.
 nitpicky = True
-nitpick_ignore_regex = [(r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"), (r"py:.*", r"(.*\.)?_.*")]
+nitpick_ignore_regex = [
+    (r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"),
+    (r"py:.*", r"(.*\.)?(_.*|AnyCell)"),
+]
 
+# A page for each public module. The extension "generate" empties the folder first.
+apidoc_separate_modules = True
+apidoc_module_first = True
+apidoc_automodule_options = {"members", "show-inheritance"}
+apidoc_modules = [
+    {
+        "path": "../cablebot_gym",
+        "destination": "generated/api/gym",
+        "exclude_patterns": [f"../{name.replace('.', '/')}*" for name in INTERNAL],
+    },
+    {
+        "path": "../baselines/cablebot_baselines",
+        "destination": "generated/api/baselines",
+        "exclude_patterns": ["**/paper/*"],
+    },
+]
+
+autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 autodoc_member_order = "bysource"
+autodoc_default_options = {"ignore-module-all": True}  # a package does not repeat what its modules document
 autodoc_preserve_defaults = True
 autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False

@@ -16,7 +16,7 @@ ENV_ID = "CableBot-Planar-v0"
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/planar")
-    trained = train_gradient(ENV_ID, out=folder, seed=0, progress=lambda text, done, total: None)
+    trained = train_gradient(ENV_ID, out=folder, seed=0)
     for evaluation in trained.evaluations:
         print(f"after {evaluation.wall_s:5.1f} s: {evaluation.payload_kg:.2f} kg")
     for policy in ("fl", str(folder / "best.zip")):

@@ -154,20 +154,15 @@ def search_seconds(env_id: str, policy: str) -> dict[str, float]:
         batch = Batch(
             policy,
             env_id,
-            name=None,
-            criterion="task",
             error_bounds=error_bounds,
             uncertainty="table6",
             draws=256,
-            seed=0,
             max_payloads=64,
-            keywords={},
         )
-        with batch:
-            batch.run([0.0])  # compiles and warms up
-            start = time.perf_counter()
-            batch.run(np.linspace(0.0, top, 64))
-            seconds[name] = time.perf_counter() - start
+        batch.run([0.0])  # compiles and warms up
+        start = time.perf_counter()
+        batch.run(np.linspace(0.0, top, 64))
+        seconds[name] = time.perf_counter() - start
     return seconds
 
 

@@ -15,33 +15,26 @@ import json
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards import (
-    DRAWS,
-    HELD_OUT,
-    LEAST_SEEDS,
-    Evaluate,
-    card_markdown,
-    draw_curves,
-    has_loops,
-    make_card,
-    read_best_known,
-    read_cards,
-    with_best_known,
-    with_search_results,
-)
+from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, has_loops, read_cards
+from cards.figure import draw_curves
+from cards.making import Evaluate, make_card, read_best_known, with_best_known, with_search_results
+from cards.page import card_markdown
 
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, find_shipped, stem
+from cablebot_baselines.learned.runs import BEST, LAST, STATE, Interrupted, TrainingResult, read_yaml
+from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, stem
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
-from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.utils.checks import choice
+from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
 from cablebot_gym.utils.workers import check_workers
 from cablebot_gym.utils.workers import run as run_tasks
@@ -98,7 +91,7 @@ def main() -> None:
     given = parser.parse_args()
     try:
         import_matplotlib()
-        chosen = [find_shipped(given.policy)] if given.policy else list(SHIPPED.values())
+        chosen = [SHIPPED[choice("learned policy", given.policy, SHIPPED)]] if given.policy else list(SHIPPED.values())
         pairs = select_pairs(chosen, given.env_id)
         if given.search:
             search_missing(pairs, runs=given.runs, jobs=given.jobs)
@@ -259,8 +252,6 @@ def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Pat
 
 def is_finished(folder: Path) -> bool:
     """Whether a training is finished."""
-    from cablebot_baselines.learned.runs import BEST, LAST
-
     return (folder / LAST).is_file() and (folder / BEST).is_file()
 
 
@@ -270,9 +261,6 @@ def check_run(folder: Path, shipped: Shipped, env_id: str, seed: int) -> None:
     Raises:
         ValueError: if not; the message says what to do.
     """
-    from cablebot_baselines.learned.config import read_yaml
-    from cablebot_baselines.learned.runs import LAST
-
     card = Bundle.load(folder / LAST).card
     config = read_yaml(env_id, Path(shipped.config or shipped.algorithm))
     expected = {
@@ -296,28 +284,22 @@ def _env_id(task: partial[str]) -> str:
 def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
     """Runs one training as `cablebot train` does, and returns its result as text."""
     from cablebot_baselines.learned import gradient_run, training
-    from cablebot_baselines.learned.runs import CHECKPOINT, Interrupted
 
     shipped = SHIPPED[name]
-    common: dict[str, Any] = {"out": folder, "seed": seed, "resume": (folder / CHECKPOINT).is_file()}
+    common: dict[str, Any] = {"out": folder, "seed": seed, "resume": (folder / STATE).is_file()}
     common["config"] = None if shipped.config is None else Path(shipped.config)
-    with counting(_errors, "steps") as bar:
-        task = bar.add_task(folder.name, total=1, visible=not quiet)
-
-        def step(text: str, done: int, total: int) -> None:
-            bar.update(task, description=f"{folder.name}: {text}", completed=done, total=total)
-
-        try:
+    say = None if quiet else _errors.print
+    try:
+        with nullcontext() if quiet else progress(folder.name, "steps") as step:
             if shipped.algorithm == gradient_run.ALGORITHM:
-                return str(gradient_run.train_gradient(env_id, progress=step, **common))
-            say = None if quiet else _errors.print
+                return str(gradient_run.train_gradient(env_id, progress=step, say=say, **common))
             return str(training.train(env_id, algorithm=shipped.algorithm, progress=step, say=say, **common))
-        except ValueError as error:
-            raise ValueError(f"{error}. In {str(folder)!r}: remove this folder, or choose another --runs") from error
-        except Interrupted:
-            if quiet:  # a worker process exits without a traceback
-                sys.exit(1)
-            raise
+    except ValueError as error:
+        raise ValueError(f"{error}. In {str(folder)!r}: remove this folder, or choose another --runs") from error
+    except Interrupted:
+        if quiet:  # a worker process exits without a traceback
+            sys.exit(1)
+        raise
 
 
 # ----------------------------------------------------------------------------------------------------------- evaluation
@@ -328,15 +310,7 @@ def _make_evaluate(name: str, runs: Path, jobs: int) -> Evaluate:
     store = Store(runs / EVALUATIONS, say=_errors.print)
 
     def evaluate(cells: Mapping[str, Cell]) -> list[Record]:
-        with counting(_errors, "evaluations") as bar:
-            task, tenths = bar.add_task(name, total=len(cells)), [-1]
-
-            def step(done: int, total: int) -> None:
-                bar.update(task, completed=done)
-                if not _errors.is_terminal and 10 * done // total > tenths[0]:
-                    tenths[0] = 10 * done // total
-                    _errors.print(f"{name}: {done} of {total} evaluations")
-
+        with progress(name, "evaluations") as step:
             return run_cells(cells, store, local(jobs), progress=step, say=_errors.print)
 
     return evaluate
@@ -351,17 +325,13 @@ def sb3_model(best: Path) -> bytes | None:
     The bundle is that of the best evaluation; critic and optimiser are those at the end of the run. None if the run
     has no PPO model.
     """
-    from cablebot_baselines.learned.runs import CHECKPOINT
-
-    path = best.parent / CHECKPOINT
-    if Bundle.load(best).card.get("algorithm") != "ppo" or not path.is_file():
+    if Bundle.load(best).card.get("algorithm") != "ppo":
         return None
     import torch
     from stable_baselines3 import PPO
     from torch import nn
 
-    with zipfile.ZipFile(path) as file:
-        model = PPO.load(io.BytesIO(file.read("model.zip")), device="cpu")
+    model = PPO.load(TrainingResult.load(best.parent).checkpoint / "model.zip", device="cpu")
     policy: Any = model.policy
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     network = Bundle.load(best).network

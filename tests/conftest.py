@@ -1,4 +1,4 @@
-"""What all tests share."""
+"""Fixtures of all tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def pytest_configure() -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def _own_cache(tmp_path_factory):
-    """Plans are neither taken from the user's cache nor left there."""
+    """The tests neither read nor write the user's cache of plans."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CABLEBOT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
@@ -27,19 +27,19 @@ def _own_cache(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _own_width(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tables are as wide as where there is no terminal, whatever runs the tests."""
+    """Tables have the width that they have without a terminal."""
     monkeypatch.delenv("COLUMNS", raising=False)
 
 
 @pytest.fixture(autouse=True)
 def _no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Windows open on SDL's driver for no display, on any machine."""
+    """Windows open without a display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of the test's own, empty."""
+    """An empty cache for one test."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
     return folder

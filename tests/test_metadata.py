@@ -1,4 +1,4 @@
-"""What the project says of itself in several files is the same."""
+"""The metadata of the project agree in all files."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def test_citation_has_the_version_and_licence_of_the_package():
     assert citation["title"] == f"{project['name'].replace('-', '_')}: {project['description']}"
 
 
-def test_all_extras_but_docs_are_in_all_and_in_test():
-    """Who uses the package or tests it does not build its site."""
+def test_extras_all_and_test_contain_all_extras_but_docs():
+    """Only a build of the documentation needs the extra docs."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     names = ",".join(name for name in extras if name not in ("all", "test", "docs"))
     for extra in ("all", "test"):
@@ -28,8 +28,8 @@ def test_all_extras_but_docs_are_in_all_and_in_test():
         assert sorted(line[len("cablebot-gym[") : -1].split(",")) == sorted(names.split(","))
 
 
-def test_oldest_versions_that_are_tried_are_the_lower_bounds():
-    """Else the smoke test says nothing of the versions that pip may choose."""
+def test_oldest_tested_versions_are_the_lower_bounds():
+    """Otherwise the smoke test would not cover the versions that pip may choose."""
     needed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
     pinned = (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8").splitlines()
     bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups() for line in needed]

@@ -1,17 +1,15 @@
-"""The random family: the same curve for ever, smooth, at rest at its ends, within its bounds, and possible."""
+"""Random loops: curves from seeds, smooth, at rest at the ends, within their bounds and feasible."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from itertools import islice
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.optimize import linprog
@@ -75,14 +73,14 @@ GOLDEN = [
 
 
 @pytest.mark.parametrize(("name", "seed", "duration", "pose"), GOLDEN)
-def test_seed_does_not_become_another_curve(name: str, seed: int, duration: float, pose: list[float]) -> None:
+def test_seed_gives_the_recorded_curve(name: str, seed: int, duration: float, pose: list[float]) -> None:
     motion = loop(name, seed)
     assert motion.duration == duration
     np.testing.assert_allclose(motion(0.4 * duration).position, pose, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ["loop-planar", "loop-spatial"])
-def test_curve_is_not_another_than_the_documented_draw(name: str) -> None:
+def test_curve_is_the_documented_draw(name: str) -> None:
     """Word by word from the docstring, with complex numbers, before the scale: both series are similar."""
     motion, count = loop(name, 12345), len(GROUPS[loop(name, 0).coordinates])
     bits = np.random.Philox(np.random.SeedSequence(12345)).random_raw(200)
@@ -103,34 +101,12 @@ def test_curve_is_not_another_than_the_documented_draw(name: str) -> None:
         np.testing.assert_allclose(position[:, group], expected, rtol=0, atol=1e-3 * reach)
 
 
-def test_global_random_state_is_neither_read_nor_moved() -> None:
-    poses = []
-    for state in (1, 2):
-        np.random.seed(state)  # noqa: NPY002
-        poses.append(loop("loop-spatial", 7)(0.5).position)
-        assert np.random.get_state()[2] == 624  # noqa: NPY002  # nothing read since it was seeded
-    np.testing.assert_array_equal(*poses)
-
-
-@pytest.mark.parametrize("name", ["loop-planar", "loop-spatial"])
-def test_no_two_seeds_give_one_curve(name: str) -> None:
-    chosen = [0, 1, 2, 9999, 10000, 10001, 2**32, 2**64, 2**128, 2**200]
-    poses = [loop(name, seed)(0.5).position for seed in chosen]
-    gaps = [np.abs(one - other).max() for k, one in enumerate(poses) for other in poses[:k]]
-    assert min(gaps) > 1e-4
-
-
-def test_held_out_seeds_are_not_among_those_to_train_with() -> None:
-    assert list(TRAINING_SEEDS) == list(range(10000))
-    assert list(held_out_seeds(3)) == [10000, 10001, 10002]
-    assert not set(held_out_seeds(500)) & set(TRAINING_SEEDS)
-
-
 # --- shape --------------------------------------------------------------------------------------------------------
 
 
+@settings(max_examples=20, deadline=None)
 @given(name=names, seed=seeds, fraction=st.floats(0.01, 0.99))
-def test_no_derivative_is_off_from_finite_differences(name: str, seed: int, fraction: float) -> None:
+def test_derivatives_are_the_slopes(name: str, seed: int, fraction: float) -> None:
     motion = loop(name, seed)
     step = 2e-4 * motion.duration
     values = stacked(motion, fraction * motion.duration + step * np.arange(-2, 3))
@@ -139,69 +115,48 @@ def test_no_derivative_is_off_from_finite_differences(name: str, seed: int, frac
     assert np.all(np.abs(differences - values[1:, 2]) <= 1e-6 * scale[:, None])
 
 
+@settings(max_examples=20, deadline=None)
 @given(name=names, seed=seeds)
-def test_curve_is_closed_and_at_rest_to_snap_at_both_ends(name: str, seed: int) -> None:
+def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> None:
+    """At rest to snap at both ends. Each group uses its reach, and one of them its acceleration."""
     motion = loop(name, seed)
-    ends = stacked(motion, [0.0, motion.duration])
-    scale = np.abs(stacked(motion, np.linspace(0, motion.duration, 101))).max(axis=(1, 2))
-    np.testing.assert_allclose(ends[0, 0], ends[0, 1], rtol=0, atol=1e-12)
-    assert np.all(np.abs(ends[1:]).max(axis=(1, 2)) <= 1e-9 * scale[1:])
+    reach, limit = np.array(motion.reach), np.array(motion.acceleration)
+    times = np.linspace(0, motion.duration, 1501)
+    path, values = motion(times), stacked(motion, times)
+    scale = np.abs(values).max(axis=(1, 2))
+    np.testing.assert_allclose(values[0, 0], values[0, -1], rtol=0, atol=1e-12)
+    assert np.all(np.abs(values[1:, [0, -1]]).max(axis=(1, 2)) <= 1e-9 * scale[1:])
     near = stacked(motion, [1e-6 * motion.duration, (1 - 1e-6) * motion.duration])
     assert np.all(np.abs(near[1:]).max(axis=(1, 2)) <= 1e-3 * scale[1:])
-
-
-@given(name=names, seed=seeds)
-def test_no_group_leaves_its_reach_or_hardly_moves(name: str, seed: int) -> None:
-    motion = loop(name, seed)
-    position = motion(np.linspace(0, motion.duration, 1501)).position
-    away = norms(motion, position - np.array(motion.center))
-    assert np.all(away.max(axis=0) <= 1.001 * np.array(motion.reach))
-    assert np.all(away.max(axis=0) >= 0.25 * np.array(motion.reach))
-    assert np.all(np.ptp(position, axis=0) > 0)
-
-
-@given(name=names, seed=seeds)
-def test_acceleration_and_speed_are_neither_beyond_their_bounds_nor_idle(name: str, seed: int) -> None:
-    motion = loop(name, seed)
-    motion_at = motion(np.linspace(0, motion.duration, 1501))
-    used = norms(motion, motion_at.acceleration).max(axis=0) / motion.acceleration
-    assert 0.58 <= used.max() <= 1.001
-    speed = norms(motion, motion_at.velocity).max(axis=0)
-    assert np.all(speed <= np.sqrt(2.002 * np.array(motion.reach) * motion.acceleration))  # Landau
-
-
-@given(name=names, seed=seeds)
-def test_duration_does_not_depend_on_the_bounds_other_than_by_their_root(name: str, seed: int) -> None:
-    motion = loop(name, seed)
-    harder = loop(name, seed, acceleration=[4 * bound for bound in motion.acceleration])
-    assert harder.duration == pytest.approx(motion.duration / 2, abs=0.0101)
-    fractions = np.linspace(0, 1, 7)
-    np.testing.assert_allclose(
-        harder(fractions * harder.duration).position, motion(fractions * motion.duration).position, atol=1e-12
-    )
+    away = norms(motion, path.position - np.array(motion.center)).max(axis=0)
+    assert np.all((away <= 1.001 * reach) & (away >= 0.25 * reach))
+    assert np.all(np.ptp(path.position, axis=0) > 0)
+    assert 0.58 <= (norms(motion, path.acceleration).max(axis=0) / limit).max() <= 1.001
+    assert np.all(norms(motion, path.velocity).max(axis=0) <= np.sqrt(2.002 * reach * limit))  # Landau
     assert motion.duration == round(motion.duration, 2)
+    assert find_trajectory(json.loads(json.dumps(to_jsonable(motion))), motion.coordinates) == motion
 
 
-def test_no_field_is_without_effect() -> None:
-    motion = loop("loop-spatial", 3)
-    assert loop("loop-spatial", 3, duration=1.5).duration == 1.5
-    changes = {"seed": 4, "center": (0, 0, 0.2, 0, 0, 0), "reach": (0.05, 0.02, 0.01), "acceleration": (5, 1, 1)}
-    for field, value in changes.items():
-        changed = dataclasses.replace(motion, **{field: value}, duration=None)  # type: ignore[arg-type]
-        assert not np.allclose(changed(0.8).position, motion(0.8).position, atol=1e-6)
+def test_seeds_and_fields_determine_the_curve() -> None:
+    seeds = [*TRAINING_SEEDS[:2], 9999, *held_out_seeds(2), 2**64, 2**128, 2**200]
+    assert seeds == [0, 1, 9999, 10000, 10001, 2**64, 2**128, 2**200]
+    motions = [loop("loop-spatial", seed) for seed in seeds]
+    fields = {"center": (0, 0, 0.2, 0, 0, 0), "reach": (0.05, 0.02, 0.01), "acceleration": (5, 1, 1), "duration": 1.5}
+    motions += [loop("loop-spatial", 0, **{field: value}) for field, value in fields.items()]
+    poses = [motion(0.5).position for motion in motions]
+    assert min(np.abs(one - other).max() for k, one in enumerate(poses) for other in poses[:k]) > 1e-4
 
 
 # --- possible -----------------------------------------------------------------------------------------------------
 
-SAMPLE = [*range(0, 10), *held_out_seeds(10), 1066, 1290, 10425, 10674, 11355, 11476]
+SAMPLE = [*range(0, 4), *held_out_seeds(4), 1066, 1290, 10425, 10674, 11355, 11476]
 """The first of both sets, and the hardest that were met among 4000."""
 
 
-@pytest.mark.parametrize("minimum", [0.0, 5.0])
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
-def test_no_loop_is_beyond_the_papers_rigid_robots(robot: Robot, minimum: float) -> None:
+def test_rigid_robots_of_the_paper_can_follow_the_loops(robot: Robot) -> None:
     name = f"loop-{robot.name}"
-    found = [exact_payload(robot, loop(name, seed), minimum_tension=minimum, grid=250) for seed in SAMPLE]
+    found = [exact_payload(robot, loop(name, seed), minimum_tension=5.0, grid=250) for seed in SAMPLE]
     payloads = np.array([result.payload for result in found])
     assert payloads.min() >= 0.3
     assert max(result.lowest for result in found) <= -0.3
@@ -251,8 +206,9 @@ def flat_limits(robot: Robot, motion: RandomLoop) -> tuple[np.ndarray, np.ndarra
     return action.reshape(-1, action.shape[-1]), tensions.reshape(-1, tensions.shape[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
-def test_no_loop_is_beyond_the_papers_robots_with_springs(robot: Robot) -> None:
+def test_flexible_robots_of_the_paper_can_follow_the_loops(robot: Robot) -> None:
     for seed in SAMPLE:
         action, tensions = flat_limits(robot, loop(f"loop-{KINDS[robot.coordinates]}", seed))
         stall = np.tile(robot.stall_torque, len(action) // robot.cables)
@@ -267,68 +223,26 @@ def test_no_loop_is_beyond_the_papers_robots_with_springs(robot: Robot) -> None:
 # --- by name ------------------------------------------------------------------------------------------------------
 
 
-@given(name=names, seed=seeds)
-def test_json_data_do_not_give_another_motion(name: str, seed: int) -> None:
-    motion = loop(name, seed)
-    found = find_trajectory(json.loads(json.dumps(to_jsonable(motion))), motion.coordinates)
-    assert found == motion
-    assert hash(found) == hash(motion)
-    assert find_trajectory({"name": name, "seed": seed}, motion.coordinates) == motion
-    assert find_trajectory({"name": name, "seed": np.int64(5)}, motion.coordinates).seed == 5  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"])
-def test_environments_do_not_follow_another_loop_than_the_seeds(env_id: str) -> None:
-    name = "loop-planar" if "Planar" in env_id else "loop-spatial"
-    first, second = ({"name": name, "seed": seed} for seed in (10000, 3))
-    env = gym.make(env_id, trajectory=first)
-    vector = gym.make_vec(env_id, num_envs=2, trajectory=first)
-    place = vector.unwrapped.layout.slices()["reference_pose"]  # type: ignore[attr-defined]
-    command = np.zeros(env.action_space.shape)
-    for data, options in ((first, None), (second, {"trajectory": second})):
-        env.reset(seed=0, options=options)
-        vector.reset(seed=0, options=options)
-        for _ in range(3):
-            observation, *_ = env.step(command)
-            observations, *_ = vector.step(np.stack([command] * 2))
-        expected = loop(**data)(3 / 500).position  # type: ignore[arg-type]
-        np.testing.assert_allclose(observation[place], expected, rtol=1e-6, atol=1e-9)
-        np.testing.assert_array_equal(observations, [observation] * 2)
-
-
 # --- errors -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [True, False, -1, 3.0, "7", None, float("nan"), [3], np.bool_(True)])
-def test_what_is_no_seed_is_not_taken(seed: Any) -> None:
-    with pytest.raises(
-        ValueError, match=r"seed must be a whole number of at least 0, not .*; 0 to 9999 are for training"
-    ):
-        find_trajectory({"name": "loop-planar", "seed": seed}, 2)
-
-
-@pytest.mark.parametrize("count", [True, 0, -2, 2.0, "3", None])
-def test_what_is_no_count_is_not_taken(count: Any) -> None:
-    with pytest.raises(ValueError, match="count must be a whole number of at least 1"):
-        held_out_seeds(count)
+@pytest.mark.parametrize("value", [True, -1, 3.0])
+def test_invalid_seed_or_count_raises(value: Any) -> None:
+    with pytest.raises(ValueError, match=r"seed must be an integer of at least 0, not "):
+        find_trajectory({"name": "loop-planar", "seed": value}, 2)
+    with pytest.raises(ValueError, match="count must be an integer of at least 1"):
+        held_out_seeds(value)
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        (
-            {"reach": [0.1]},
-            r"reach must contain one number greater than 0 for \(x, y\), one for z and one for the angles",
-        ),
-        ({"reach": [0.1, 0.0, 0.1]}, "reach must contain one number greater than 0"),
-        ({"reach": 0.1}, "reach must contain numbers, not 0.1"),
-        ({"acceleration": [1, -1, 1]}, r"acceleration must contain one number .* not \(1.0, -1.0, 1.0\)"),
-        ({"acceleration": [1, float("inf"), 1]}, "acceleration must contain finite numbers"),
-        ({"center": [0, 0, 0]}, "center must be"),
-        ({"duration": 0}, "duration must be a finite number greater than 0"),
-        ({"speed": 2}, "no field 'speed'; its fields are seed, center, reach, acceleration, duration$"),
+        ({"reach": [0.1]}, "reach must be 3 numbers"),
+        ({"acceleration": [1, -1, 1]}, "acceleration must be finite and greater than 0"),
+        ({"duration": 0}, "duration must be"),
+        ({"speed": 2}, "speed"),
     ],
 )
-def test_unphysical_field_is_not_taken(fields: dict[str, Any], message: str) -> None:
+def test_unphysical_field_raises(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         find_trajectory({"name": "loop-spatial", **fields}, 6)

@@ -24,6 +24,7 @@ def test_readme_is_short_and_has_python_near_its_top():
     assert lines.index("```python") < 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 def test_python_of_the_readme_runs(index, tmp_path):
     code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[index]
@@ -32,7 +33,7 @@ def test_python_of_the_readme_runs(index, tmp_path):
     assert re.search(r"payload known: \d\.\d+ kg", ran.stdout)
 
 
-def test_table_of_the_readme_is_that_of_the_stored_results():
+def test_table_of_the_readme_has_the_stored_results():
     records = read_results((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))[2]
     assert with_table(README, readme_table(records)) == README, "make it anew: python scripts/readme_table.py"
 

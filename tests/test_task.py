@@ -1,4 +1,4 @@
-"""Motions that nobody can follow are refused before anything flies."""
+"""Motions that leave the workspace raise before an episode starts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ OUTSIDE = {"name": "circle-planar", "radius": 3.0}
 
 
 @pytest.mark.parametrize("fly", [evaluate_dlcc, record_rollout])
-def test_motion_outside_the_workspace_is_named_with_the_place(fly):
+def test_motion_outside_the_workspace_raises(fly):
     with pytest.raises(ValueError, match=r"'circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 "):
         fly("fl", PLANAR_ID, trajectory=OUTSIDE)
 
 
-def test_robot_may_stay_behind_by_the_bounds_and_no_farther():
+def test_motion_may_leave_the_workspace_by_the_error_bounds():
     """A bound of another coordinate, or one side of the workspace alone."""
     motion = find_trajectory("paper-spatial", 6)
     poses = motion(np.linspace(0.0, motion.duration, 2001)).position
@@ -42,7 +42,4 @@ def test_robot_may_stay_behind_by_the_bounds_and_no_farther():
                 if beyond > 0:
                     with pytest.raises(ValueError, match="leaves the workspace"):
                         check_workspace(robot, motion)
-
-
-def test_motion_inside_is_not_refused():
     check_workspace(PLANAR, find_trajectory("paper-planar", 2))

@@ -8,14 +8,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
+
+import numpy as np
 
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.batch import BATCH, versions
-from cablebot_gym.evaluation.evaluator import DEFAULT_RESOLUTION, DRAWN_RESOLUTION, PAYLOAD_MAX, SCAN_POINTS
-from cablebot_gym.policies import Policy, load_policy
+from cablebot_gym.evaluation.batch import versions
+from cablebot_gym.evaluation.evaluator import DEFAULT_RESOLUTION, DRAWN_RESOLUTION, PAYLOAD_MAX
+from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
@@ -25,13 +27,67 @@ DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicyCell:
-    """The DLCC of one policy under one set of conditions."""
+class Conditions:
+    """Conditions that all cells have."""
+
+    kind: ClassVar[str]
 
     env_id: str
     """Environment id."""
     trajectory: Mapping[str, Any]
     """Reference motion, ``{"name": …}`` and its fields; see :func:`~cablebot_gym.trajectories.find_trajectory`."""
+    error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
+    """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
+    control_frequency: float = 500.0
+    """Control frequency [Hz]."""
+    robot_changes: Mapping[str, Any] = field(default_factory=dict)
+    """Changed values of the environment's robot, nested as in :meth:`~cablebot_gym.robots.Robot.to_dict`, such as
+    ``{"transmission": {"stiffness": 10.0}}``."""
+
+    @property
+    def key(self) -> str:
+        """Canonical JSON of all fields; unique for each cell."""
+        return canonical(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able data, the input of :func:`cell_from_dict`."""
+        return {"kind": self.kind, **asdict(self)}
+
+    @property
+    def robot(self) -> Robot:
+        """Nominal robot with the changes of the cell.
+
+        Raises:
+            ValueError: if a change is invalid, such as a stiffness of a robot without joint springs.
+        """
+        robot = find_robot(env_robot(self.env_id))
+        return Robot.from_dict(merged(robot.to_dict(), self.robot_changes)) if self.robot_changes else robot
+
+    def env_options(self) -> dict[str, Any]:
+        """JSON-able keyword arguments of the environment."""
+        return ({"robot": self.robot.to_dict()} if self.robot_changes else {}) | {
+            "trajectory": dict(self.trajectory),
+            "error_bounds": dict(self.error_bounds),
+            "control_frequency": self.control_frequency,
+        }
+
+    def options(self) -> dict[str, Any]:
+        """JSON-able keyword arguments of the function that computes the cell."""
+        return self.env_options()
+
+    def _stem(self, *words: str) -> str:
+        fields = [str(value) for name, value in self.trajectory.items() if name != "name"]
+        env_id = self.env_id.removeprefix("CableBot-").removesuffix("-v0")
+        text = "-".join([env_id, *words, str(self.trajectory["name"]), *fields])
+        return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.").lower()[:100]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyCell(Conditions):
+    """The DLCC of one policy under one set of conditions."""
+
+    kind: ClassVar[str] = "policy"
+
     policy: str
     """Policy name as on the command line."""
     criterion: str = "task"
@@ -46,46 +102,24 @@ class PolicyCell:
     """Number of sampled episodes per payload."""
     probability: float = 0.95
     """Required success rate over the draws."""
-    error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
-    """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
-    control_frequency: float = 500.0
-    """Control frequency [Hz]."""
     seed: int = 0
     """Seed of the environments."""
     resolution: float | None = None
     """Payload resolution of the search [kg]; None for the evaluator's default."""
-    stiffness: float | None = None
-    """Joint stiffness K [N·m/rad]; None for the environment's default."""
-
-    @property
-    def key(self) -> str:
-        """Canonical JSON of all fields; unique for each cell."""
-        return canonical(self.to_dict())
+    payload_max: float | None = None
+    """Upper end of the payload scan [kg]; None for the evaluator's default."""
 
     @property
     def stem(self) -> str:
         """Readable beginning of the name of the cell's file."""
-        unknown = (self.uncertainty,) if self.uncertainty else ()
-        return _stem(self.env_id, self.trajectory, self.policy, self.payload_model, *unknown, self.criterion)
+        uncertainty = (self.uncertainty,) if self.uncertainty else ()
+        return self._stem(self.policy, self.payload_model, *uncertainty, self.criterion)
 
     @property
     def source(self) -> str:
         """Hash of the code that computes the cell: this package's and the policy's."""
         modules, data = policy_source(self.policy)
         return source_hash("cablebot_gym.evaluation.evaluator", *modules, data=data)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data, the input of :func:`cell_from_dict`."""
-        return {"kind": "policy", **asdict(self)}
-
-    @property
-    def robot(self) -> Robot:
-        """Nominal robot with the stiffness of the cell.
-
-        Raises:
-            ValueError: if a stiffness is given for a robot without joint springs.
-        """
-        return _robot(self.env_id, self.stiffness)
 
     @property
     def payload_model(self) -> str:
@@ -94,23 +128,17 @@ class PolicyCell:
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
-        robot = {} if self.stiffness is None else {"robot": self.robot.to_dict()}
-        return robot | {
-            "trajectory": dict(self.trajectory),
-            "error_bounds": dict(self.error_bounds),
-            "payload_known": self.payload_known,
-            "model_payload_factor": self.model_payload_factor,
-            "uncertainty": self.uncertainty,
-            "control_frequency": self.control_frequency,
-        }
+        names = ("payload_known", "model_payload_factor", "uncertainty")
+        return super().env_options() | {name: getattr(self, name) for name in names}
 
     def options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
-        default = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
+        resolution = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
+        payload_max = PAYLOAD_MAX["planar" if self.robot.planar else "spatial"]
         return self.env_options() | {
             "criterion": self.criterion,
-            "payload_max": PAYLOAD_MAX["planar" if self.robot.planar else "spatial"],
-            "resolution": default if self.resolution is None else self.resolution,
+            "payload_max": payload_max if self.payload_max is None else self.payload_max,
+            "resolution": resolution if self.resolution is None else self.resolution,
             "draws": self.draws,
             "probability": self.probability,
             "seed": self.seed,
@@ -122,8 +150,7 @@ class PolicyCell:
         The paper criterion applies to policies that declare ``unsaturated_actions``; for others the result says
         ``applicable: False``.
         """
-        robot = self.robot
-        policy = load_policy(self.policy, robot)
+        policy = load_policy(self.policy, self.robot)
         if self.criterion == "paper" and not getattr(policy, "unsaturated_actions", False):
             return {"applicable": False, "payload": None, "total_mass": None}
         result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.options())
@@ -134,64 +161,29 @@ class PolicyCell:
             "resolution": result.resolution,
             "violation": None if result.violation is None else asdict(result.violation),
             "scan_ended": result.scan_ended,
+            "saturated": bool(np.abs(result.rollout.arrays["commanded_action"]).max() > 1 - 1e-9),
             "assured_payload": result.assured_payload,
             "feasible": [list(interval) for interval in result.feasible],
             "failures": result.failures,
-            "fallbacks": _fallbacks(policy, self.draws),
+            "fallbacks": result.fallbacks,
         }
 
 
 @dataclass(frozen=True, kw_only=True)
-class BestKnownCell:
+class BestKnownCell(Conditions):
     """The best known payload: the largest payload for which a motion within all limits is known."""
 
-    env_id: str
-    """Environment id."""
-    trajectory: Mapping[str, Any]
-    """Reference motion, as in :class:`PolicyCell`."""
-    error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
-    """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
-    control_frequency: float = 500.0
-    """Control frequency [Hz]."""
-    stiffness: float | None = None
-    """Joint stiffness K [N·m/rad]; None for the environment's default."""
-
-    @property
-    def key(self) -> str:
-        """Canonical JSON of all fields; unique for each cell."""
-        return canonical(self.to_dict())
+    kind: ClassVar[str] = "best-known"
 
     @property
     def stem(self) -> str:
         """Readable beginning of the name of the cell's file."""
-        return _stem(self.env_id, self.trajectory, "best-known")
+        return self._stem("best-known")
 
     @property
     def source(self) -> str:
         """Hash of the code that computes the cell."""
         return source_hash("cablebot_gym.bounds.best_known")
-
-    @property
-    def robot(self) -> Robot:
-        """Robot with the stiffness of the cell.
-
-        Raises:
-            ValueError: if a stiffness is given for a robot without joint springs.
-        """
-        return _robot(self.env_id, self.stiffness)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data, the input of :func:`cell_from_dict`."""
-        return {"kind": "best-known", **asdict(self)}
-
-    def options(self) -> dict[str, Any]:
-        """Keyword arguments of :func:`~cablebot_gym.bounds.best_known.find_best_known`; JSON-able except the robot."""
-        robot = {} if self.stiffness is None else {"robot": self.robot}
-        return robot | {
-            "trajectory": dict(self.trajectory),
-            "error_bounds": dict(self.error_bounds),
-            "control_frequency": self.control_frequency,
-        }
 
     def compute(self) -> dict[str, Any]:
         """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able data."""
@@ -230,18 +222,15 @@ def compute(cell: Cell) -> Record:
     """Computes a cell. An exception becomes the error of the record; it does not stop the benchmark."""
     start, final = time.perf_counter(), True
     try:
-        result = cell.compute()
-    except (ImportError, OSError, MemoryError) as error:
-        result, final = {"error": _one_line(error)}, False
+        result = json.loads(canonical(cell.compute()))
     except Exception as error:
-        result = {"error": _one_line(error)}
-    seconds = time.perf_counter() - start
+        result, final = {"error": _one_line(error)}, not isinstance(error, (ImportError, OSError, MemoryError))
     return Record(
         cell=cell,
         source=cell.source,
         versions=versions(),
-        result=_json_round_trip(result),
-        seconds=seconds,
+        result=result,
+        seconds=time.perf_counter() - start,
         final=final,
     )
 
@@ -259,8 +248,16 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
     Raises:
         KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
-    kinds: dict[str, type[PolicyCell] | type[BestKnownCell]] = {"policy": PolicyCell, "best-known": BestKnownCell}
+    kinds: dict[str, type[PolicyCell] | type[BestKnownCell]] = {one.kind: one for one in (PolicyCell, BestKnownCell)}
     return kinds[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
+
+
+def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of nested data with changed values; a nested mapping changes the values that it names."""
+    return {**data} | {
+        name: merged(data.get(name) or {}, value) if isinstance(value, Mapping) else value
+        for name, value in changes.items()
+    }
 
 
 def canonical(data: Any) -> str:
@@ -268,37 +265,7 @@ def canonical(data: Any) -> str:
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
-def _robot(env_id: str, stiffness: float | None) -> Robot:
-    robot = find_robot(env_robot(env_id))
-    if stiffness is None:
-        return robot
-    if not robot.flexible:
-        raise ValueError(f"{env_id} has no joint springs; omit the stiffness or choose an id with -Flex")
-    return robot.replace(transmission=robot.transmission.replace(stiffness=stiffness))
-
-
-def _json_round_trip(result: Mapping[str, Any]) -> dict[str, Any]:
-    """The data as read back from JSON: lists instead of tuples, string keys."""
-    data: dict[str, Any] = json.loads(canonical(result))
-    return data
-
-
-def _fallbacks(policy: Policy, draws: int) -> float | None:
-    """Mean number of fallbacks per episode at the DLCC; None for a policy that does not count ``fallbacks``."""
-    count = getattr(policy, "fallbacks", None)
-    if count is None:
-        return None
-    episodes = min(SCAN_POINTS, max(1, BATCH // draws)) * draws  # the evaluator's last batch holds one payload only
-    return float(count) / episodes
-
-
 def _one_line(error: Exception) -> str:
     """The message of an exception in one line, with the type where the message alone is unclear."""
     text = " ".join(str(error).split())
     return text if isinstance(error, (ValueError, ImportError, RuntimeError)) else f"{type(error).__name__}: {text}"
-
-
-def _stem(env_id: str, trajectory: Mapping[str, Any], *words: str) -> str:
-    fields = [str(value) for name, value in trajectory.items() if name != "name"]
-    text = "-".join([env_id.removeprefix("CableBot-").removesuffix("-v0"), *words, str(trajectory["name"]), *fields])
-    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.").lower()[:100]

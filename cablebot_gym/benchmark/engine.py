@@ -1,10 +1,12 @@
-"""Computes the unfinished cells on local processes or on a Ray cluster and stores each result as it arrives."""
+"""Runs jobs on local processes or on a Ray cluster: cells of the benchmark, and computations of the reproduction."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from operator import attrgetter
+from typing import Any
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, Record, compute, failed_record
 from cablebot_gym.benchmark.store import Store
@@ -14,40 +16,68 @@ MessageCallback = Callable[[str], None]
 """Called with one-sentence messages for the user."""
 
 Progress = Callable[[int, int], None]
-"""Called with the number of finished cells and the total number of cells."""
-
-CellTask = partial[Record]
-"""The pending computation of a cell."""
+"""Called with the number of finished jobs and the total number of jobs."""
 
 
-class Backend(Protocol):
-    """Executes cell tasks."""
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A computation that runs in any process."""
 
-    def __call__(
-        self, tasks: Mapping[str, CellTask], say: MessageCallback
-    ) -> Iterator[tuple[str, Record | processes.WorkerDied]]:
-        """Yields each key with its record, or with the reason why its process died, in order of completion."""
+    key: str
+    """Key of the result; jobs with the same key have the same result."""
+    compute: Callable[[], Any]
+    """The computation, which can be pickled: a ``functools.partial`` of a module-level function."""
+    kind: Hashable
+    """Jobs of one kind need the same compiled code."""
+
+    def __call__(self) -> Any:
+        """Result of the computation."""
+        return self.compute()
+
+
+Backend = Callable[[Mapping[str, Job], MessageCallback, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]]
+"""Executes jobs: yields keys and results in order of completion. Called with the jobs by key, a function for messages,
+and the types of exceptions that are results; others are raised."""
 
 
 def local(workers: int) -> Backend:
     """A backend of ``workers`` processes on this machine."""
 
-    def run(tasks: Mapping[str, CellTask], say: MessageCallback) -> Iterator[tuple[str, Any]]:
-        return processes.run(tasks, workers=workers, kind=_kind, say=say, returned=(processes.WorkerDied,))
+    def run(jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]) -> Iterator[Any]:
+        return processes.run(jobs, workers=workers, kind=attrgetter("kind"), say=say, returned=returned)
 
     return run
+
+
+def run_jobs(
+    jobs: Iterable[Job], backend: Backend, *, say: MessageCallback, returned: tuple[type[Exception], ...] = ()
+) -> Iterator[tuple[str, Any]]:
+    """Yields the key and the result of each job in order of completion. Jobs with the same key run once.
+
+    Args:
+        jobs: jobs in the order of their start.
+        backend: see :func:`local` and :func:`~cablebot_gym.benchmark.ray_backend.on_ray`.
+        say: called with messages of the workers.
+        returned: types of exceptions that are results; others are raised.
+    """
+    return backend({job.key: job for job in jobs}, say, returned)
 
 
 def run_cells(
     cells: Mapping[str, Cell], store: Store, backend: Backend, progress: Progress, say: MessageCallback
 ) -> list[Record]:
-    """The records of all cells, in the order of ``cells``. Cells found in the store are not computed again."""
+    """The records of all cells, in the order of ``cells``. Cells found in the store are not computed again.
+
+    Cells with the longest computations start first, to balance the workers.
+    """
     done = {key: record for key, cell in cells.items() if (record := store.find(cell)) is not None}
-    pending = {key: partial(compute, cell) for key, cell in _longest_first(cells) if key not in done}
+    pending = sorted((cell for key, cell in cells.items() if key not in done), key=_cost, reverse=True)
+    jobs = [Job(key=cell.key, compute=partial(compute, cell), kind=(type(cell), cell.env_id)) for cell in pending]
     progress(len(done), len(cells))
-    for key, outcome in backend(pending, say):
-        record = failed_record(cells[key], str(outcome)) if isinstance(outcome, processes.WorkerDied) else outcome
-        if record.source != cells[key].source:
+    for key, record in run_jobs(jobs, backend, say=say, returned=(processes.WorkerDied,)):
+        if isinstance(record, processes.WorkerDied):
+            record = failed_record(cells[key], str(record))
+        elif record.source != cells[key].source:
             reason = "a worker computed it with different code; install the same version of the code on every machine"
             record = failed_record(cells[key], reason)
         store.add(record)
@@ -56,16 +86,5 @@ def run_cells(
     return [done[key] for key in cells]
 
 
-def _longest_first(cells: Mapping[str, Cell]) -> list[tuple[str, Cell]]:
-    """Cells by decreasing cost, to balance the workers: best known payloads first, then policies by number of draws."""
-
-    def cost(item: tuple[str, Cell]) -> float:
-        return float("inf") if isinstance(item[1], BestKnownCell) else item[1].draws
-
-    return sorted(cells.items(), key=cost, reverse=True)
-
-
-def _kind(task: CellTask) -> tuple[type[Cell], str]:
-    """Group of tasks that need the same compiled code."""
-    cell: Cell = task.args[0]
-    return type(cell), cell.env_id
+def _cost(cell: Cell) -> float:
+    return float("inf") if isinstance(cell, BestKnownCell) else cell.draws

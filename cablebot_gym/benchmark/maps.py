@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from types import MappingProxyType
+from typing import Any, TypeVar
 
-from cablebot_gym.benchmark.cells import DEFAULT_ERROR_BOUNDS, Cell
-from cablebot_gym.envs import env_robot
-from cablebot_gym.robots import find_robot
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical, merged
+from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import find_trajectory
+
+AnyCell = TypeVar("AnyCell", PolicyCell, BestKnownCell)
+
+_LABELS: dict[str, tuple[str, float]] = {
+    "error_bounds.position": ("position error bound R [mm]", 1e3),
+    "error_bounds.rotation": ("rotation error bound [mrad]", 1e3),
+    "trajectory.duration": ("motion duration [s]", 1.0),
+    "trajectory.radius": ("radius of the circle [m]", 1.0),
+    "trajectory.center.2": ("depth z [m]", 1.0),
+    "robot_changes.transmission.stiffness": ("joint stiffness K [N·m/rad]", 1.0),
+    "robot_changes.transmission.damping": ("pulley friction c [N·m·s/rad]", 1.0),
+    "resolution": ("payload resolution [g]", 1e3),
+}
+"""Fields of a cell that suites vary, with their labels and their factors from SI to the unit of the label."""
+
+_CONSTANT = {"trajectory.center.2", "resolution"}
+"""Fields that are varied between maps but constant in a map."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,66 +37,109 @@ class Axis:
 
     name: str
     """Key of :data:`AXES`."""
-    label: str
-    """Axis label with the unit."""
-    scale: float
-    """Factor from SI to the unit of the label."""
-    values: tuple[float, ...]
-    """Values that the suite evaluates, SI."""
+    fields: tuple[str, ...]
+    """Fields of a cell that have the value, such as ``error_bounds.position``."""
 
-    def default_value(self, cell: Cell) -> float:
-        """Default of the parameter, SI; infinite for the stiffness of a rigid robot."""
-        robot = find_robot(env_robot(cell.env_id))
-        if self.name == "stiffness":
-            return float(robot.stiffness[0]) if robot.flexible else float("inf")
-        if self.name == "position":
-            return DEFAULT_ERROR_BOUNDS["position"]
-        fields = {name: value for name, value in cell.trajectory.items() if name != "duration"}
-        return float(find_trajectory(fields, robot.coordinates).duration)
+    @property
+    def label(self) -> str:
+        """Axis label with the unit."""
+        return " = ".join(_LABELS[name][0] for name in self.fields)
 
-    def value(self, cell: Cell) -> float:
-        """Value of the parameter in a cell, SI."""
-        given = {
-            "stiffness": cell.stiffness,
-            "position": cell.error_bounds["position"],
-            "duration": cell.trajectory.get("duration"),
-        }[self.name]
-        return self.default_value(cell) if given is None else float(given)
+    @property
+    def scale(self) -> float:
+        """Factor from SI to the unit of the label."""
+        return _LABELS[self.fields[0]][1]
 
-    def with_value(self, cell: Cell, value: float) -> Cell:
+    def value(self, cell: Cell) -> Any:
+        """Value of the parameter in a cell, SI; None if the robot or the motion does not have it."""
+        return _values(cell)[self.fields[0]]
+
+    def with_value(self, cell: AnyCell, value: float) -> AnyCell:
         """The cell with the parameter set to ``value``, SI; the unchanged cell if ``value`` is the default."""
-        if value == self.default_value(cell):
-            return cell
-        if self.name == "stiffness":
-            return replace(cell, stiffness=value)
-        if self.name == "position":
-            return replace(cell, error_bounds={**cell.error_bounds, "position": value})
-        return replace(cell, trajectory={**cell.trajectory, "duration": value})
+        default = _default_values(cell)
+        for name in self.fields:
+            if value != default[name]:
+                group, *path = name.split(".")
+                change: Any = value
+                for step in reversed(path):
+                    change = {step: change}
+                changes: dict[str, Any] = {group: merged(getattr(cell, group), change)}
+                cell = replace(cell, **changes)
+        return cell
+
+    def varies(self, cell: Cell) -> bool:
+        """Whether the parameter of a cell is not at its default."""
+        return not set(self.fields).isdisjoint(varied_fields(cell))
+
+    def constants(self, cell: Cell) -> tuple[str, ...] | None:
+        """Other varied parameters, constant in a map, with their values; None if no map of this axis has the cell."""
+        others = [name for name in varied_fields(cell) if name not in self.fields]
+        equal = len({_values(cell)[name] for name in self.fields}) == 1
+        return tuple(_text(cell, name) for name in others) if equal and set(others) <= _CONSTANT else None
 
 
-AXES = MappingProxyType(
+AXES: Mapping[str, Axis] = MappingProxyType(
     {
-        axis.name: axis
-        for axis in (
-            Axis(
-                name="position",
-                label="position error bound R [mm]",
-                scale=1e3,
-                values=(0.002, 0.005, 0.01, 0.02, 0.05),
-            ),
-            Axis(name="duration", label="motion duration [s]", scale=1.0, values=(0.8, 0.9, 1.0, 1.2, 1.5)),
-            Axis(
-                name="stiffness",
-                label="joint stiffness K [N·m/rad]",
-                scale=1.0,
-                values=(1.0, 3.0, 10.0, 30.0, 100.0),
-            ),
-        )
+        name: Axis(name=name, fields=fields)
+        for name, fields in {
+            "position": ("error_bounds.position",),
+            "bounds": ("error_bounds.position", "error_bounds.rotation"),
+            "duration": ("trajectory.duration",),
+            "stiffness": ("robot_changes.transmission.stiffness",),
+            "damping": ("robot_changes.transmission.damping",),
+            "radius": ("trajectory.radius",),
+        }.items()
     }
 )
 """Axes by name."""
 
 
-def varied_axes(cell: Cell) -> tuple[str, ...]:
-    """Names of the axes whose value in a cell is not the default: none for most cells, one for a cell of a map."""
-    return tuple(axis.name for axis in AXES.values() if axis.value(cell) != axis.default_value(cell))
+def varied_fields(cell: Cell) -> tuple[str, ...]:
+    """Fields whose value in a cell is not the default: none for most cells, at least one for a cell of a map."""
+    values, default = _values(cell), _default_values(cell)
+    return tuple(name for name in _LABELS if values[name] != default[name])
+
+
+def varied_texts(cell: Cell) -> list[str]:
+    """Labels and values of the parameters of a cell that are not at their defaults."""
+    return [_text(cell, name) for name in varied_fields(cell)]
+
+
+def _text(cell: Cell, name: str) -> str:
+    label, scale = _LABELS[name]
+    return f"{label} {_values(cell)[name] * scale:g}"
+
+
+def _values(cell: Cell) -> dict[str, Any]:
+    groups = {name.partition(".")[0] for name in _LABELS}
+    data = {name: value for name, value in cell.to_dict().items() if name in groups}
+    return _values_of(cell.env_id, canonical(data))
+
+
+def _default_values(cell: Cell) -> dict[str, Any]:
+    """Values of all fields in a cell of the same motion with defaults otherwise."""
+    motion = {name: value for name, value in cell.trajectory.items() if name in ("name", "seed")}
+    return _values_of(cell.env_id, canonical({"trajectory": motion}))
+
+
+@cache
+def _values_of(env_id: str, conditions: str) -> dict[str, Any]:
+    """Value of each field; None if the robot, the motion or the cell does not have it."""
+    given = json.loads(conditions)
+    cell = BestKnownCell(env_id=env_id, **{name: value for name, value in given.items() if name != "resolution"})
+    robot = cell.robot
+    data: dict[str, Any] = {
+        "error_bounds": dict(cell.error_bounds),
+        "robot_changes": robot.to_dict(),
+        "trajectory": to_jsonable(find_trajectory(dict(cell.trajectory), robot.coordinates)),
+        "resolution": given.get("resolution"),
+    }
+    return {name: _found(data, name.split(".")) for name in _LABELS}
+
+
+def _found(data: Any, path: list[str]) -> Any:
+    """The value at a path in nested data; None if there is none."""
+    for step in path:
+        named = {str(index): item for index, item in enumerate(data)} if isinstance(data, list) else data or {}
+        data = named.get(step)
+    return data

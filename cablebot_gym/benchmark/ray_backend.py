@@ -1,4 +1,4 @@
-"""Computes the cells of the benchmark as tasks of a Ray cluster."""
+"""Runs jobs as tasks of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Record
-from cablebot_gym.benchmark.engine import Backend, CellTask, MessageCallback
+from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback
 from cablebot_gym.utils.workers import WorkerDied, cores
 
 RETRIES = 3
-"""Maximum number of retries of a cell whose worker or node was lost."""
+"""Maximum number of retries of a job whose worker or node was lost."""
 
 _MEMORY = 100 * 2**20
 """Size of the object store of a local cluster [bytes]. Results are small."""
@@ -37,23 +36,27 @@ def on_ray(address: str) -> Backend:
     _import_ray()
     _check_address(address)
 
-    def run(tasks: Mapping[str, CellTask], say: MessageCallback) -> Iterator[tuple[str, Record | WorkerDied]]:
+    def run(jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]) -> Iterator[Any]:
         ray = _import_ray()
-        if not tasks:
+        if not jobs:
             return
         connects, keys = not ray.is_initialized(), {}
         if connects:
             _connect(ray, address)
         try:
             remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_computed)
-            keys = {remote.remote(pickle.dumps(task), sys.path): key for key, task in tasks.items()}
+            keys = {remote.remote(pickle.dumps(job), sys.path): key for key, job in jobs.items()}
             while keys:
                 (ready,), _ = ray.wait(list(keys), num_returns=1)
                 key = keys.pop(ready)
                 try:
                     outcome = ray.get(ready)
                 except ray.exceptions.RayError as error:
-                    outcome = WorkerDied(_reason(error))
+                    outcome = getattr(error, "cause", None)
+                    if not isinstance(outcome, returned):
+                        outcome = WorkerDied(_reason(error))
+                    if not isinstance(outcome, returned):
+                        raise outcome from error
                 yield key, outcome
         finally:
             for reference in keys:
@@ -64,11 +67,10 @@ def on_ray(address: str) -> Backend:
     return run
 
 
-def _computed(pickled: bytes, path: list[str]) -> Record:
+def _computed(pickled: bytes, path: list[str]) -> Any:
     """Runs on a worker. Adds the caller's module path, as far as its folders exist on the worker's machine."""
     sys.path += [entry for entry in path if entry not in sys.path and os.path.isdir(entry or ".")]
-    task: CellTask = pickle.loads(pickled)
-    return task()
+    return pickle.loads(pickled)()
 
 
 def _reason(error: Any) -> str:

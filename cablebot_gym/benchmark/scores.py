@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, canonical
-from cablebot_gym.benchmark.maps import AXES, Axis, varied_axes
+from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
 from cablebot_gym.task import payload_model_text
 
 
@@ -91,10 +91,8 @@ def scores(records: Sequence[Record]) -> list[Score]:
 
 
 def motion_key(cell: PolicyCell | BestKnownCell) -> str:
-    """Key of the best known payload of a cell: environment, motion, error bounds, control frequency and stiffness."""
-    return canonical(
-        [cell.env_id, dict(cell.trajectory), dict(cell.error_bounds), cell.control_frequency, cell.stiffness]
-    )
+    """Key of the best known payload of a cell: environment, motion, error bounds, control frequency and robot."""
+    return canonical([cell.env_id, cell.trajectory, cell.error_bounds, cell.control_frequency, cell.robot_changes])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,13 +113,7 @@ class Column:
     @classmethod
     def of(cls, cell: PolicyCell) -> Column:
         """The column of a cell."""
-        return cls(
-            payload_known=cell.payload_known,
-            model_payload_factor=cell.model_payload_factor,
-            uncertainty=cell.uncertainty,
-            criterion=cell.criterion,
-            draws=cell.draws,
-        )
+        return cls(**{field.name: getattr(cell, field.name) for field in fields(cls)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,10 +152,10 @@ class Fraction:
 
 
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
-    """The tables in the order of the records. Cells that only belong to a map are omitted."""
+    """The tables in the order of the records. Cells with varied parameters, which belong to maps, are omitted."""
     groups: dict[tuple[str, str], list[Score]] = {}
     for score in scores(records):
-        if not varied_axes(score.cell):
+        if not varied_fields(score.cell):
             groups.setdefault((score.cell.env_id, str(score.cell.trajectory["name"])), []).append(score)
     return [_leaderboard(env_id, motion, group) for (env_id, motion), group in groups.items()]
 
@@ -176,6 +168,8 @@ class PayloadMap:
     """Environment id."""
     axis: Axis
     """Varied parameter."""
+    constants: tuple[str, ...]
+    """Labels and values of other varied parameters, which are constant in the map."""
     values: tuple[float, ...]
     """Values of the parameter, SI, ascending."""
     best_known: tuple[float | None, ...]
@@ -185,43 +179,44 @@ class PayloadMap:
 
 
 def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
-    """The maps of the records: one for each environment and axis with at least one varied cell."""
-    eligible = [
-        score
-        for score in scores(records)
-        if (score.cell.payload_model, score.cell.uncertainty, score.cell.criterion)
-        == (payload_model_text(True), None, "task")
-    ]
+    """The maps of the records: one for each environment, axis and set of constants with at least one varied cell."""
+    conditions = (payload_model_text(True), None, "task")
+    groups: dict[str, dict[tuple[Axis, str, tuple[str, ...]], list[Score]]] = {}
+    for score in scores(records):
+        cell = score.cell
+        if (cell.payload_model, cell.uncertainty, cell.criterion) == conditions:
+            maps = groups.setdefault(cell.env_id, {})
+            for axis in AXES.values():
+                if (constants := axis.constants(cell)) is not None:
+                    maps.setdefault((axis, cell.trajectory["name"], constants), []).append(score)
     references = best_known_payloads(records)
-    maps = []
-    for env_id in dict.fromkeys(score.cell.env_id for score in eligible):
-        own = [score for score in eligible if score.cell.env_id == env_id]
-        for axis in AXES.values():
-            varied = [score for score in own if varied_axes(score.cell) == (axis.name,)]
-            motions = {score.cell.trajectory["name"] for score in varied}
-            default = [
-                score for score in own if not varied_axes(score.cell) and score.cell.trajectory["name"] in motions
-            ]
-            if varied:
-                maps.append(_map(env_id, axis, [*default, *varied], references))
-    return maps
+    order = list(AXES.values())
+    return [
+        _map(env_id, axis, constants, group, references)
+        for env_id, maps in groups.items()
+        for (axis, _, constants), group in sorted(maps.items(), key=lambda item: order.index(item[0][0]))
+        if any(axis.varies(score.cell) for score in group)
+    ]
 
 
-def _map(env_id: str, axis: Axis, group: Sequence[Score], references: Mapping[str, BestKnown]) -> PayloadMap:
-    values = tuple(sorted({axis.value(score.cell) for score in group}))
-    by_policy_and_value = {(score.cell.policy, axis.value(score.cell)): score for score in group}
-    by_value = {axis.value(score.cell): references.get(motion_key(score.cell)) for score in group}
-    varied = {score.cell.policy for score in group if varied_axes(score.cell)}
+def _map(
+    env_id: str, axis: Axis, constants: tuple[str, ...], group: Sequence[Score], references: Mapping[str, BestKnown]
+) -> PayloadMap:
+    group = sorted(group, key=lambda score: axis.varies(score.cell))
+    by_value: dict[float, dict[str, Score]] = {axis.value(score.cell): {} for score in group}
+    for score in group:
+        by_value[axis.value(score.cell)][score.cell.policy] = score
+    values = tuple(sorted(by_value))
+    best = [references.get(motion_key(next(iter(by_value[value].values())).cell)) for value in values]
+    varied = {score.cell.policy for score in group if axis.varies(score.cell)}
+    names = [name for name in dict.fromkeys(score.cell.policy for score in group) if name in varied]
     return PayloadMap(
         env_id=env_id,
         axis=axis,
+        constants=constants,
         values=values,
-        best_known=tuple(None if (best := by_value[value]) is None else best.payload for value in values),
-        policies={
-            policy: tuple(by_policy_and_value.get((policy, value)) for value in values)
-            for policy in dict.fromkeys(score.cell.policy for score in group)
-            if policy in varied
-        },
+        best_known=tuple(None if one is None else one.payload for one in best),
+        policies={name: tuple(by_value[value].get(name) for value in values) for name in names},
     )
 
 

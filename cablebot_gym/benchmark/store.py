@@ -37,13 +37,9 @@ class Store:
         own = self._path(cell, cell.source)
         if own.exists() and (record := self._read(own, cell)) is not None and record.source == cell.source:
             return record
-        others = [path for path in self._folder.glob(f"{cell.stem}-{_short(cell.key)}-*.json") if path != own]
-        if not others:
-            return None
-        self.foreign += 1
-        if not self._any_source:
-            return None
-        newest = sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)
+        others = set(self._folder.glob(self._path(cell, "*").name)) - {own}
+        self.foreign += bool(others)
+        newest = sorted(others, key=lambda path: path.stat().st_mtime, reverse=True) if self._any_source else []
         return next((record for path in newest if (record := self._read(path, cell)) is not None), None)
 
     def add(self, record: Record) -> None:
@@ -57,34 +53,25 @@ class Store:
             "result": dict(record.result),
             "seconds": round(record.seconds, 3),
         }
-        text = json.dumps(data | {"checksum": _checksum(data)}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        path = self._path(record.cell, record.source)
-        atomic_write_text(path, text)
+        text = json.dumps(data | {"checksum": _hash(data)}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        atomic_write_text(self._path(record.cell, record.source), text)
 
     def _path(self, cell: Cell, source: str) -> Path:
-        return self._folder / f"{cell.stem}-{_short(cell.key)}-{source}.json"
+        return self._folder / f"{cell.stem}-{_hash(cell.to_dict())[:12]}-{source}.json"
 
     def _read(self, path: Path, cell: Cell) -> Record | None:
-        """The record in a file; None, with a message, if the file is broken or belongs to another cell."""
+        """The record in a file; None, with a message, if the file is not as it was written for the cell."""
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
             checksum = data.pop("checksum")
             record = Record(**(data | {"cell": cell_from_dict(data["cell"])}))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-            self._say(f"{path} is broken ({type(error).__name__}); its cell is computed again")
-            return None
-        if checksum != _checksum(data):
-            self._say(f"{path} was modified after it was written; its cell is computed again")
-            return None
-        if record.cell.key != cell.key:
-            self._say(f"{path} contains a different cell than its name says; its cell is computed again")
-            return None
-        return record
+            if (checksum, record.cell.key) == (_hash(data), cell.key):
+                return record
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            pass
+        self._say(f"{path} is damaged; its cell is computed again")
+        return None
 
 
-def _checksum(data: dict[str, Any]) -> str:
+def _hash(data: dict[str, Any]) -> str:
     return hashlib.sha256(canonical(data).encode()).hexdigest()
-
-
-def _short(key: str) -> str:
-    return hashlib.sha256(key.encode()).hexdigest()[:12]

@@ -1,26 +1,30 @@
-"""Suites of the benchmark as data, and the cells and policies that they contain."""
+"""Suites of the benchmark, and the cells and policies that they contain."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
 from itertools import product
 from types import MappingProxyType
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell
-from cablebot_gym.benchmark.maps import AXES
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, cell_from_dict, merged
+from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
-from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.checks import choice
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
     """Conditions under which every policy is evaluated. All combinations of the tuples are cells."""
 
+    policies: tuple[str, ...] = ()
+    """The only policies of the block; all policies if empty."""
     loops: int = 0
     """Number of held-out motions; 0 for the paper's circle."""
     payload_known: tuple[bool, ...] = (True, False)
@@ -34,7 +38,12 @@ class Block:
     draws: int = 1
     """Number of sampled episodes per payload."""
     axis: str | None = None
-    """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none."""
+    """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none. Rigid robots have no
+    joint stiffness, and flexible ones no varied pulley friction."""
+    values: tuple[float, ...] = ()
+    """Values of the varied parameter, SI."""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Further fields of the policies' cells; nested mappings change the values that they name."""
     slow: bool = False
     """Whether to include policies whose entry is marked as slow."""
 
@@ -47,62 +56,28 @@ class Suite:
     """Value of ``--suite``."""
     summary: str
     """Description in one line."""
-    env_ids: tuple[str, ...]
-    """Environment ids."""
     blocks: tuple[Block, ...]
     """Conditions."""
+    env_ids: tuple[str, ...] = ENV_IDS
+    """Environment ids."""
+    best_known: bool = True
+    """Whether to compute the best known payloads."""
 
 
-_WRONG: dict[str, Any] = {"payload_known": (True,), "model_payload_factors": (0.9, 1.1)}
-"""A payload model that is wrong by 10 %."""
+def _suites() -> Iterator[Suite]:
+    """Suites from suites.toml. The ``defaults`` of a suite are fields of all its blocks."""
+    data = tomllib.loads((files("cablebot_gym.benchmark") / "suites.toml").read_text(encoding="utf-8"))
+    for name, suite in data.items():
+        defaults = suite.pop("defaults", {})
+        blocks = tuple(Block(**_tuples(merged(defaults, block))) for block in suite.pop("blocks"))
+        yield Suite(name=name, blocks=blocks, **_tuples(suite))
 
-SUITES = MappingProxyType(
-    {
-        suite.name: suite
-        for suite in (
-            Suite(
-                name="smoke",
-                summary="planar robot, circle and one held-out motion; under two minutes",
-                env_ids=("CableBot-Planar-v0",),
-                blocks=(Block(), Block(loops=1)),
-            ),
-            Suite(
-                name="standard",
-                summary="all environments, circle with and without uncertainty, 3 held-out motions; under half an hour",
-                env_ids=ENV_IDS,
-                blocks=(
-                    Block(slow=True),
-                    Block(**_WRONG),
-                    Block(payload_known=(True,), criterion="paper"),
-                    Block(uncertainty="table6", draws=32),
-                    Block(payload_known=(False,), uncertainty="sensors", draws=32),
-                    Block(loops=3),
-                ),
-            ),
-            Suite(
-                name="full",
-                summary="standard with 256 draws, combined uncertainties and 20 held-out motions; hours",
-                env_ids=ENV_IDS,
-                blocks=(
-                    Block(slow=True),
-                    Block(**_WRONG, slow=True),
-                    Block(payload_known=(True,), criterion="paper"),
-                    Block(uncertainty="table6", draws=256),
-                    Block(uncertainty="sensors", draws=256),
-                    Block(uncertainty="table6+sensors", draws=256),
-                    Block(loops=20, slow=True),
-                    Block(loops=20, **_WRONG),
-                ),
-            ),
-            Suite(
-                name="maps",
-                summary="circle of all environments for varied error bound R, duration and joint stiffness K; an hour",
-                env_ids=ENV_IDS,
-                blocks=tuple(Block(payload_known=(True,), axis=axis) for axis in AXES),
-            ),
-        )
-    }
-)
+
+def _tuples(fields: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
+
+
+SUITES = MappingProxyType({suite.name: suite for suite in _suites()})
 """Suites by name."""
 
 
@@ -112,9 +87,7 @@ def find_suite(name: str) -> Suite:
     Raises:
         ValueError: if the name is unknown. The message lists the valid names.
     """
-    if name not in SUITES:
-        raise unknown_name_error("suite", name, SUITES)
-    return SUITES[name]
+    return SUITES[choice("suite", name, SUITES)]
 
 
 def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
@@ -124,9 +97,7 @@ def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
         ValueError: if an environment is unknown or not part of the suite.
     """
     for env_id in env_ids:
-        env_robot(env_id)
-        if env_id not in suite.env_ids:
-            raise ValueError(f"suite {suite.name!r} does not contain {env_id}; it contains {', '.join(suite.env_ids)}")
+        choice(f"environment of suite {suite.name!r}", env_id, suite.env_ids)
     return tuple(env_id for env_id in suite.env_ids if not env_ids or env_id in env_ids)
 
 
@@ -149,13 +120,13 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     for name in names:
         fits = [env_id for env_id in env_ids if env_id in supported[name]]
         if not fits:
-            raise ValueError(f"policy {name!r} supports {', '.join(supported[name])}, not for {', '.join(env_ids)}")
+            raise ValueError(f"policy {name!r} supports {', '.join(supported[name])}, not {', '.join(env_ids)}")
         if name not in entries:
             _check_loadable(name, fits)
     return {env_id: tuple(name for name in chosen if env_id in supported[name]) for env_id in env_ids}
 
 
-def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str, Cell]:
+def suite_cells(suite: Suite, policies: Mapping[str, tuple[str, ...]]) -> dict[str, Cell]:
     """The cells by key, grouped by environment; the best known payloads of an environment come first.
 
     Args:
@@ -163,39 +134,41 @@ def suite_cells(suite: Suite, policies: dict[str, tuple[str, ...]]) -> dict[str,
         policies: names of the policies by environment, from :func:`find_policies`.
     """
     cells: list[Cell] = []
-    slow = {name for name, entry in policy_entries().items() if entry.slow}
     for env_id, names in policies.items():
-        blocks = [block for block in suite.blocks if block.axis != "stiffness" or env_id in FLEXIBLE_ENV_IDS]
-        for block in blocks:
+        without = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
+        blocks = [block for block in suite.blocks if block.axis != without]
+        for block in blocks if suite.best_known else ():
             for motion in _motions(env_id, block.loops):
                 cells += _varied(block, BestKnownCell(env_id=env_id, trajectory=motion))
         for block in blocks:
-            included = [name for name in names if block.slow or name not in slow]
-            for motion, name, known, factor in product(
-                _motions(env_id, block.loops), included, block.payload_known, block.model_payload_factors
-            ):
-                cells += _varied(
-                    block,
-                    PolicyCell(
-                        env_id=env_id,
-                        trajectory=motion,
-                        policy=name,
-                        criterion=block.criterion,
-                        payload_known=known,
-                        model_payload_factor=factor,
-                        uncertainty=block.uncertainty,
-                        draws=block.draws,
-                    ),
-                )
+            cells += _policy_cells(block, env_id, names)
     return {cell.key: cell for cell in cells}
 
 
-def _varied(block: Block, cell: Cell) -> list[Cell]:
+def _policy_cells(block: Block, env_id: str, names: Sequence[str]) -> Iterator[PolicyCell]:
+    slow = {name for name, entry in policy_entries().items() if entry.slow}
+    included = [name for name in block.policies or names if name in names and (block.slow or name not in slow)]
+    for motion, name, known, factor in product(
+        _motions(env_id, block.loops), included, block.payload_known, block.model_payload_factors
+    ):
+        cell = PolicyCell(
+            env_id=env_id,
+            trajectory=motion,
+            policy=name,
+            criterion=block.criterion,
+            payload_known=known,
+            model_payload_factor=factor,
+            uncertainty=block.uncertainty,
+            draws=block.draws,
+        )
+        changed = cell_from_dict(merged(cell.to_dict(), block.changes))
+        assert isinstance(changed, PolicyCell)
+        yield from _varied(block, changed)
+
+
+def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
     """The cell at every value of the block's axis; the cell alone if the block has no axis."""
-    if block.axis is None:
-        return [cell]
-    axis = AXES[block.axis]
-    return [axis.with_value(cell, value) for value in axis.values]
+    return [AXES[block.axis].with_value(cell, value) for value in block.values] if block.axis else [cell]
 
 
 def _motions(env_id: str, loops: int) -> list[dict[str, Any]]:

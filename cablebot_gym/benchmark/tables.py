@@ -12,7 +12,7 @@ from typing import Any
 from rich.table import Table
 
 from cablebot_gym.benchmark.cells import Cell, Record
-from cablebot_gym.benchmark.maps import AXES, varied_axes
+from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.benchmark.scores import (
     BestKnown,
     Column,
@@ -28,19 +28,10 @@ from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.console import results_console
 
 _CSV_FIELDS = (
-    *(
-        "env_id",
-        "trajectory",
-        "policy",
-        "criterion",
-        "payload_known",
-        "model_payload_factor",
-        "uncertainty",
-        "draws",
-        "probability",
-    ),
-    *("position_bound", "rotation_bound", "stiffness", "control_frequency", "seed"),
-    *("payload", "total_mass", "best_known", "score", "raised", "violation", "assured_payload", "fallbacks", "error"),
+    *("env_id", "trajectory", "policy", "criterion", "payload_known", "model_payload_factor"),
+    *("uncertainty", "draws", "probability", "position_bound", "rotation_bound", "stiffness"),
+    *("control_frequency", "seed", "payload", "total_mass", "best_known", "score", "raised"),
+    *("violation", "assured_payload", "fallbacks", "error"),
 )
 
 
@@ -82,30 +73,54 @@ def entry_text(leaderboard: Leaderboard, policy: str, column: Column) -> str:
     return text if fraction is None else f"{text}, {fraction.median:.0%}"
 
 
+def leaderboard_rows(leaderboard: Leaderboard) -> list[list[str]]:
+    """Head and rows of a table: one row per policy."""
+    head = ["policy", *map(heading, leaderboard.columns)]
+    return [head] + [
+        [policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns)]
+        for policy in leaderboard.policies
+    ]
+
+
 def map_title(payload_map: PayloadMap) -> str:
     """Title of the table of a map."""
-    return f"{payload_map.env_id}, the paper's circle, payload known: payload by {payload_map.axis.label}"
+    conditions = ", ".join([payload_map.env_id, "the paper's circle", "payload known", *payload_map.constants])
+    return f"{conditions}: payload by {payload_map.axis.label}"
 
 
 def map_rows(payload_map: PayloadMap) -> list[list[str]]:
-    """The table of a map: a row of parameter values, a row of best known payloads, and one row per policy."""
+    """The table of a map: a row of parameter values, a row of best known payloads, if any, and one row per policy."""
     rows = [["", *(f"{value * payload_map.axis.scale:g}" for value in payload_map.values)]]
-    rows.append(["best known payload", *("–" if best is None else f"{best:.2f}" for best in payload_map.best_known)])
+    if any(best is not None for best in payload_map.best_known):
+        known = ("–" if best is None else f"{best:.2f}" for best in payload_map.best_known)
+        rows.append(["best known payload", *known])
     return rows + [[policy, *map(_map_entry, entries)] for policy, entries in payload_map.policies.items()]
 
 
+def map_note(payload_map: PayloadMap) -> str:
+    """One sentence on the cases with saturated motors; empty if the results do not contain them."""
+    found = [score for entries in payload_map.policies.values() for score in entries if score is not None]
+    saturated = [
+        score.result["saturated"] for score in found if score.payload is not None and "saturated" in score.result
+    ]
+    return f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases." if saturated else ""
+
+
 def _map_entry(score: Score | None) -> str:
+    """Payload and fraction; without a best known payload, the payload with more digits and its limiting violation."""
     if score is None or score.error is not None:
         return "–" if score is None else "error"
-    return score.payload_text if score.score is None else f"{score.payload_text}, {score.score:.0%}"
+    if score.score is not None:
+        return f"{score.payload_text}, {score.score:.0%}"
+    violation = score.result.get("violation") or {}
+    limit = [f"{violation['kind']} {violation['time']:.2f} s"] if violation.get("time") is not None else []
+    return ", ".join([score.payload_text if score.payload is None else f"{score.payload:.4g}", *limit])
 
 
 def task_title(cell: Cell) -> str:
     """The motion of a cell and the parameters that are not at their defaults."""
-    fields = dict(cell.trajectory)
-    words = [str(fields.pop("name")), *(str(value) for name, value in fields.items() if name != "duration")]
-    words += [f"{AXES[name].label} {AXES[name].value(cell) * AXES[name].scale:g}" for name in varied_axes(cell)]
-    return ", ".join([" ".join(words[:2]), *words[2:]]) if "seed" in fields else ", ".join(words)
+    motion = " ".join(str(cell.trajectory[name]) for name in ("name", "seed") if name in cell.trajectory)
+    return ", ".join([motion, *varied_texts(cell)])
 
 
 def best_known_text(best: BestKnown) -> str:
@@ -134,7 +149,8 @@ def fallbacks(records: Sequence[Record]) -> list[str]:
         if (number := score.result.get("fallbacks")) is not None:
             groups.setdefault((score.cell.policy, score.cell.env_id), []).append(number)
     return [
-        f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per episode, in {_cells(numbers)} cells"
+        f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per episode, "
+        f"in {sum(number > 0 for number in numbers)} of {len(numbers)} cells"
         for (policy, env_id), numbers in groups.items()
         if max(numbers) > 0
     ]
@@ -143,21 +159,13 @@ def fallbacks(records: Sequence[Record]) -> list[str]:
 def print_benchmark(records: Sequence[Record]) -> None:
     """Prints the tables, the best known payloads and the notes."""
     console = results_console()
-    for leaderboard in leaderboards(records):
-        console.print(f"{leaderboard.env_id}, {motion_title(leaderboard)}", highlight=False)
+    boards, maps = leaderboards(records), payload_maps(records)
+    tables = [(f"{board.env_id}, {motion_title(board)}", leaderboard_rows(board)) for board in boards]
+    for title, (head, *rows) in [*tables, *((map_title(one), map_rows(one)) for one in maps)]:
+        console.print(title, highlight=False)
         table = Table()
-        table.add_column("policy", overflow="fold")
-        for column in leaderboard.columns:
-            table.add_column(heading(column), justify="right")
-        for policy in leaderboard.policies:
-            table.add_row(policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns))
-        console.print(table)
-    for payload_map in payload_maps(records):
-        console.print(map_title(payload_map), highlight=False)
-        head, *rows = map_rows(payload_map)
-        table = Table()
-        for index, title in enumerate(head):
-            table.add_column(title, justify="right" if index else "left")
+        for index, name in enumerate(head):
+            table.add_column(name, justify="right" if index else "left", overflow="fold")
         for row in rows:
             table.add_row(*row)
         console.print(table)
@@ -184,28 +192,17 @@ def csv_text(records: Sequence[Record]) -> str:
 def csv_row(score: Score) -> dict[str, Any]:
     """One score as a row of :func:`csv_text`."""
     cell, result, violation = score.cell, score.result, score.result.get("violation") or {}
-    conditions = (
-        "criterion",
-        "payload_known",
-        "model_payload_factor",
-        "uncertainty",
-        "draws",
-        "probability",
-        "stiffness",
-        "control_frequency",
+    values = {name: getattr(source, name) for source in (cell, score) for name in _CSV_FIELDS if hasattr(source, name)}
+    return (
+        {name: result.get(name) for name in _CSV_FIELDS}
+        | values
+        | {
+            "trajectory": json.dumps(dict(cell.trajectory)),
+            "position_bound": cell.error_bounds["position"],
+            "rotation_bound": cell.error_bounds["rotation"],
+            "stiffness": cell.robot_changes.get("transmission", {}).get("stiffness"),
+            "violation": " ".join(
+                str(violation[name]) for name in ("kind", "index") if violation.get(name) is not None
+            ),
+        }
     )
-    return {
-        **{name: getattr(cell, name) for name in ("env_id", "policy", *conditions, "seed")},
-        "trajectory": json.dumps(dict(cell.trajectory)),
-        "position_bound": cell.error_bounds["position"],
-        "rotation_bound": cell.error_bounds["rotation"],
-        "best_known": score.best_known,
-        "score": score.score,
-        "raised": score.raised,
-        "violation": " ".join(str(violation[name]) for name in ("kind", "index") if violation.get(name) is not None),
-        **{name: result.get(name) for name in ("payload", "total_mass", "assured_payload", "fallbacks", "error")},
-    }
-
-
-def _cells(numbers: Sequence[float]) -> str:
-    return f"{sum(number > 0 for number in numbers)} of {len(numbers)}"

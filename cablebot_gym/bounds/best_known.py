@@ -6,6 +6,7 @@ environment verifies it. Only a certificate gives an upper bound. Needs the extr
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -15,23 +16,25 @@ from importlib.metadata import version
 from io import BytesIO
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from cablebot_gym.bounds.certificate import planar_certificate
 from cablebot_gym.envs import check_robot, env_robot
+from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.batch import versions
-from cablebot_gym.evaluation.constraints import DLCCMonitor, Verdict
+from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.library import fingerprint, load_or_compute, read_cached
 from cablebot_gym.planning.program import HEAVIEST
 from cablebot_gym.planning.stage_functions import import_casadi
+from cablebot_gym.policies.protocol import OpenLoop
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory
+from cablebot_gym.utils.checks import number
 
 MESH_TOLERANCE = 0.005
 """Relative change of the payload below which the mesh refinement stops."""
@@ -67,8 +70,7 @@ _FIRST_MESHES = 3
 """Number of coarse meshes that may fail. In a narrow tube about a jumping reference, coarse meshes are infeasible."""
 
 _STRONGER, _WIDER = 1e3, 0.05
-"""Relaxations that identify the limiting constraint: factor of the motor strength, and error bound [m, rad]. A limit is
-the cause if its relaxation alone makes a motion feasible. If none does, all limits are relaxed together."""
+"""Relaxations that identify the limiting constraint: factor of the motor strength, and error bound [m, rad]."""
 
 Progress = Callable[[str], None]
 """Callback with a description of the next step."""
@@ -170,38 +172,34 @@ def find_best_known(
     return result
 
 
-def cached_best_known(
-    env_id: str,
-    *,
-    robot: Robot | None = None,
-    trajectory: Any = None,
-    error_bounds: ErrorBounds | dict[str, float] | None = None,
-    control_frequency: float = 500.0,
-) -> BestKnownPayload | None:
+def cached_best_known(env_id: str, **options: Any) -> BestKnownPayload | None:
     """Cached result of :func:`find_best_known` for the same arguments; None if the disk cache has none.
+
+    Args:
+        env_id: one of :data:`cablebot_gym.ENV_IDS`.
+        options: keyword arguments of :func:`find_best_known` that describe the problem.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if an argument is invalid.
     """
     import_casadi()
-    cached: BestKnownPayload | None = read_cached(
-        _case(env_id, robot, trajectory, error_bounds, control_frequency).file, _read
-    )
+    cached: BestKnownPayload | None = read_cached(_case(env_id, **options).file, _read)
     return cached
 
 
 def _case(
     env_id: str,
-    robot: Robot | None,
-    trajectory: Any,
-    error_bounds: ErrorBounds | dict[str, float] | None,
-    control_frequency: float,
+    robot: Robot | None = None,
+    trajectory: Any = None,
+    error_bounds: ErrorBounds | dict[str, float] | None = None,
+    control_frequency: float = 500.0,
 ) -> _Case:
     robot = find_robot(env_robot(env_id)) if robot is None else robot
     check_robot(env_id, robot)
     motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.coordinates)
-    return _Case(env_id, robot, motion, find_error_bounds(error_bounds), float(control_frequency))
+    frequency = number("control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz")
+    return _Case(env_id, robot, motion, find_error_bounds(error_bounds), frequency)
 
 
 @dataclass(frozen=True)
@@ -226,8 +224,6 @@ class _Case:
 
     def solve(self, report: Progress) -> BestKnownPayload:
         """Solves and refines the program, verifies the motion, and adds the upper bound."""
-        if not 0 < self.control_frequency < math.inf or self.steps < 1:
-            raise ValueError(f"control_frequency must give at least one step, not {self.control_frequency} Hz")
         check_workspace(self.robot, self.trajectory)
         meshes = list(self._refine(report))
         intervals, program = meshes[-1]
@@ -236,8 +232,7 @@ class _Case:
             finer = self._verify(2 * intervals, program, report)
             if finer[-1] and (not verified or finer[0].payload > motion.payload):
                 motion, actions, margins, verified = finer
-        robot, has_rotation = self.robot, not self.robot.planar
-        upper = None
+        robot, upper = self.robot, None
         if robot.planar and not robot.flexible:
             report("computing the certificate of an upper bound")
             with suppress(ValueError):  # no certificate exists if the tube reaches an anchor
@@ -247,10 +242,7 @@ class _Case:
             payload=motion.payload,
             total_mass=robot.mass + motion.payload,
             verified=verified,
-            error_bounds={
-                "position": self.error_bounds.position,
-                "rotation": self.error_bounds.rotation if has_rotation else None,
-            },
+            error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.planar else {}),
             program_payload=program.payload,
             meshes=tuple((count, mesh.payload) for count, mesh in meshes),
             margins=to_jsonable(margins),
@@ -323,53 +315,30 @@ class _Case:
             return program.solve()
 
     def _infeasibility(self, intervals: int, best: PlannedMotion | None) -> str:
-        """Error message for a problem without a solution; it names the limiting constraints."""
-        name = self.trajectory.name
-        if best is not None and best.payload > 0:
-            return (
-                f"nothing limits the payload on {name!r}: {HEAVIEST:g} kg is feasible. Choose a faster motion or a "
-                f"position bound below {self.error_bounds.position:g} m"
-            )
-        cause = self._cause(intervals)
-        if best is not None:
-            largest = self.robot.mass + best.payload
-            return (
-                f"{name!r} is infeasible even unloaded: the platform has {self.robot.mass:g} kg, and at most "
-                f"{largest:.3g} kg is feasible. Limiting: {cause}. Choose a lighter platform, a slower motion or wider "
-                "error bounds"
-            )
-        return (
-            f"no motion along {name!r} within the limits was found. Limiting: {cause}. Choose wider error bounds or a "
-            "slower motion"
-        )
+        """Error message for a problem without a solution."""
+        name, remedy = self.trajectory.name, "Choose a slower motion, wider error bounds or a lighter platform"
+        if best is None:
+            return f"no motion along {name!r} within the limits was found; limiting: {self._cause(intervals)}. {remedy}"
+        if best.payload < 0:
+            heaviest = f"at most {self.robot.mass + best.payload:.3g} kg of the platform's {self.robot.mass:g} kg"
+            return f"{name!r} is infeasible even unloaded: {heaviest} are feasible. {remedy}"
+        return f"nothing limits the payload on {name!r}: {HEAVIEST:g} kg is feasible. Choose a faster motion"
 
     def _cause(self, intervals: int) -> str:
-        """The constraints whose relaxation makes the problem feasible."""
-        motors, error_bounds = self.robot.motors, self.error_bounds
-        stronger = self.robot.replace(
-            motors=motors.replace(
-                stall_torque=tuple(_STRONGER * self.robot.stall_torque),
-                free_speed=tuple(_STRONGER * self.robot.per_motor(motors.free_speed)),
-            )
-        )
-        position, rotation = max(_WIDER, error_bounds.position), max(_WIDER, error_bounds.rotation)
-        relaxations = {
-            "the motors' torque-speed lines": (stronger, error_bounds),
-            f"the position bound of {error_bounds.position:g} m": (self.robot, error_bounds.replace(position=position)),
-        }
-        if not self.robot.planar:
-            bound = f"the rotation bound of {error_bounds.rotation:g} rad"
-            relaxations[bound] = (self.robot, error_bounds.replace(rotation=rotation))
-
-        def is_feasible(robot: Robot, bounds: ErrorBounds) -> bool:
+        """The constraint whose relaxation makes the problem feasible."""
+        motors, bounds = self.robot.motors, self.error_bounds
+        free_speed = tuple(_STRONGER * self.robot.per_motor(motors.free_speed))
+        stall_torque = tuple(_STRONGER * self.robot.stall_torque)
+        stronger = self.robot.replace(motors=motors.replace(stall_torque=stall_torque, free_speed=free_speed))
+        wider = ErrorBounds(position=max(_WIDER, bounds.position), rotation=max(_WIDER, bounds.rotation))
+        for cause, robot, tube in (
+            ("the motors' torque-speed lines", stronger, bounds),
+            ("the error bounds", self.robot, wider),
+            ("the error bounds together with the motors' torque-speed lines", stronger, wider),
+        ):
             with suppress(Infeasible):
-                return MotionProgram(robot, self.trajectory, bounds, intervals=intervals).solve().payload >= 0
-            return False
-
-        if alone := [limit for limit, relaxed in relaxations.items() if is_feasible(*relaxed)]:
-            return " or ".join(alone)
-        if is_feasible(stronger, ErrorBounds(position=position, rotation=rotation)):
-            return " together with ".join(relaxations)
+                if MotionProgram(robot, self.trajectory, tube, intervals=intervals).solve().payload >= 0:
+                    return cause
         return "the cables, which can only pull, but the motion needs pushing forces"
 
     # --- replay ---
@@ -387,7 +356,7 @@ class _Case:
             try:
                 motion = self._solve(intervals, program, margins)
                 actions = self._actions(motion)
-                passed = replay(self._environment(motion.payload), actions).carried
+                passed = self._record(OpenLoop(actions), motion.payload).verdict.carried
             except Infeasible:
                 high = level  # larger margins are infeasible as well
                 level = (low + high) // 2
@@ -412,47 +381,29 @@ class _Case:
             tension=min(rest.tension, MINIMUM_TENSION),  # a larger margin only reduces the payload
         )
 
-    def _environment(self, payload: float) -> DLCCMonitor:
-        """The environment with a payload [kg], for one episode of the motion."""
-        env = gym.make(
+    def _record(self, policy: Any, payload: float) -> Rollout:
+        """The episode of a policy with a payload [kg]."""
+        return record_rollout(
+            policy,
             self.env_id,
+            payload=payload,
             robot=self.robot,
             trajectory=self.trajectory,
             error_bounds=self.error_bounds,
-            termination_radius=self.error_bounds.termination_radius,
-            payload=payload,
             control_frequency=self.control_frequency,
-            max_episode_steps=self.steps,
         )
-        return DLCCMonitor(env)
 
     def _actions(self, motion: PlannedMotion) -> Array:
         """Actions of a controller that tracks a motion, (steps, m)."""
         follower = Follower(robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY)
-        env, period = self._environment(motion.payload), 1 / self.control_frequency
-        observation, _ = env.reset(seed=0)
-        layout, actions = env.get_wrapper_attr("layout"), []
-        for step in range(self.steps):
-            state = State.of(layout.split(observation), np.asarray(step * period))
-            action = follower.action(motion, state, np.asarray(motion.payload), period)
-            actions.append(np.clip(action, -1.0, 1.0))
-            observation, _, terminated, _, _ = env.step(actions[-1])
-            if terminated:
-                actions += [actions[-1]] * (self.steps - len(actions))
-                break
-        env.close()
-        return np.array(actions)
+        layout, period, steps = observation_layout(self.robot), 1 / self.control_frequency, itertools.count()
 
+        def track(observation: Array) -> Array:
+            state = State.of(layout.split(observation), np.asarray(next(steps) * period))
+            return np.clip(follower.action(motion, state, np.asarray(motion.payload), period), -1.0, 1.0)
 
-def replay(env: DLCCMonitor, actions: Array) -> Verdict:
-    """Outcome of an open-loop episode with given actions (steps, m)."""
-    env.reset(seed=0)
-    for action in actions:
-        _, _, terminated, _, _ = env.step(action)
-        if terminated:
-            break
-    env.close()
-    return env.verdict
+        actions = self._record(track, motion.payload).arrays["commanded_action"]
+        return np.concatenate([actions, np.repeat(actions[-1:], self.steps - len(actions), axis=0)])
 
 
 def _bytes(result: BestKnownPayload) -> bytes:

@@ -57,6 +57,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
+from cablebot_gym.utils.checks import whole
 
 REFINEMENT = 8
 """Number of chords of the reference in each interval between knots."""
@@ -169,9 +170,7 @@ def planar_certificate(
             kind of robot.
     """
     trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
-    if isinstance(passes, bool) or not isinstance(passes, int) or passes < 1:
-        raise ValueError(f"passes must be an integer of at least 1, not {passes!r}")
-    multipliers = list(_multipliers(robot, trajectory, error_bounds, passes))
+    multipliers = list(_multipliers(robot, trajectory, error_bounds, whole("passes", passes, least=1)))
     best = multipliers[-1] if multipliers else None
     return Certificate(
         total_mass=math.inf if best is None else proved_mass(robot, trajectory, error_bounds, best),
@@ -199,10 +198,7 @@ def proved_mass(
     """
     trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
     if not 0 <= multiplier.start < multiplier.end <= trajectory.duration:
-        raise ValueError(
-            f"the knots of the multiplier must lie within the motion, 0 to {trajectory.duration:g} s, not "
-            f"{multiplier.start:g} to {multiplier.end:g} s"
-        )
+        raise ValueError(f"the knots of the multiplier must lie within the motion, 0 to {trajectory.duration:g} s")
     tube = _Tube(robot, trajectory, error_bounds, multiplier.start, multiplier.end, len(multiplier.force) - 2)
     return _zero(tube, multiplier.force, multiplier.tension)
 
@@ -211,8 +207,7 @@ def _checked(
     robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None
 ) -> tuple[Trajectory, ErrorBounds]:
     if not robot.planar or robot.flexible:
-        kind = "flexible" if robot.flexible else "spatial"
-        raise ValueError(f"robot {robot.name!r} is {kind}: a certificate is only available for planar rigid robots")
+        raise ValueError(f"a certificate is only available for planar rigid robots, not for {robot.name!r}")
     return find_trajectory(trajectory, robot.coordinates), find_error_bounds(error_bounds)
 
 
@@ -255,10 +250,8 @@ class _Tube:
         shortest = np.minimum(self.length[1:], self.length[:-1]) - self.speed * self.chord / 2
         if np.any(shortest <= self.radius):
             cable = int(np.argmin(shortest.min(axis=0))) + 1
-            raise ValueError(
-                f"no certificate exists: the tube of {error_bounds.position:g} m reaches the anchor of cable {cable}. "
-                "Choose a smaller position bound or another trajectory"
-            )
+            tube = f"the tube of {error_bounds.position:g} m reaches the anchor of cable {cable}"
+            raise ValueError(f"no certificate exists: {tube}. Choose a smaller position bound")
         self.arc = np.arcsin(self.radius / self.length)
         self.bulge = shortest - np.sqrt(shortest**2 - self.radius**2)  # κ
         self.turning, self.bending = self.speed / shortest, _TURN * (self.speed / shortest) ** 2

@@ -18,6 +18,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
+from cablebot_gym.utils.checks import number
 
 Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
@@ -89,8 +90,7 @@ def exact_payload(
     Raises:
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
-    if not 0 <= minimum_tension < np.inf:
-        raise ValueError(f"minimum_tension must be finite and at least 0 N, not {minimum_tension}")
+    minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
     times, reference = (
         _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )
@@ -115,8 +115,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
         ValueError: if the trajectory is for another kind of robot, or if there is no control instant.
     """
     trajectory = find_trajectory(trajectory, robot.coordinates)
-    if not 0 < frequency < np.inf or round(trajectory.duration * frequency) < 1:
-        raise ValueError(f"frequency must give at least one instant in {trajectory.duration} s, not {frequency} Hz")
+    frequency = number("frequency", frequency, above=0.5 / trajectory.duration, unit="Hz")
     times = np.arange(round(trajectory.duration * frequency)) / frequency
     return times, trajectory(times)
 
@@ -124,8 +123,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
 def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
     """Grid that approximates all times, with both sides of each instant. It contains half time, where circles jump."""
     trajectory = find_trajectory(trajectory, robot.coordinates)
-    if not 0 < grid < np.inf:
-        raise ValueError(f"grid must be greater than 0 Hz, not {grid}")
+    grid = number("grid", grid, above=0, unit="Hz")
     count = 2 * max(1, round(grid / 4), round(grid * trajectory.duration / 2))
     instants = np.arange(count) * (trajectory.duration / count)
     side = 1e-9 * trajectory.duration
@@ -171,10 +169,7 @@ def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, 
     else:
         required = inverse_dynamics(robot, masses, *motion)
     if not np.all(np.isfinite(required.torques)):
-        raise ValueError(
-            f"robot {robot.name!r} is singular on the motion: no tensions produce its accelerations. Choose another "
-            "trajectory"
-        )
+        raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")
     lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
     # The least tensions of a planar robot satisfy the minimum by construction; rounding must not violate it.
     surplus = np.zeros_like(required.tensions) if robot.planar else required.tensions - minimum

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablebot_gym.cli.options import split_names
-from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.cli.options import Workers, split_names
+from cablebot_gym.utils.console import notes_console, progress
 
 if TYPE_CHECKING:
     from cablebot_gym.benchmark.engine import Backend
@@ -20,7 +20,10 @@ MARKDOWN, CSV, JSON = "leaderboard.md", "results.csv", "results.json"
 
 def benchmark(
     suite: Annotated[
-        str, typer.Option(help="Suite: smoke (two minutes), standard (half an hour), full (hours) or maps (an hour).")
+        str,
+        typer.Option(
+            help="Suite: smoke (two minutes), standard (half an hour), full (hours), maps or paper-maps (an hour)."
+        ),
     ] = "smoke",
     policies: Annotated[
         str | None,
@@ -31,9 +34,7 @@ def benchmark(
     ids: Annotated[
         str | None, typer.Option(help="Environment ids, separated by commas. The default is those of the suite.")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Number of worker processes. The default is one per core.")
-    ] = None,
+    workers: Workers = None,
     ray: Annotated[
         str | None,
         typer.Option(
@@ -67,46 +68,42 @@ def benchmark(
     """
     from cablebot_gym.benchmark.engine import run_cells
     from cablebot_gym.benchmark.leaderboard import markdown, results_json
-    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
     from cablebot_gym.benchmark.tables import csv_text, failures, print_benchmark
-    from cablebot_gym.utils.files import atomic_write_text
+    from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, check_writable_file
 
     backend = _backend(workers, ray)
     chosen = find_suite(suite)
     env_ids = find_env_ids(chosen, split_names(ids))
     cells = suite_cells(chosen, find_policies(split_names(policies), env_ids))
     files = (out / JSON, out / CSV, page or out / MARKDOWN)
-    _check_writable(out, files)
-    command = _command(suite=suite, policies=policies, ids=ids, out=str(out), page=None if page is None else str(page))
-    errors = notes_console()
-    store = Store(out, say=errors.print, any_source=any_source)
-    with counting(errors, "cells") as bar:
-        task = bar.add_task("computing", total=len(cells))
+    check_writable_dir(out / FOLDER)
+    for path in files:
+        check_writable_file(path)
+    command = _command(suite=suite, policies=policies, ids=ids, out=out, page=page)
+    say, finished = notes_console().print, 0
+    store = Store(out, say=say, any_source=any_source)
+    with progress("computing", "cells") as step:
+
+        def count(done: int, expected: int) -> None:
+            nonlocal finished
+            finished = done
+            step(done, expected)
+
         try:
-            records = run_cells(
-                cells,
-                store,
-                backend,
-                progress=lambda done, expected: bar.update(task, completed=done, total=expected),
-                say=errors.print,
-            )
+            records = run_cells(cells, store, backend, progress=count, say=say)
         except KeyboardInterrupt:
-            done = int(bar.tasks[task].completed)
-            state = (
-                f"{done} of {len(cells)} cells are finished and stored in {out}. Resume"
-                if done
-                else "No cell is finished yet. Start again"
-            )
-            errors.print(f"{state} with: {command}")
+            state = f"{finished} of {len(cells)} cells are finished and stored in {out}. Resume"
+            say(f"{state if finished else 'No cell is finished yet. Start again'} with: {command}")
             raise
     text = results_json(suite, command, records)
     for path, content in zip(files, (text, csv_text(records), markdown(suite, command, records)), strict=True):
         atomic_write_text(path, content)
     if store.foreign:
         use = "they are reused" if any_source else "they are computed again (--any-source reuses them)"
-        errors.print(f"{store.foreign} cells exist only with results of different code: {use}")
-    errors.print("wrote " + ", ".join(map(str, files)))
+        say(f"{store.foreign} cells exist only with results of different code: {use}")
+    say("wrote " + ", ".join(map(str, files)))
     if as_json:
         print(text, end="")
     else:
@@ -122,24 +119,13 @@ def _backend(workers: int | None, ray: str | None) -> Backend:
     if ray is None:
         return local(check_workers(workers))
     if workers is not None:
-        raise ValueError(
-            "--workers and --ray exclude each other, because a Ray cluster has its own workers. Give only one of them."
-        )
+        raise ValueError("--workers and --ray exclude each other: a Ray cluster has its own workers")
     from cablebot_gym.benchmark.ray_backend import on_ray
 
     return on_ray(ray)
 
 
-def _check_writable(out: Path, files: tuple[Path, ...]) -> None:
-    from cablebot_gym.benchmark.store import FOLDER
-    from cablebot_gym.utils.files import check_writable_dir, check_writable_file
-
-    check_writable_dir(out / FOLDER)
-    for path in files:
-        check_writable_file(path)
-
-
-def _command(**options: str | None) -> str:
+def _command(**options: object) -> str:
     """The command line that repeats this benchmark."""
-    given = (f"--{name} {shlex.quote(value)}" for name, value in options.items() if value is not None)
+    given = (f"--{name} {shlex.quote(str(value))}" for name, value in options.items() if value is not None)
     return " ".join(["cablebot benchmark", *given])

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, Frequency, PositionBound, RotationBound, TrajectoryName, as_data
-from cablebot_gym.utils.console import notes_console, working
+from cablebot_gym.cli.options import BOUNDS, EnvId, Json, episode_options
+from cablebot_gym.utils.console import activity
 
 
+@episode_options("trajectory", *BOUNDS, "control_frequency")
 def best_known(
     env_id: EnvId,
-    trajectory: TrajectoryName = None,
-    position_bound: PositionBound = 0.01,
-    rotation_bound: RotationBound = 0.01,
-    control_frequency: Frequency = 500.0,
+    episode: dict[str, Any],
     cache: Annotated[
         bool, typer.Option(help="Whether to store the result on disk, and to read a stored result.")
     ] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Compute the best known payload of an environment by trajectory optimisation.
 
@@ -31,15 +29,8 @@ def best_known(
     """
     from cablebot_gym.bounds.best_known import find_best_known
 
-    with working(notes_console()) as say:
-        result = find_best_known(
-            env_id,
-            trajectory=as_data("--trajectory", trajectory),
-            error_bounds={"position": position_bound, "rotation": rotation_bound},
-            control_frequency=control_frequency,
-            cache=cache,
-            progress=say,
-        )
+    with activity() as say:
+        result = find_best_known(env_id, cache=cache, progress=say, **episode)
     print(result.to_json() if as_json else result)
     if not result.verified:
         raise typer.Exit(1)

@@ -5,16 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import MISSING, fields, is_dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
+from cablebot_gym.cli.options import Json
+from cablebot_gym.utils.console import print_table
 
-from cablebot_gym.utils.console import results_console
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-_WIDTH = 80
+_WIDTH = 110
 """Largest width of the tables [columns]."""
 
 _TRAJECTORY_UNITS = {
@@ -27,9 +23,8 @@ _TRAJECTORY_UNITS = {
     "end": "m, rad",
     "reach": "m, rad",
     "acceleration": "m/s², rad/s²",
-    "seed": "",
 }
-"""Unit of each trajectory field, for lengths and for angles."""
+"""Unit of each trajectory field that has one, for lengths and for angles."""
 
 _UNCERTAINTY_UNITS = {
     "low": "fraction",
@@ -52,7 +47,7 @@ _UNCERTAINTY_UNITS = {
 """Unit of each uncertainty field that has one. Parameters are fractions of their nominal values if ``relative``."""
 
 
-def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.")] = False) -> None:
+def list_(as_json: Json = False) -> None:
     """List environments, trajectories, uncertainties and installed policies.
 
     The tables of trajectories and uncertainties show the fields and default values of `--trajectory` and
@@ -63,11 +58,11 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print only JSON.
     if as_json:
         print(json.dumps(_data(), indent=2))
         return
-    console = results_console()
-    console.width = min(console.width, _WIDTH)
-    for table in _tables():
-        console.print(table, highlight=False)
-        console.print()
+    from rich import box
+
+    for _, title, rows in tables():
+        print_table(title, rows, right=False, width=_WIDTH, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        print()
 
 
 def _data() -> dict[str, Any]:
@@ -127,12 +122,9 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
 
     found: dict[str, tuple[Any, str]] = {}
     for name, distribution in uncertainty.parameters.items():
-        value = {
-            field.name: setting
-            for field in fields(distribution)
-            if (setting := getattr(distribution, field.name)) != field.default
-        }
-        found[f"parameters.{name}"] = (value, "" if distribution.relative else PARAMETERS[name].unit)
+        values = {field.name: (getattr(distribution, field.name), field.default) for field in fields(distribution)}
+        changed = {field: value for field, (value, default) in values.items() if value != default}
+        found[f"parameters.{name}"] = (changed, "" if distribution.relative else PARAMETERS[name].unit)
     for group in ("wrench", "sensors"):
         part = getattr(uncertainty, group)
         for field in () if part is None else fields(part):
@@ -142,102 +134,68 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
     return found
 
 
-def _tables() -> Iterator[Table]:
-    """The tables for the terminal."""
+def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
+    """Name, title, and header and rows of each table."""
     from cablebot_gym.envs import ENV_IDS, env_robot
     from cablebot_gym.policies import policy_entries
     from cablebot_gym.robots import find_robot
     from cablebot_gym.trajectories import TRAJECTORIES
-    from cablebot_gym.uncertainty import (
-        PARAMETERS,
-        UNCERTAINTIES,
-        ExternalWrench,
-        ParameterDistribution,
-        SensorNoise,
-        Uncertainty,
-    )
+    from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, ExternalWrench, ParameterDistribution, SensorNoise
 
-    table = _table("Environments", "id", "robot", "cables", "coordinates", "joints")
+    rows = [["id", "robot", "cables", "coordinates", "joints"]]
     for env_id in ENV_IDS:
         robot = find_robot(env_robot(env_id))
-        joints = "flexible" if robot.flexible else "rigid"
-        table.add_row(env_id, robot.name, str(robot.cables), str(robot.coordinates), joints)
-    yield table
+        rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.joints])
+    yield "ids", "Environments", rows
 
-    table = _table('Trajectories: {"name": NAME, FIELD: VALUE}', "name", "field", "default", "unit")
+    rows = [["name", "field", "default", "unit"]]
     for name, make in TRAJECTORIES.items():
         trajectory = make()
-        for index, (field, entry) in enumerate(_trajectory_fields(trajectory).items()):
+        for field, entry in _trajectory_fields(trajectory).items():
             default = _json_text(entry["default"])
             if entry["default"] is None:
                 default += f" ({_json_text(getattr(trajectory, field))} with these fields)"
-            table.add_row(name if index == 0 else "", field, default, entry["unit"])
-    yield table
+            rows.append([name, field, default, entry["unit"]])
+    yield "trajectories", 'Trajectories: {"name": NAME, FIELD: VALUE}', _without_repeats(rows)
 
-    table = _table("Uncertainties", "name", "field", "value")
+    rows = [["name", "field", "value"]]
     for name in UNCERTAINTIES:
         entries = _uncertainty_fields(name)
+        for path, entry in entries.items():
+            only = "" if len(entry["env_ids"]) == len(ENV_IDS) else f" ({_short_ids(entry['env_ids'])} only)"
+            rows.append([name, path, f"{_json_text(entry['value'])} {entry['unit']}".strip() + only])
         if not entries:
-            table.add_row(name, "–", "no uncertainty")
-        for index, (path, entry) in enumerate(entries.items()):
-            value = f"{_json_text(entry['value'])} {entry['unit']}".strip()
-            if len(entry["env_ids"]) < len(ENV_IDS):
-                value += f" ({_short_ids(entry['env_ids'])} only)"
-            table.add_row(name if index == 0 else "", path, value)
-    yield table
+            rows.append([name, "–", "no uncertainty"])
+    yield "uncertainties", "Uncertainties", _without_repeats(rows)
 
-    table = _table("Fields of an uncertainty in JSON", "group", "field", "default", "unit")
+    rows = [["group", "field", "default", "unit"]]
     groups = {"parameters.NAME": ParameterDistribution, "wrench": ExternalWrench, "sensors": SensorNoise}
     for group, kind in groups.items():
-        for index, item in enumerate(fields(kind)):
+        for item in fields(kind):
             default = "required" if item.default is MISSING else _json_text(item.default)
-            table.add_row(group if index == 0 else "", item.name, default, _UNCERTAINTY_UNITS.get(item.name, ""))
-    delay = next(field.default for field in fields(Uncertainty) if field.name == "delay")
-    table.add_row("delay", "–", _json_text(delay), _UNCERTAINTY_UNITS["delay"])
-    table.caption = 'Fractions refer to the nominal value; with "relative": false, the unit is that of the parameter.'
-    yield table
+            rows.append([group, item.name, default, _UNCERTAINTY_UNITS.get(item.name, "")])
+    rows.append(["delay", "–", "0", _UNCERTAINTY_UNITS["delay"]])
+    note = 'Fractions refer to the nominal value; with "relative": false, the unit is that of the parameter.'
+    yield "uncertainty-fields", f"Fields of an uncertainty in JSON\n{note}", _without_repeats(rows)
 
-    table = _table("Uncertain parameters", "name", "unit", "robots")
+    rows = [["name", "unit", "robots"]]
     for name, parameter in PARAMETERS.items():
-        robots = "flexible" if parameter.flexible else "spatial" if parameter.spatial else "all"
-        table.add_row(name, parameter.unit, robots)
-    yield table
-
-    policies = sorted(policy_entries().values(), key=lambda policy: (policy.kind, policy.name))
-    for policy_kind in dict.fromkeys(policy.kind for policy in policies):
-        table = _table(f"{policy_kind.capitalize()} policies", "name", "environments", "summary")
-        for policy in policies:
-            if policy.kind == policy_kind:
-                ids = "all" if set(policy.env_ids) >= set(ENV_IDS) else _short_ids(policy.env_ids)
-                table.add_row(policy.name, ids, policy.summary)
-        yield table
-
-
-def _table(title: str, *columns: str) -> Table:
-    """An empty table that wraps only the columns with long texts."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        caption_justify="left",
-        caption_style="",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-    )
-    for column in columns:
-        wrapped = column in ("default", "value", "environments", "summary")
-        table.add_column(
-            column,
-            no_wrap=not wrapped,
-            overflow="fold",
-            max_width=22 if column == "environments" else None,
-            justify="right" if column in ("cables", "coordinates") else "left",
+        rows.append(
+            [name, parameter.unit, "flexible" if parameter.flexible else "spatial" if parameter.spatial else "all"]
         )
-    return table
+    yield "parameters", "Uncertain parameters", rows
+
+    rows = [["name", "kind", "environments", "summary"]]
+    for policy in sorted(policy_entries().values(), key=lambda policy: (policy.kind, policy.name)):
+        ids = "all" if set(policy.env_ids) >= set(ENV_IDS) else _short_ids(policy.env_ids)
+        rows.append([policy.name, policy.kind, ids, policy.summary])
+    yield "installed-policies", "Policies", rows
+
+
+def _without_repeats(rows: list[list[str]]) -> list[list[str]]:
+    """The rows with an empty first cell where it repeats the cell above."""
+    above = [["", ""], *rows[:-1]]
+    return [["" if row[0] == before[0] else row[0], *row[1:]] for row, before in zip(rows, above, strict=True)]
 
 
 def _json_text(value: Any) -> str:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from cablebot_gym.utils.console import notes_console
 
@@ -21,43 +21,27 @@ _POLICY = typer.Option(
 )
 PolicyName = Annotated[str, _POLICY]
 PolicyNameOrNone = Annotated[str | None, _POLICY]
-TrajectoryName = Annotated[
-    str | None,
+Draws = Annotated[
+    int | None,
     typer.Option(
-        "--trajectory",
-        help='Name of a trajectory, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'. '
-        "`cablebot list` shows the fields. The default is the paper's trajectory for the robot.",
+        "--draws",
+        help="Number of sampled episodes of each policy and payload. The default is 256 if the uncertainty is random, "
+        "else 1.",
     ),
 ]
-PayloadKnown = Annotated[
-    bool, typer.Option("--payload-known/--payload-unknown", help="Whether the policy's model includes the payload.")
+Workers = Annotated[
+    int | None, typer.Option("--workers", help="Number of worker processes. The default is one per core.")
 ]
-ModelPayloadFactor = Annotated[
-    float, typer.Option("--model-payload-factor", help="Payload of the policy's model over the nominal payload.")
-]
-UncertaintyName = Annotated[
-    str | None,
-    typer.Option(
-        "--uncertainty",
-        help="Model error: a name such as table6, names joined by +, JSON, or a .json file. "
-        "`cablebot list` shows the names and fields.",
-    ),
-]
-Frequency = Annotated[float, typer.Option("--control-frequency", help="Control steps per second [Hz].")]
-PositionBound = Annotated[float, typer.Option("--position-bound", help="Largest allowed position error [m].")]
-RotationBound = Annotated[
-    float,
-    typer.Option("--rotation-bound", help="Largest allowed rotation error [rad]. Only the task criterion checks it."),
-]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the environments.")]
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
 
-def as_data(option: str, text: str | None) -> Any:
+def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     """The value of an option: JSON or the content of a .json file as data, and any other text unchanged.
 
     Raises:
         ValueError: if the file cannot be read, or the JSON is invalid.
     """
+    option = f"--{parameter.name}"
     if text is not None and text.endswith(".json"):
         try:
             text = Path(text).read_text(encoding="utf-8")
@@ -73,6 +57,85 @@ def as_data(option: str, text: str | None) -> Any:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
 
 
+_EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
+    "trajectory": (
+        str | None,
+        None,
+        typer.Option(
+            callback=_read_data,
+            help='Name of a trajectory, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'. '
+            "`cablebot list` shows the fields. The default is the paper's trajectory for the robot.",
+        ),
+    ),
+    "payload_known": (
+        bool,
+        True,
+        typer.Option("--payload-known/--payload-unknown", help="Whether the policy's model includes the payload."),
+    ),
+    "model_payload_factor": (
+        float,
+        1.0,
+        typer.Option(help="Payload of the policy's model over the nominal payload."),
+    ),
+    "position_bound": (float, 0.01, typer.Option(help="Largest allowed position error [m].")),
+    "rotation_bound": (
+        float,
+        0.01,
+        typer.Option(help="Largest allowed rotation error [rad]. Only the task criterion checks it."),
+    ),
+    "uncertainty": (
+        str | None,
+        None,
+        typer.Option(
+            callback=_read_data,
+            help="Model error: a name such as table6, names joined by +, JSON, or a .json file. "
+            "`cablebot list` shows the names and fields.",
+        ),
+    ),
+    "control_frequency": (float, 500.0, typer.Option(help="Control steps per second [Hz].")),
+    "seed": (int, 0, typer.Option(help="Seed of the environments.")),
+}
+"""Type, default and typer's description of each option of an episode."""
+
+BOUNDS = ("position_bound", "rotation_bound")
+"""Options that a command receives as ``error_bounds``."""
+
+
+def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that adds the options of an episode to a command.
+
+    The command has a parameter ``episode``: the values as keywords of the environment and its seed.
+
+    Args:
+        names: names of the options; all if empty.
+        without: names of options to leave out.
+    """
+    chosen = [name for name in names or _EPISODE_OPTIONS if name not in without]
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def run(**values: Any) -> None:
+            episode = {name: values.pop(name) for name in chosen}
+            if BOUNDS[0] in episode:
+                position, rotation = (episode.pop(name) for name in BOUNDS)
+                episode["error_bounds"] = {"position": position, "rotation": rotation}
+            command(**values, episode=episode)
+
+        parameters = []
+        for own in inspect.signature(command, eval_str=True).parameters.values():
+            if own.name != "episode":
+                parameters.append(own.replace(kind=own.KEYWORD_ONLY))
+                continue
+            for name in chosen:
+                kind, default, option = _EPISODE_OPTIONS[name]
+                added = inspect.Parameter(name, own.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
+                parameters.append(added)
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        return run
+
+    return decorate
+
+
 def split_names(text: str | None) -> list[str]:
     """Names from a list separated by commas."""
     return [name.strip() for name in (text or "").split(",") if name.strip()]
@@ -85,33 +148,26 @@ def counted(count: int, noun: str) -> str:
 
 def note_unsupported(names: list[str], env_id: str) -> None:
     """Prints a note for each policy that does not list the environment as supported. Such a policy still runs."""
-    from cablebot_gym.policies import policy_entries
+    from cablebot_gym.policies import policy_entry
 
-    entries = policy_entries()
     for name in names:
-        if name in entries and env_id not in entries[name].env_ids:
-            supported = ", ".join(entries[name].env_ids)
-            notes_console().print(f"note: {name} is designed for {supported}, not for {env_id}")
+        entry = policy_entry(name)
+        if entry is not None and env_id not in entry.env_ids:
+            notes_console().print(f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}")
 
 
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int, int, int], None]]:
-    """Shows a progress bar on standard error.
+def check_figure_folder(out: Path | None, *names: str) -> None:
+    """Checks before a long computation that matplotlib is installed and that the files can be written.
 
-    Yields a function of a description, the index of the current stage, the number of stages, the steps done and the
-    steps expected in this stage.
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+        OSError: if the folder or a file is not writable.
     """
-    errors = notes_console()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
-        task = bar.add_task("preparing", total=1.0)
+    if out is not None:
+        from cablebot_gym.plotting.figures import import_matplotlib
+        from cablebot_gym.utils.files import check_writable_dir, check_writable_file
 
-        def step(description: str, stage: int, stages: int, done: int, expected: int) -> None:
-            bar.update(task, description=description, completed=stage + done / expected, total=stages)
-
-        yield step
+        import_matplotlib()
+        check_writable_dir(out)
+        for name in names:
+            check_writable_file(out / name)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablebot_gym.cli.options import counted
-from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.cli.options import Workers, counted
+from cablebot_gym.utils.console import notes_console, progress
 
 if TYPE_CHECKING:
     from cablebot_gym.report.page import Source
@@ -27,9 +27,7 @@ def report(
     episodes: Annotated[
         bool, typer.Option("--episodes/--no-episodes", help="Whether to record and show one episode of every cell.")
     ] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Number of worker processes. The default is one per core.")
-    ] = None,
+    workers: Workers = None,
 ) -> None:
     """Write benchmark results as one HTML page with leaderboard, maps and an episode of every cell.
 
@@ -60,11 +58,10 @@ def report(
     if episodes:
         check_writable_dir(folder)
         queries = replay_queries(merge_records(sources))
-        with counting(errors, "episodes") as bar:
-            task = bar.add_task("recording", total=len(queries))
+        with progress("recording", "episodes") as step:
             for key, replay in record_all(queries, folder, workers=processes, say=errors.print):
                 replays[key] = replay
-                bar.update(task, completed=len(replays))
+                step(len(replays), len(queries))
     page = html(title, sources, replays)
     atomic_write_text(out, page)
     failures = Counter(replay for replay in replays.values() if isinstance(replay, str))

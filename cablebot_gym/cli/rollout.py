@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import (
-    EnvId,
-    Frequency,
-    ModelPayloadFactor,
-    PayloadKnown,
-    PolicyName,
-    Seed,
-    TrajectoryName,
-    UncertaintyName,
-    as_data,
-)
-from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyName, episode_options
+from cablebot_gym.utils.console import progress
 
 
+@episode_options(without=BOUNDS)
 def rollout(
     env_id: EnvId,
     policy: PolicyName,
     out: Annotated[Path, typer.Option(help="File of the recording, ending in .npz or .csv.")],
+    episode: dict[str, Any],
     payload: Annotated[float, typer.Option(help="Payload [kg].")] = 0.0,
-    trajectory: TrajectoryName = None,
-    payload_known: PayloadKnown = True,
-    model_payload_factor: ModelPayloadFactor = 1.0,
-    uncertainty: UncertaintyName = None,
-    control_frequency: Frequency = 500.0,
-    seed: Seed = 0,
 ) -> None:
     """Run one episode of a policy and record every control step in a file.
 
@@ -46,20 +32,8 @@ def rollout(
 
     check_suffix(out)
     check_writable_file(out)
-    with counting(notes_console(), "steps") as bar:
-        task = bar.add_task(policy, total=1)
-        record = record_rollout(
-            policy,
-            env_id,
-            payload=payload,
-            seed=seed,
-            trajectory=as_data("--trajectory", trajectory),
-            payload_known=payload_known,
-            model_payload_factor=model_payload_factor,
-            uncertainty=as_data("--uncertainty", uncertainty),
-            control_frequency=control_frequency,
-            progress=lambda done, expected: bar.update(task, completed=done, total=expected),
-        )
+    with progress(policy, "steps") as step:
+        record = record_rollout(policy, env_id, payload=payload, progress=step, **episode)
     record.save(out)
     verdict = record.verdict
     outcome = "carried" if verdict.carried else f"not carried: {verdict.violation}"

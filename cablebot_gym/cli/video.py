@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import (
-    EnvId,
-    Frequency,
-    PayloadKnown,
-    PolicyNameOrNone,
-    Seed,
-    TrajectoryName,
-    UncertaintyName,
-    as_data,
-    split_names,
-)
-from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyNameOrNone, episode_options, split_names
+from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.video import SPEED
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
-    from cablebot_gym.video.recording import Video
+    from cablebot_gym.video.recording import Episode
 
 Payload = Annotated[float, typer.Option("--payload", help="Payload [kg].")]
 Speed = Annotated[float, typer.Option("--speed", help="Playback speed; 1 is real time.")]
@@ -38,19 +25,16 @@ Policies = Annotated[
 ]
 
 
+@episode_options(without=BOUNDS)
 def video(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
+    episode: dict[str, Any],
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = 1.0,
     speed: Speed = SPEED,
     size: Size = None,
-    trajectory: TrajectoryName = None,
-    payload_known: PayloadKnown = True,
-    uncertainty: UncertaintyName = None,
-    control_frequency: Frequency = 500.0,
-    seed: Seed = 0,
 ) -> None:
     """Write a video of an episode, with one or more policies side by side.
 
@@ -62,48 +46,17 @@ def video(
 
     cablebot video CableBot-Spatial-v0 both.gif --policies fl,trajopt --payload 6 --size 480x360
     """
-    from cablebot_gym.video.recording import check_speed, check_video, write_video
+    from cablebot_gym.video.recording import check_speed, check_video, note, write_video
 
     frame_size = picture_size(size)
     check_video(out)
     check_speed(speed)
-    videos = record_videos(
-        env_id,
-        policy_names(policy, policies),
-        payload=payload,
-        trajectory=as_data("--trajectory", trajectory),
-        payload_known=payload_known,
-        uncertainty=as_data("--uncertainty", uncertainty),
-        control_frequency=control_frequency,
-        seed=seed,
-    )
-    errors = notes_console()
-    with counting(errors, "frames") as bar:
-        task = bar.add_task("rendering", total=1)
-        write_video(
-            out,
-            videos,
-            speed=speed,
-            size=frame_size,
-            progress=lambda done, expected: bar.update(task, completed=done, total=expected),
-        )
-    for one in videos:
-        print(f"{one.scene.title}, {payload:g} kg, task criterion: {one.note(len(one.moments) - 1) or 'incomplete'}")
-    errors.print(f"wrote {out}")
-
-
-def policy_names(policy: str | None, policies: str | None) -> list[str]:
-    """Policy names from ``--policy`` or ``--policies``.
-
-    Raises:
-        ValueError: if both are given, or neither.
-    """
-    names = split_names(policies or policy)
-    if (policy is None) == (policies is None) or not names:
-        raise ValueError(
-            "give either --policy with one name, or --policies with several. Example: --policies fl,trajopt"
-        )
-    return names
+    episodes = record_episodes(env_id, policy, policies, payload=payload, **episode)
+    with progress("rendering", "frames") as step:
+        write_video(out, episodes, speed=speed, size=frame_size, progress=step)
+    for title, rollout in episodes:
+        print(f"{title}, {payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
+    notes_console().print(f"wrote {out}")
 
 
 def picture_size(text: str | None) -> tuple[int, int]:
@@ -122,25 +75,29 @@ def picture_size(text: str | None) -> tuple[int, int]:
     return check_size((int(width), int(height)))
 
 
-def record_videos(env_id: str, names: list[str], **keywords: Any) -> list[Video]:
-    """Records one episode of each policy for a video."""
+def record_episodes(env_id: str, policy: str | None, policies: str | None, **keywords: Any) -> list[Episode]:
+    """Records one episode of the policy in ``--policy`` or of each one in ``--policies``.
+
+    Raises:
+        ValueError: if both options are given, or neither.
+    """
     from cablebot_gym.envs import env_robot
+    from cablebot_gym.evaluation.rollout import record_rollout
     from cablebot_gym.policies import load_policy
     from cablebot_gym.rendering.painter import import_pygame
     from cablebot_gym.robots import find_robot
-    from cablebot_gym.video.recording import record_video
 
+    names = split_names(policies or policy)
+    if (policy is None) == (policies is None) or not names:
+        raise ValueError(
+            "give either --policy with one name, or --policies with several. Example: --policies fl,trajopt"
+        )
     import_pygame()
     robot = find_robot(env_robot(env_id))
     loaded = [load_policy(name, robot) for name in names]
-    videos = []
-    with counting(notes_console(), "steps") as bar:
-        for name, policy in zip(names, loaded, strict=True):
-            title = f"{name} on {env_id}"
-            step = partial(_advance, bar, bar.add_task(title, total=1))
-            videos.append(record_video(policy, env_id, title=title, name=name, progress=step, **keywords))
-    return videos
-
-
-def _advance(bar: Progress, task: TaskID, done: int, expected: int) -> None:
-    bar.update(task, completed=done, total=expected)
+    episodes = []
+    for name, one in zip(names, loaded, strict=True):
+        title = f"{name} on {env_id}"
+        with progress(title, "steps") as step:
+            episodes.append((title, record_rollout(one, env_id, name=name, progress=step, **keywords)))
+    return episodes

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-from cablebot_gym.cli.options import (
-    EnvId,
-    Frequency,
-    PayloadKnown,
-    PolicyNameOrNone,
-    Seed,
-    TrajectoryName,
-    UncertaintyName,
-    as_data,
-)
-from cablebot_gym.cli.video import Payload, Policies, Size, Speed, picture_size, policy_names, record_videos
+from typing import Any
+
+from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyNameOrNone, episode_options
+from cablebot_gym.cli.video import Payload, Policies, Size, Speed, picture_size, record_episodes
 from cablebot_gym.video import SPEED
 
 
+@episode_options(without=BOUNDS)
 def watch(
     env_id: EnvId,
+    episode: dict[str, Any],
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = 1.0,
     speed: Speed = SPEED,
     size: Size = None,
-    trajectory: TrajectoryName = None,
-    payload_known: PayloadKnown = True,
-    uncertainty: UncertaintyName = None,
-    control_frequency: Frequency = 500.0,
-    seed: Seed = 0,
 ) -> None:
     """Show an episode in a window, in a loop.
 
@@ -42,18 +32,9 @@ def watch(
 
     frame_size = picture_size(size)
     check_speed(speed)
-    videos = record_videos(
-        env_id,
-        policy_names(policy, policies),
-        payload=payload,
-        trajectory=as_data("--trajectory", trajectory),
-        payload_known=payload_known,
-        uncertainty=as_data("--uncertainty", uncertainty),
-        control_frequency=control_frequency,
-        seed=seed,
-    )
+    episodes = record_episodes(env_id, policy, policies, payload=payload, **episode)
     try:
-        play(videos, speed=speed, size=frame_size)
+        play(episodes, speed=speed, size=frame_size)
     except NoDisplayError as error:
         alternative = f"cablebot video {env_id} video.gif"
         raise ValueError(

@@ -68,14 +68,15 @@ def check_robot(env_id: str, robot: Any) -> None:
         ValueError: if the id is unknown or the robot does not fit. The message lists the valid ids, or gives the id
             that fits the robot.
     """
-    default = env_robot(env_id)
+    env_robot(env_id)
     if robot is None:
         return
     from cablebot_gym.robots import find_robot  # imported here because importing cablebot_gym must stay fast
 
-    given = find_robot(robot)
-    if not _same_kind(given, find_robot(default)):
-        fitting_id = next(i for i, name in ENV_ROBOTS.items() if _same_kind(given, find_robot(name)))
+    given, defaults = find_robot(robot), {other: find_robot(name) for other, name in ENV_ROBOTS.items()}
+    kind = given.planar, given.flexible
+    fitting_id = next(other for other, default in defaults.items() if (default.planar, default.flexible) == kind)
+    if fitting_id != env_id:
         raise ValueError(f"robot {given.name!r} does not fit {env_id}: use {fitting_id}")
 
 
@@ -87,7 +88,3 @@ def check_spec(spec: EnvSpec | None, robot: Any) -> None:
     """
     if spec is not None and spec.id in ENV_ROBOTS:
         check_robot(spec.id, robot)
-
-
-def _same_kind(one: Any, other: Any) -> bool:
-    return bool((one.planar, one.flexible) == (other.planar, other.flexible))

@@ -87,14 +87,11 @@ class ObservationLayout:
         lines = ["| components | name | unit | low | high | meaning |", "|---|---|---|---|---|---|"]
         for block in self.blocks:
             components = str(block.start) if block.size == 1 else f"{block.start}–{block.start + block.size - 1}"
-            low, high = (_bounds_text(bounds) for bounds in (block.low, block.high))
+            low, high = (
+                ", ".join(dict.fromkeys(f"{bound:.3g}" for bound in bounds)) for bounds in (block.low, block.high)
+            )
             lines.append(f"| {components} | `{block.name}` | {block.unit} | {low} | {high} | {block.meaning} |")
         return "\n".join(lines)
-
-
-def _bounds_text(bounds: tuple[float, ...]) -> str:
-    values = list(dict.fromkeys(f"{bound:.3g}" for bound in bounds))
-    return ", ".join(values)
 
 
 def preview_name(ahead: float) -> str:
@@ -115,39 +112,32 @@ def observation_layout(robot: Robot) -> ObservationLayout:
         order: (tuple(-np.where(angles, angle, length)), tuple(np.where(angles, angle, length)))
         for order, length, angle in ((0, 2.0, 4.0), (1, 20.0, 100.0), (2, 1e3, 1e4), (3, 1e5, 1e6), (4, 1e7, 1e8))
     }
-    motor_bounds = ((-1e3,) * robot.cables, (1e3,) * robot.cables)
-    motors = [
-        (
-            "motor_angle",
-            robot.cables,
-            motor_bounds,
-            "rad",
-            "motor angle β′; β′ minus the pulley angle β is the spring deflection",
-        ),
-        ("motor_speed", robot.cables, motor_bounds, "rad/s", "motor speed β̇′"),
-    ]
+    motor = ((-1e3,) * robot.cables, (1e3,) * robot.cables)
+    third, fourth = (units[2].replace("²", power) for power in "³⁴")
+    spring = "motor angle β′; β′ minus the pulley angle β is the spring deflection"
+    motors = [("motor_angle", motor, "rad", spring), ("motor_speed", motor, "rad/s", "motor speed β̇′")]
     higher = [
-        ("reference_jerk", n, symmetric[3], units[2].replace("²", "³"), "third derivative of X_d"),
-        ("reference_snap", n, symmetric[4], units[2].replace("²", "⁴"), "fourth derivative of X_d"),
+        ("reference_jerk", symmetric[3], third, "third derivative of X_d"),
+        ("reference_snap", symmetric[4], fourth, "fourth derivative of X_d"),
     ]
     rows = [
-        ("pose", n, pose, units[0], "measured pose X, exact without sensor noise"),
-        ("velocity", n, symmetric[1], units[1], "measured velocity Ẋ, exact without sensor noise"),
+        ("pose", pose, units[0], "measured pose X, exact without sensor noise"),
+        ("velocity", symmetric[1], units[1], "measured velocity Ẋ, exact without sensor noise"),
         *(motors if robot.flexible else []),
-        ("time_to_go", 1, ((0.0,), (1e3,)), "s", "time until the reference motion ends; 0 afterwards"),
-        ("reference_pose", n, pose, units[0], "reference pose X_d at the present control instant"),
-        ("reference_velocity", n, symmetric[1], units[1], "first derivative of X_d"),
-        ("reference_acceleration", n, symmetric[2], units[2], "second derivative of X_d"),
+        ("time_to_go", ((0.0,), (1e3,)), "s", "time until the reference motion ends; 0 afterwards"),
+        ("reference_pose", pose, units[0], "reference pose X_d at the present control instant"),
+        ("reference_velocity", symmetric[1], units[1], "first derivative of X_d"),
+        ("reference_acceleration", symmetric[2], units[2], "second derivative of X_d"),
         *(higher if robot.flexible else []),
-        *((preview_name(ahead), n, symmetric[0], units[0], f"X_d in {ahead:g} s minus X_d now") for ahead in PREVIEWS),
-        ("model_payload", 1, ((0.0,), (1e3,)), "kg", "payload of the controller's model; 0 if the payload is unknown"),
-        ("payload_known", 1, ((0.0,), (1.0,)), "–", "1 if the payload is known, else 0"),
+        *((preview_name(ahead), symmetric[0], units[0], f"X_d in {ahead:g} s minus X_d now") for ahead in PREVIEWS),
+        ("model_payload", ((0.0,), (1e3,)), "kg", "payload of the controller's model; 0 if the payload is unknown"),
+        ("payload_known", ((0.0,), (1.0,)), "–", "1 if the payload is known, else 0"),
     ]
     blocks, start = [], 0
-    for name, size, (lows, highs), unit, meaning in rows:
-        lows, highs = tuple(map(float, lows)), tuple(map(float, highs))
-        blocks.append(Block(name=name, start=start, size=size, low=lows, high=highs, unit=unit, meaning=meaning))
-        start += size
+    for name, bounds, unit, meaning in rows:
+        low, high = (tuple(map(float, bound)) for bound in bounds)
+        blocks.append(Block(name=name, start=start, size=len(low), low=low, high=high, unit=unit, meaning=meaning))
+        start += len(low)
     return ObservationLayout(blocks=tuple(blocks))
 
 

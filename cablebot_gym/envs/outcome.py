@@ -1,24 +1,29 @@
 """Compiled second half of an environment step: observation, reward, termination and info from the plant's record.
 
-This module reads the record of :mod:`cablebot_gym.physics.kernel` and integrates nothing. The row numbers of the record
-are passed as the argument ``rows`` (:data:`cablebot_gym.physics.kernel.RECORD_ROWS`), because a change of a constant
-in another file would not invalidate numba's cache.
+This module reads the record of :mod:`cablebot_gym.physics.kernel` and integrates nothing. It receives the row numbers
+of the record as :class:`RecordRows`, because a change of a constant in another file would not invalidate numba's cache.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.compiling import njit
 
 TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite")
 """Value of ``info["termination_reason"]`` by code. Code 0, the empty string, means "not terminated"."""
 
+_TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE = range(1, len(TERMINATION_REASONS))
+
 REWARD_TERMS = ("position", "rotation", "saturation", "slack", "failure")
 """Names of the reward terms, in the order of the weights."""
 
-# Columns of the info array: scalars, reward terms, then one group of m columns per cable quantity.
 INFO_SCALARS = (
     "time",
     "action_time",
@@ -27,19 +32,97 @@ INFO_SCALARS = (
     "rotation_error",
     "tracking_error_peak",
     "rotation_error_peak",
+    *(f"reward_{name}" for name in REWARD_TERMS),
 )
-INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "slack")
-INFO_NAMES = (*INFO_SCALARS, *(f"reward_{name}" for name in REWARD_TERMS))
-SLACK_MARK = 0.5
-FIRST_TERM = len(INFO_SCALARS)
-FIRST_CABLE_INFO = FIRST_TERM + len(REWARD_TERMS)
+"""Names of the first columns of the info array."""
 
-# Columns of the episode settings, one row per environment.
-PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND = 0, 1, 2, 3, 4
+INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "slack")
+"""Names of the quantities with one column per cable, which follow the scalars."""
+
+_TIME, _ACTION_TIME, _PAYLOAD, _POSITION, _ROTATION, _POSITION_PEAK, _ROTATION_PEAK, _FIRST_TERM = range(8)
+_FIRST_CABLE = len(INFO_SCALARS)
+_TERMS = len(REWARD_TERMS)
+_SLACK_MARK = 0.5  # the column of a slack cable is 1, of a taut cable 0
+
+# Columns of the episode settings.
+PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND = range(5)
 EPISODE_SETTINGS = 5
 
 LARGEST = 1e6
 """Largest magnitude in ``info``: larger and non-finite values become ±1e6. Actions must be smaller."""
+
+
+class RecordRows(NamedTuple):
+    """Row numbers of the plant's record, constants of the kernel; those from ``demand`` on are relative to a cable."""
+
+    pose: int
+    velocity: int
+    position_peak: int
+    rotation_peak: int
+    first_cable_record: int
+    cable_records: int
+    demand: int
+    torque: int
+    tension: int
+    speed: int
+    slack: int
+    motor_angle: int
+    motor_speed: int
+
+
+class Constants(NamedTuple):
+    """Constants of a batch of environments."""
+
+    flexible: bool
+    lanes: int
+    """Number of environments per tile of the record."""
+    workspace: Array
+    """Lower and upper bounds of the pose, (2, n)."""
+    bounds: Array
+    """Lower and upper bounds of the observation, (2, size)."""
+    weights: Array
+    """Weights of the reward terms, (5,)."""
+    period: float
+    """Control period [s]."""
+    termination_radius: float
+    slack_time: float
+
+
+class Episodes(NamedTuple):
+    """State and settings of the present episodes; ``slack_for`` is updated."""
+
+    record: Array
+    """The plant's record, (tiles, rows · lanes)."""
+    step: NDArray[np.int64]
+    """Control steps since the reset, (width,)."""
+    trajectory_index: NDArray[np.int64]
+    """Index of the reference table, (width,)."""
+    references: Array
+    """Reference blocks of the observation, (trajectories, rows, columns)."""
+    last_rows: NDArray[np.int64]
+    """Index of the last row of each reference table, (trajectories,)."""
+    settings: Array
+    """Episode settings, (N, columns)."""
+    stall: Array
+    """True stall torques [N·m], (N, m)."""
+    noise: Array
+    """Noise of the measured blocks, (N, components); (N, 0) without noise."""
+    slack_for: Array
+    """Time for which some cable has been slack [s], (N,)."""
+
+
+class Outputs(NamedTuple):
+    """Results of a step, which are overwritten."""
+
+    observation: Array
+    """(N, size)."""
+    reward: Array
+    """(N,)."""
+    reason: NDArray[np.int64]
+    """Index of the termination reason, (N,)."""
+    info: Array
+    """Info array, (N, columns)."""
+
 
 _inline = njit(forceinline=True, error_model="numpy")
 
@@ -56,167 +139,146 @@ def _saturated(value, low, high):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def outcome(
-    fresh,
-    flexible,
-    env_indices,
-    lanes,
-    rows,
-    record,
-    control,
-    control_ends,
-    trajectory_index,
-    step,
-    settings,
-    stall,
-    workspace,
-    bounds,
-    weights,
-    period,
-    termination_radius,
-    slack_time,
-    slack_for,
-    noise,
-    observation,
-    reward,
-    reason,
-    info,
-):
-    """Fills observation (N, size), reward (N,), reason (N,) and info (N, columns) for the environments ``env_indices``.
+def outcome(fresh, env_indices, rows, constants, episodes, outputs):
+    """Fills the outputs of the environments ``env_indices``. Errors, reward and termination use the true state.
 
-    ``fresh``: the environments have just been reset, so there is no reward and no termination. ``lanes``: number of
-    environments per tile of the record. ``slack_for`` (N,): time for which some cable has been slack [s]. ``noise``
-    (N, measured components), or (N, 0) without noise, is added to the measured blocks of the observation. Errors,
-    reward and termination use the true state.
+    Args:
+        fresh: whether the environments have just been reset: then there is no reward and no termination.
+        env_indices: environments, (k,).
+        rows: :class:`RecordRows`, as a plain tuple, whose type numba finds several times faster.
+        constants: :class:`Constants`, as a plain tuple.
+        episodes: :class:`Episodes`, as a plain tuple.
+        outputs: :class:`Outputs`, as a plain tuple.
     """
-    m, n = stall.shape[1], workspace.shape[1]
-    pose, velocity, peak_position, peak_rotation, first_cable, cable_rows = (
-        rows[0],
-        rows[1],
-        rows[2],
-        rows[3],
-        rows[4],
-        rows[5],
-    )
-    action_row, torque_row, tension_row, speed_row, slack_row = rows[6], rows[7], rows[8], rows[9], rows[10]
-    motor_angle, motor_speed = rows[11], rows[12]
-    spatial = n > 2
+    row, batch, now, out = RecordRows(*rows), Constants(*constants), Episodes(*episodes), Outputs(*outputs)
+    lanes, m, n = batch.lanes, now.stall.shape[1], batch.workspace.shape[1]
+    workspace, bounds, weights, spatial = batch.workspace, batch.bounds, batch.weights, n > 2
+    # Arrays as local variables: in the loop, each access to an array of a record counts a reference.
+    records, settings, stall, noise, slack_for = now.record, now.settings, now.stall, now.noise, now.slack_for
+    steps, trajectories, references, last_rows = now.step, now.trajectory_index, now.references, now.last_rows
+    observations, infos, rewards, reasons = out.observation, out.info, out.reward, out.reason
     for k in range(env_indices.shape[0]):
         env_index = env_indices[k]
-        r, at = record[env_index // lanes], env_index % lanes
-        reference = control[
-            trajectory_index[env_index], min(step[env_index], control_ends[trajectory_index[env_index]])
-        ]
+        record, at = records[env_index // lanes], env_index % lanes
+        step, trajectory = steps[env_index], trajectories[env_index]
+        reference = references[trajectory, min(step, last_rows[trajectory])]
 
         # Observation: pose, velocity, motors of flexible robots, tabulated reference blocks, payload of the model.
-        out = observation[env_index]
+        observation = observations[env_index]
         for j in range(n):
-            out[j] = r[(pose + j) * lanes + at]
-            out[n + j] = r[(velocity + j) * lanes + at]
+            observation[j] = record[(row.pose + j) * lanes + at]
+            observation[n + j] = record[(row.velocity + j) * lanes + at]
         first_reference = 2 * n
-        if flexible:
+        if batch.flexible:
             first_reference = 2 * n + 2 * m
             for i in range(m):
-                at_cable = (first_cable + cable_rows * i) * lanes + at
-                out[2 * n + i] = r[motor_angle * lanes + at_cable]
-                out[2 * n + m + i] = r[motor_speed * lanes + at_cable]
+                at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
+                observation[2 * n + i] = record[row.motor_angle * lanes + at_cable]
+                observation[2 * n + m + i] = record[row.motor_speed * lanes + at_cable]
         for j in range(reference.shape[0]):
-            out[first_reference + j] = reference[j]
-        out[first_reference + reference.shape[0]] = settings[env_index, MODEL_PAYLOAD]
-        out[first_reference + reference.shape[0] + 1] = settings[env_index, KNOWN]
+            observation[first_reference + j] = reference[j]
+        observation[first_reference + reference.shape[0]] = settings[env_index, MODEL_PAYLOAD]
+        observation[first_reference + reference.shape[0] + 1] = settings[env_index, KNOWN]
         finite = True
         for j in range(first_reference):
-            finite &= math.isfinite(out[j])
+            finite &= math.isfinite(observation[j])
         inside = True
         for j in range(n):
-            inside &= (out[j] >= workspace[0, j]) & (out[j] <= workspace[1, j])
+            inside &= (observation[j] >= workspace[0, j]) & (observation[j] <= workspace[1, j])
 
         # Errors at this instant. Column 0 of the reference is the time to go; the reference pose follows.
         square, rotation = 0.0, 0.0
         for j in range(n):
-            difference = out[j] - reference[1 + j]
+            difference = observation[j] - reference[1 + j]
             if j < 3:
                 square += difference * difference
             else:
                 rotation = max(rotation, abs(difference))
         position = math.sqrt(square)
-        position_peak = max(position, r[peak_position * lanes + at])
-        rotation_peak = max(rotation, r[peak_rotation * lanes + at])
+        position_peak = max(position, record[row.position_peak * lanes + at])
+        rotation_peak = max(rotation, record[row.rotation_peak * lanes + at])
         if not finite:  # comparisons with NaN are false and would hide it
             position = position_peak = LARGEST
             rotation = rotation_peak = LARGEST if spatial else 0.0
         for j in range(noise.shape[1]):
-            out[j] += noise[env_index, j]
-        for j in range(out.shape[0]):
-            out[j] = _saturated(out[j], bounds[0, j], bounds[1, j])
+            observation[j] += noise[env_index, j]
+        for j in range(observation.shape[0]):
+            observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
 
-        row = info[env_index]
-        row[0] = step[env_index] * period
-        row[1] = max(step[env_index] - 1, 0) * period
-        row[2] = settings[env_index, PAYLOAD]
-        row[3] = _finite(position)
-        row[4] = _finite(rotation)
-        row[5] = _finite(position_peak)
-        row[6] = _finite(rotation_peak)
+        info = infos[env_index]
+        info[_TIME] = step * batch.period
+        info[_ACTION_TIME] = max(step - 1, 0) * batch.period
+        info[_PAYLOAD] = settings[env_index, PAYLOAD]
+        info[_POSITION] = _finite(position)
+        info[_ROTATION] = _finite(rotation)
+        info[_POSITION_PEAK] = _finite(position_peak)
+        info[_ROTATION_PEAK] = _finite(rotation_peak)
         slack_cables, excess = 0.0, 0.0
         for i in range(m):
-            at_cable = (first_cable + cable_rows * i) * lanes + at
-            action = r[action_row * lanes + at_cable]
-            slack = 1.0 if r[slack_row * lanes + at_cable] > 0.0 else 0.0
-            first = FIRST_CABLE_INFO + i
-            row[first] = _finite(r[tension_row * lanes + at_cable])
-            row[first + m] = _finite(r[torque_row * lanes + at_cable])
-            row[first + 2 * m] = _finite(r[speed_row * lanes + at_cable])
-            row[first + 3 * m] = action
-            row[first + 4 * m] = stall[env_index, i] * (1.0 - abs(action))
-            row[first + 5 * m] = slack
+            at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
+            action = record[row.demand * lanes + at_cable]
+            slack = 1.0 if record[row.slack * lanes + at_cable] > 0.0 else 0.0
+            first = _FIRST_CABLE + i
+            info[first] = _finite(record[row.tension * lanes + at_cable])
+            info[first + m] = _finite(record[row.torque * lanes + at_cable])
+            info[first + 2 * m] = _finite(record[row.speed * lanes + at_cable])
+            info[first + 3 * m] = action
+            info[first + 4 * m] = stall[env_index, i] * (1.0 - abs(action))
+            info[first + 5 * m] = slack
             slack_cables += slack
             excess += max(0.0, abs(action) - 1.0)
 
-        code = 0
+        reason = 0
         if fresh:
             slack_for[env_index] = 0.0
         else:
-            slack_for[env_index] = slack_for[env_index] + period if slack_cables > 0.0 else 0.0
+            slack_for[env_index] = slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
             if not finite:
-                code = 4
+                reason = _NON_FINITE
             elif not inside:
-                code = 3
-            elif not position <= termination_radius:
-                code = 1
-            elif slack_for[env_index] > slack_time + 1e-9:
-                code = 2
-        reason[env_index] = code
-        for j in range(5):
-            row[FIRST_TERM + j] = 0.0
+                reason = _WORKSPACE
+            elif not position <= batch.termination_radius:
+                reason = _TRACKING_ERROR
+            elif slack_for[env_index] > batch.slack_time + 1e-9:
+                reason = _SLACK
+        reasons[env_index] = reason
+        for j in range(_TERMS):
+            info[_FIRST_TERM + j] = 0.0
         if not fresh:
-            row[FIRST_TERM] = 1.0 / (1.0 + row[3] / settings[env_index, POSITION_BOUND])
+            info[_FIRST_TERM] = 1.0 / (1.0 + info[_POSITION] / settings[env_index, POSITION_BOUND])
             if spatial:
-                row[FIRST_TERM + 1] = 1.0 / (1.0 + row[4] / settings[env_index, ROTATION_BOUND])
-            row[FIRST_TERM + 2] = -excess / m
-            row[FIRST_TERM + 3] = -slack_cables / m
-            row[FIRST_TERM + 4] = -1.0 if code > 0 else 0.0
+                info[_FIRST_TERM + 1] = 1.0 / (1.0 + info[_ROTATION] / settings[env_index, ROTATION_BOUND])
+            info[_FIRST_TERM + 2] = -excess / m
+            info[_FIRST_TERM + 3] = -slack_cables / m
+            info[_FIRST_TERM + 4] = -1.0 if reason > 0 else 0.0
         total = 0.0
-        for j in range(5):
-            row[FIRST_TERM + j] *= weights[j]
-            total += row[FIRST_TERM + j]
-        reward[env_index] = total
+        for j in range(_TERMS):
+            info[_FIRST_TERM + j] *= weights[j]
+            total += info[_FIRST_TERM + j]
+        rewards[env_index] = total
 
 
 def info_columns(cables: int) -> int:
     """Number of columns of the info array."""
-    return FIRST_CABLE_INFO + len(INFO_CABLES) * cables
+    return _FIRST_CABLE + len(INFO_CABLES) * cables
 
 
-def cable_columns(cables: int) -> dict[str, slice]:
-    """Columns of each cable quantity by name. ``slack`` is 0 or 1; compare it with :data:`SLACK_MARK`."""
-    firsts = {name: FIRST_CABLE_INFO + index * cables for index, name in enumerate(INFO_CABLES)}
-    return {name: slice(first, first + cables) for name, first in firsts.items()}
+@cache
+def _cable_columns(cables: int) -> tuple[tuple[str, slice], ...]:
+    """Columns of each cable quantity."""
+    firsts = range(_FIRST_CABLE, info_columns(cables), cables)
+    return tuple((name, slice(first, first + cables)) for name, first in zip(INFO_CABLES, firsts, strict=True))
 
 
-def info_dict(rows: np.ndarray, cables: int) -> dict[str, np.ndarray]:
-    """Info arrays by name, each a view of ``rows`` (N, columns), except ``slack``, which is a new boolean array."""
-    named = {name: rows[:, column] for column, name in enumerate(INFO_NAMES)}
-    named |= {name: rows[:, columns] for name, columns in cable_columns(cables).items()}
-    named["slack"] = named["slack"] > SLACK_MARK
+def info_dict(info: Array, cables: int) -> dict[str, Any]:
+    """Values by name of an info array: Python floats and (m,) of one row, (N,) and (N, m) of several rows.
+
+    Arrays are views, except ``slack``, which is boolean.
+    """
+    single = info.ndim == 1
+    scalars = info[:_FIRST_CABLE].tolist() if single else info.T  # tolist() converts all scalars at once
+    named: dict[str, Any] = dict(zip(INFO_SCALARS, scalars, strict=False))
+    for name, columns in _cable_columns(cables):
+        named[name] = info[columns] if single else info[:, columns]
+    named["slack"] = named["slack"] > _SLACK_MARK
     return named

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.textbook import torque_limits
-from cablebot_gym.rendering.moment import Moment, Scene
-from cablebot_gym.rendering.painter import Painter, import_pygame
-from cablebot_gym.rendering.window import Window
+from cablebot_gym.rendering.moment import Moment
+from cablebot_gym.utils.checks import choice
+
+if TYPE_CHECKING:
+    from cablebot_gym.rendering.painter import Painter
+    from cablebot_gym.rendering.window import Window
 
 RATE = 50
 """Pictures per second of episode time in ``human`` mode, and ``metadata["render_fps"]``."""
@@ -34,37 +36,10 @@ def check_render_mode(mode: str | None, modes: list[str]) -> str | None:
     """
     if mode is None:
         return None
-    if mode not in modes:
-        raise ValueError(f"unknown render_mode {mode!r}: choose one of {', '.join(modes)}, or None")
+    from cablebot_gym.rendering.painter import import_pygame  # here, because most environments have no pictures
+
     import_pygame()
-    return mode
-
-
-def moment(simulation: Simulation, env_index: int) -> Moment:
-    """Present state of an environment, as the painter needs it."""
-    robot = simulation.settings.robot
-    row = simulation.info[env_index : env_index + 1].copy()
-    info = {name: values[0] for name, values in info_dict(row, robot.cables).items()}
-    # Uncertain motor strength scales the torque-speed line: the free speed stays nominal.
-    strength = simulation.stall_torque[env_index] / robot.stall_torque
-    return Moment(
-        time=float(info["time"]),
-        payload=float(info["payload"]),
-        pose=simulation.pose[env_index].copy(),
-        tensions=info["tensions"],
-        torques=info["torques"],
-        torque_limits=strength * np.array(torque_limits(robot, info["motor_speeds"])),
-        commanded_action=info["commanded_action"],
-        slack=info["slack"],
-        position_error=float(info["tracking_error"]),
-        rotation_error=float(info["rotation_error"]),
-    )
-
-
-def scene(simulation: Simulation, env_index: int, title: str) -> Scene:
-    """Constant content of the pictures of an environment's episode, with a title."""
-    task = simulation.tasks[env_index]
-    return Scene(robot=task.robot, trajectory=task.trajectory, error_bounds=task.error_bounds, title=title)
+    return choice("render_mode", mode, modes, ", or None")
 
 
 class Pictures:
@@ -101,23 +76,23 @@ class Pictures:
 
     def array(self, env_index: int) -> NDArray[np.uint8]:
         """Picture of an environment, (height, width, 3)."""
-        return self._painter(env_index).array(
-            moment(self._simulation, env_index), self._trails[env_index], self._note(env_index)
-        )
+        return self._painter(env_index).array(*self._content(env_index))
 
     def show(self) -> None:
         """Shows the first environment in a window, every 1/:data:`RATE` s of episode time and no faster than real time.
 
         Without a display the pictures are painted but not shown, see :class:`~cablebot_gym.rendering.window.Window`.
         """
-        present = moment(self._simulation, 0)
-        if present.time < self._last_shown + 1 / RATE - 1e-9:
+        moment, trail, note = self._content(0)
+        if moment.time < self._last_shown + 1 / RATE - 1e-9:
             return
-        self._last_shown = present.time
+        self._last_shown = moment.time
         if self._window is None:
+            from cablebot_gym.rendering.window import Window
+
             self._window = Window(self._title, needs_display=False)
         if not self._window.closed:
-            self._window.show(self._painter(0).paint(present, self._trails[0], self._note(0)), RATE)
+            self._window.show(self._painter(0).paint(moment, trail, note), RATE)
 
     def close(self) -> None:
         """Closes the window, if it is open."""
@@ -126,9 +101,15 @@ class Pictures:
 
     def _painter(self, env_index: int) -> Painter:
         if env_index not in self._painters:
-            self._painters[env_index] = Painter(scene(self._simulation, env_index, self._title))
+            from cablebot_gym.rendering.painter import Painter
+
+            self._painters[env_index] = Painter(self._simulation.tasks[env_index], self._title)
         return self._painters[env_index]
 
-    def _note(self, env_index: int) -> str:
-        reason = TERMINATION_REASONS[int(self._simulation.reason[env_index])]
-        return f"terminated: {reason.replace('_', ' ')}" if reason else ""
+    def _content(self, env_index: int) -> tuple[Moment, deque[Array], str]:
+        """Present state, trail and note of an environment."""
+        simulation, robot = self._simulation, self._simulation.settings.robot
+        info = info_dict(simulation.info[env_index], robot.cables)
+        moment = Moment.from_info(robot, simulation.stall_torque[env_index], simulation.pose[env_index], info)
+        reason = TERMINATION_REASONS[int(simulation.reason[env_index])]
+        return moment, self._trails[env_index], f"terminated: {reason.replace('_', ' ')}" if reason else ""

@@ -82,35 +82,27 @@ class ReferenceTables:
         trajectory_index[len(self._followed) :] = trajectory_index[len(self._followed) - 1]
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
-        if not 0 < trajectory.duration <= LONGEST_MOTION:
-            raise ValueError(
-                f"trajectory {trajectory.name!r} lasts {trajectory.duration} s: its duration must be > 0 and at most "
-                f"{LONGEST_MOTION:g} s"
-            )
-        steps = int(np.ceil(trajectory.duration * self._frequency - 1e-9)) + 1
+        label, duration = f"trajectory {trajectory.name!r}", trajectory.duration
+        if not 0 < duration <= LONGEST_MOTION:
+            raise ValueError(f"{label} lasts {duration} s: its duration must be > 0 and at most {LONGEST_MOTION:g} s")
+        steps = int(np.ceil(duration * self._frequency - 1e-9)) + 1
         if steps > MOST_STEPS:
-            raise ValueError(
-                f"trajectory {trajectory.name!r} has {steps:,} control steps ({trajectory.duration:g} s at "
-                f"{self._frequency:g} Hz), more than {MOST_STEPS:,}: choose a lower control_frequency"
-            )
-        rate = self._frequency * self._substeps
+            raise ValueError(f"{label} has {steps:,} control steps, more than {MOST_STEPS:,}: lower control_frequency")
         times = np.arange(steps + 1) / self._frequency
-        physics_times = np.arange(steps * self._substeps + 1) / rate
+        physics_times = np.arange(steps * self._substeps + 1) / (self._frequency * self._substeps)
         orders = _evaluate(trajectory, physics_times, ORDERS if self._to_snap else ORDERS[:3])
         blocks = observed_reference(trajectory, times, to_snap=self._to_snap)
         control = np.concatenate(list(blocks.values()), axis=1)
         if not np.all(np.isfinite(control)):
-            raise ValueError(
-                f"trajectory {trajectory.name!r} is not finite after its duration: return its final pose at rest there"
-            )
+            raise ValueError(f"{label} is not finite after its duration: return its final pose at rest there")
         after = [blocks["reference_velocity"][-1], *(blocks[preview_name(ahead)][-1] for ahead in PREVIEWS)]
         if np.max(np.abs(after)) > REST_TOLERANCE:
-            warnings.warn(
-                f"trajectory {trajectory.name!r} still moves after its duration of {trajectory.duration:g} s: return "
-                "its final pose at rest there",
-                stacklevel=2,
-            )
+            _warn(f"{label} still moves after its duration of {duration:g} s: return its final pose at rest there")
         return np.ascontiguousarray(orders[0]), control
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, stacklevel=3)
 
 
 def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> list[Array]:
@@ -121,18 +113,14 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
     Raises:
         ValueError: if the values are not finite or not of the right shape.
     """
-    label = f"trajectory {trajectory.name!r}"
+    label, shape = f"trajectory {trajectory.name!r}", (len(times), trajectory.coordinates)
     motion = trajectory(times)
     if not isinstance(motion, Reference):
         raise ValueError(f"{label} must return a Reference, not {type(motion).__name__}")
-    shape = (len(times), trajectory.coordinates)
     checked = [np.asarray(getattr(motion, name)) for name in orders]
     for name, values in zip(orders, checked, strict=True):
         if values.shape != shape:
-            raise ValueError(
-                f"{label} must return a {name} of shape (..., {shape[1]}): {shape} for {shape[0]} times, not "
-                f"{values.shape}"
-            )
+            raise ValueError(f"{label} must return a {name} of shape {shape} for {shape[0]} times, not {values.shape}")
         if not np.all(np.isfinite(values)):
             time = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
             raise ValueError(f"{label} must return finite numbers: its {name} at {time:g} s is not finite")
@@ -141,13 +129,11 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
         integral = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
         largest = np.max(np.maximum(np.abs(change), np.abs(integral)), axis=0)
         rounding = 1e-12 * (1 + np.max(np.abs(before), axis=0))
-        failed = np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1)
-        if np.count_nonzero(failed) > max(FAILED_STEPS * len(failed), 5):
-            first = np.flatnonzero(failed)[0]
-            warnings.warn(
-                f"the {name} of {label} is not the time derivative of its {below}, first at {times[first]:.3g} s. "
-                "Control laws use it as feedforward",
-                stacklevel=2,
+        failed = np.flatnonzero(np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1))
+        if len(failed) > max(FAILED_STEPS * len(change), 5):
+            _warn(
+                f"the {name} of {label} is not the time derivative of its {below}, first at {times[failed[0]]:.3g} s. "
+                "Control laws use it as feedforward"
             )
     return checked
 
@@ -155,8 +141,6 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
 def _stacked(tables: list[Array]) -> tuple[Array, Array]:
     """Tables of different lengths as one array, padded with their last rows, and the index of each last row."""
     ends = np.array([len(table) - 1 for table in tables], np.int64)
-    stack = np.zeros((len(tables), ends.max() + 1, tables[0].shape[1]))
-    for index, table in enumerate(tables):
-        stack[index, : len(table)] = table
-        stack[index, len(table) :] = table[-1]
-    return stack, ends
+    return np.stack(
+        [np.pad(table, ((0, ends.max() - end), (0, 0)), "edge") for table, end in zip(tables, ends, strict=True)]
+    ), ends

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import Array
@@ -18,7 +18,7 @@ from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.checks import choice, mapping, number, numbers, whole
 
 LONGEST_PHYSICS_STEP = 1e-3
 """Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at this step. Accuracy
@@ -96,19 +96,6 @@ class Settings:
         return self.period / self.substeps
 
 
-def check_keywords(keywords: Mapping[str, Any]) -> None:
-    """Checks that all keywords exist.
-
-    Raises:
-        ValueError: if a keyword is unknown; the message lists the known keywords.
-    """
-    known = [name for name in inspect.signature(make_settings).parameters if name not in ("robot", "count")]
-    if unknown := [name for name in keywords if name not in known]:
-        raise ValueError(
-            f"unknown keyword {unknown[0]!r}; the keywords of an environment are robot, {', '.join(known)}"
-        )
-
-
 def default_trajectory(robot: Robot) -> str:
     """Name of the default reference motion of a robot: the paper's circle."""
     return "paper-planar" if robot.planar else "paper-spatial"
@@ -145,61 +132,58 @@ def make_settings(
         ValueError: if a value is invalid; the message names the keyword.
     """
     robot = find_robot(robot)
-    trajectory = default_trajectory(robot) if trajectory is None else trajectory
-    episode = check_options(
-        {
-            "payload": payload,
-            "payload_known": payload_known,
-            "model_payload_factor": model_payload_factor,
-            "trajectory": trajectory,
-            "initial_error": initial_error,
-            "uncertainty": uncertainty,
-            "error_bounds": error_bounds,
-        },
-        robot,
-        count,
-    )
-    modes: tuple[Cable, ...] = get_args(Cable)
-    if cable not in modes:
-        raise unknown_name_error("cable", cable, modes)
-    frequency = _positive("control_frequency", control_frequency)
+    options = {
+        "payload": payload,
+        "payload_known": payload_known,
+        "model_payload_factor": model_payload_factor,
+        "trajectory": default_trajectory(robot) if trajectory is None else trajectory,
+        "initial_error": initial_error,
+        "uncertainty": uncertainty,
+        "error_bounds": error_bounds,
+    }
+    episode = check_options(options, robot, count)
+    frequency = number("control_frequency", control_frequency, above=0)
     if substeps is None:
-        longest = LONGEST_PHYSICS_STEP
-        if robot.flexible:
-            fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in episode["uncertainty"])
-            longest = min(longest, _lossless_step(robot), STABLE_PHASE / fastest)
-        needed = 1 / (frequency * longest)
-        if needed > MOST_SUBSTEPS:
-            raise ValueError(
-                f"robot {robot.name!r} oscillates or settles at up to {fastest / (2 * math.pi):.3g} Hz and needs "
-                f"{needed:.3g} physics steps in a control period: make its springs softer or its inertias larger, or "
-                "set substeps"
-                if robot.flexible
-                else f"control_frequency {frequency:g} Hz needs {needed:.3g} physics steps in a period: raise it"
-            )
-        substeps = max(1, math.ceil(needed - 1e-9))
-    if not isinstance(substeps, (int, np.integer)) or isinstance(substeps, bool) or substeps < 1:
-        raise ValueError(f"substeps must be a whole number of at least 1, not {substeps!r}")
-    check_stability(robot, episode["uncertainty"], frequency, int(substeps))
+        substeps = _fewest_substeps(robot, episode["uncertainty"], frequency)
+    substeps = whole("substeps", substeps, least=1)
+    check_stability(robot, episode["uncertainty"], frequency, substeps)
+    if payload_range is not None:
+        ends = numbers("payload_range", payload_range, shapes=[(2,)], form="(low, high)", least=0, unit="kg")
+        low, high = ends.tolist()
+        payload_range = low, number("payload_range", high, least=low, unit="kg")
+    if initial_error_range is not None:
+        shapes = [(robot.coordinates,)]
+        initial_error_range = numbers("initial_error_range", initial_error_range, shapes=shapes, least=0)
+    weights = DEFAULT_WEIGHTS | mapping("reward_weights", reward_weights or {}, REWARD_TERMS)
     return Settings(
         robot=robot,
-        payload_range=_range("payload_range", payload_range),
-        initial_error_range=_half_widths(initial_error_range, robot.coordinates),
-        cable=modes[modes.index(cable)],
+        payload_range=payload_range,
+        initial_error_range=initial_error_range,
+        cable=cast(Cable, choice("cable", cable, get_args(Cable))),
         control_frequency=frequency,
-        substeps=int(substeps),
-        termination_radius=_positive("termination_radius", termination_radius),
-        slack_time=_positive("slack_time", slack_time, zero=True),
-        weights=_weights(reward_weights),
+        substeps=substeps,
+        termination_radius=number("termination_radius", termination_radius, above=0),
+        slack_time=number("slack_time", slack_time, least=0),
+        weights=np.array([number(f"reward weight {name!r}", weights[name]) for name in REWARD_TERMS]),
         **episode,
     )
 
 
-def _lossless_step(robot: Robot) -> float:
-    """Physics step at which the energy loss of the fastest mode is :data:`MODE_LOSS` [s]."""
-    frequency = highest_frequency(robot)
-    phase: float = (72 * MODE_LOSS["planar" if robot.planar else "spatial"] / frequency) ** 0.2
-    return phase / frequency
+def _fewest_substeps(robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float) -> int:
+    """Default number of physics steps per control period, see :func:`make_settings`."""
+    longest = LONGEST_PHYSICS_STEP
+    if robot.flexible:
+        frequency = highest_frequency(robot)
+        phase = (72 * MODE_LOSS["planar" if robot.planar else "spatial"] / frequency) ** 0.2
+        fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in uncertainties)
+        longest = min(longest, phase / frequency, STABLE_PHASE / fastest)
+    needed = 1 / (control_frequency * longest)
+    if needed > MOST_SUBSTEPS:
+        raise ValueError(
+            f"robot {robot.name!r} needs {needed:.3g} physics steps in a control period: raise control_frequency, use "
+            "softer springs or larger inertias, or set substeps"
+        )
+    return max(1, math.ceil(needed - 1e-9))
 
 
 def _fastest_rate(robot: Robot, uncertainty: Uncertainty) -> float:
@@ -214,7 +198,7 @@ def check_stability(
     """Checks that the physics step is short enough for the joint springs at the limits of the uncertainties.
 
     Raises:
-        ValueError: if it is too long; the message gives the frequency and the number of substeps that is sufficient.
+        ValueError: if it is too long; the message gives the number of substeps that is sufficient.
     """
     if not robot.flexible:
         return
@@ -222,8 +206,8 @@ def check_stability(
     if fastest / (control_frequency * substeps) > STABLE_PHASE:
         needed = math.ceil(fastest / (control_frequency * STABLE_PHASE))
         raise ValueError(
-            f"substeps={substeps} is too small for robot {robot.name!r}, whose motors oscillate or settle at "
-            f"{fastest / (2 * math.pi):.3g} Hz: use at least {needed}, or omit substeps when you make the environment"
+            f"substeps={substeps} is too small for the springs of robot {robot.name!r} with this uncertainty: use at "
+            f"least {needed}, or omit substeps when you make the environment"
         )
 
 
@@ -238,103 +222,36 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
     Raises:
         ValueError: if a name is unknown or a value is invalid. The message lists the known names, or the valid values.
     """
-    checks: dict[str, Callable[[Any], Any]] = {
-        "payload": lambda value: _one_or_each("payload", " kg", value, count),
-        "payload_known": lambda value: _known(value, count),
-        "model_payload_factor": lambda value: _one_or_each("model_payload_factor", "", value, count),
-        "trajectory": lambda value: find_trajectory(value, robot.coordinates),
-        "initial_error": lambda value: _initial_error(value, robot.coordinates, count),
-        "uncertainty": lambda value: _uncertainties(value, robot, count),
-        "error_bounds": find_error_bounds,
+    n = robot.coordinates
+    each = "one number, or one per environment"
+    checks: dict[str, Callable[[str, Any], Any]] = {
+        "payload": lambda name, value: numbers(name, value, shapes=[(), (count,)], form=each, least=0, unit="kg"),
+        "payload_known": lambda name, value: _booleans(name, value, count),
+        "model_payload_factor": lambda name, value: numbers(name, value, shapes=[(), (count,)], form=each, least=0),
+        "trajectory": lambda _, value: find_trajectory(value, n),
+        "initial_error": lambda name, value: _initial_error(name, value, n, count),
+        "uncertainty": lambda _, value: _uncertainties(value, robot, count),
+        "error_bounds": lambda _, value: find_error_bounds(value),
     }
-    if options is not None and not isinstance(options, Mapping):
-        raise ValueError(f"options must be a dict with the keys {', '.join(checks)}, not {options!r}")
-    options = {key: value for key, value in (options or {}).items() if key not in FOREIGN_OPTIONS}
-    if unknown := [key for key in options if key not in checks]:
-        raise ValueError(f"unknown option {unknown[0]!r}; the options are {', '.join(checks)}")
-    return {key: checks[key](value) for key, value in options.items()}
+    given = mapping("options", {} if options is None else options, [*checks, *FOREIGN_OPTIONS])
+    return {name: checks[name](name, value) for name, value in given.items() if name not in FOREIGN_OPTIONS}
 
 
-def _one_or_each(name: str, unit: str, value: Any, count: int) -> Array:
-    """A value ≥ 0, scalar or one per environment (N,)."""
-    numbers = _numbers(name, value)
-    if numbers.shape not in ((), (count,)):
-        several = f" or {count} numbers, one for each environment" if count > 1 else ""
-        raise ValueError(f"{name} must be one number{several}, not an array of shape {numbers.shape}")
-    if not np.all(np.isfinite(numbers)) or np.any(numbers < 0):
-        raise ValueError(f"{name} must be finite and at least 0{unit}, not {value!r}")
-    return numbers
-
-
-def _known(value: Any, count: int) -> Array:
+def _booleans(name: str, value: Any, count: int) -> NDArray[np.bool_]:
     known = np.array(value)
     if known.dtype != np.bool_ or known.shape not in ((), (count,)):
-        several = f", or {count} of these, one for each environment," if count > 1 else ""
-        raise ValueError(f"payload_known must be True or False{several}, not {value!r}")
+        raise ValueError(f"{name} must be True or False, or one of these per environment, not {value!r}")
     return known
 
 
-def _initial_error(value: Any, n: int, count: int) -> Array:
-    error = _numbers("initial_error", value)
-    if error.shape not in ((n,), (count, n)) and not (error.shape == () and error == 0):
-        several = f", or {count} rows of {n}, one for each environment" if count > 1 else ""
-        raise ValueError(f"initial_error must be 0 or {n} coordinates{several}; its shape is {error.shape}")
-    if not np.all(np.isfinite(error)):
-        raise ValueError(f"initial_error must be finite, not {value!r}")
-    return np.zeros(n) if error.shape == () else error
+def _initial_error(name: str, value: Any, n: int, count: int) -> Array:
+    if isinstance(value, Real) and value == 0:
+        return np.zeros(n)
+    return numbers(name, value, shapes=[(n,), (count, n)], form=f"0 or {n} coordinates, or {n} per environment")
 
 
 def _uncertainties(value: Any, robot: Robot, count: int) -> tuple[Uncertainty, ...]:
     values = list(value) if isinstance(value, (list, tuple)) else [value]
     if len(values) not in (1, count):
-        raise ValueError(
-            f"uncertainty must be one, or a list of {count}, one for each environment, not of {len(values)}"
-        )
+        raise ValueError(f"uncertainty must be one, or a list of {count}, one per environment, not of {len(values)}")
     return tuple(find_uncertainty(item, robot) for item in values)
-
-
-def _half_widths(value: Any, n: int) -> Array | None:
-    if value is None:
-        return None
-    widths = _numbers("initial_error_range", value)
-    if widths.shape != (n,) or not np.all(np.isfinite(widths)) or np.any(widths < 0):
-        raise ValueError(f"initial_error_range must be {n} finite half widths of at least 0, not {value!r}")
-    return widths
-
-
-def _range(name: str, value: Any) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    ends = _numbers(name, value)
-    if ends.shape != (2,) or not np.all(np.isfinite(ends)) or not 0 <= ends[0] <= ends[1]:
-        raise ValueError(f"{name} must be (low, high) with 0 ≤ low ≤ high, not {value!r}")
-    return float(ends[0]), float(ends[1])
-
-
-def _weights(value: Mapping[str, float] | None) -> Array:
-    if value is not None and not isinstance(value, Mapping):
-        raise ValueError(f"reward_weights must be a dict with the keys {', '.join(REWARD_TERMS)}, not {value!r}")
-    weights = dict(value or {})
-    if unknown := [name for name in weights if name not in REWARD_TERMS]:
-        raise ValueError(f"unknown reward term {unknown[0]!r}; the terms are {', '.join(REWARD_TERMS)}")
-    merged = [_numbers("reward_weights", (DEFAULT_WEIGHTS | weights)[name]) for name in REWARD_TERMS]
-    if any(weight.shape != () or not np.isfinite(weight) for weight in merged):
-        raise ValueError(f"each of the reward_weights must be one finite number, not {value!r}")
-    return np.array(merged)
-
-
-def _positive(name: str, value: Any, *, zero: bool = False) -> float:
-    finite = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-    if not finite or value < 0 or (value == 0 and not zero):
-        raise ValueError(f"{name} must be a finite number {'of at least' if zero else 'greater than'} 0, not {value!r}")
-    return float(value)
-
-
-def _numbers(name: str, value: Any) -> Array:
-    try:
-        numbers = np.array(value)
-        if numbers.dtype.kind in "iuf":
-            return numbers.astype(float)
-    except (TypeError, ValueError):
-        pass
-    raise ValueError(f"{name} must be numbers, not {value!r}")

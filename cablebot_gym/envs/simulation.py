@@ -2,52 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import inspect
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import outcome
 from cablebot_gym.envs.disturbances import Disturbances
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.references import ReferenceTables
-from cablebot_gym.envs.settings import Settings, check_options, check_stability
+from cablebot_gym.envs.settings import check_options, check_stability, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.robots import RobotArrays
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.trajectories import Trajectory
-from cablebot_gym.uncertainty import PARAMETERS, Uncertainty, draw_size
+from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
+from cablebot_gym.utils.checks import choice
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Start:
-    """Initial conditions of k episodes that have the same uncertainty."""
-
-    env_indices: NDArray[np.int64]
-    """Environments, (k,)."""
-    uncertainty: Uncertainty
-    """Uncertainty of the episodes."""
-    robot: RobotArrays
-    """True robot: one for all k, or a batch of k."""
-    payload: Array
-    """True payload [kg], (k,)."""
-    parameters: Array
-    """Kernel parameters, (k, rows)."""
-    pose: Array
-    """Start pose X, (k, n)."""
-    velocity: Array
-    """Start velocity Ẋ, (k, n)."""
-    angle: Array
-    """Motor angles β′ of flexible robots [rad], (k, m); zeros for rigid robots."""
-    torque: Array
-    """Motor torques that hold the robot at rest [N·m], (k, m); zeros without actuation delay."""
-    speed: Array
-    """Pulley speeds [rad/s], (k, m); zeros for rigid robots without actuation delay."""
+_RECORD_ROWS = tuple(getattr(kernel, name.upper()) for name in outcome.RecordRows._fields)
 
 
 class Simulation:
@@ -55,18 +32,25 @@ class Simulation:
 
     :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
     an index of :data:`outcome.TERMINATION_REASONS`, and ``info`` (N, columns). The next call overwrites them.
+
+    Args:
+        robot: robot, as the environments take it.
+        batch: leading axes of the actions: (N,), or () for the single environment.
+        keywords: further keywords of the environments.
     """
 
-    def __init__(self, settings: Settings, count: int) -> None:
-        self.settings, self.count = settings, count
+    def __init__(self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any]) -> None:
+        for name in keywords:
+            choice("keyword", name, inspect.signature(make_settings).parameters)
+        self.count = count = math.prod(batch)
+        self.settings = settings = make_settings(robot=robot, count=count, **keywords)
+        """Checked constructor keywords."""
         robot = settings.robot
+        self._action_shape = (*batch, robot.cables)
         self.layout = observation_layout(robot)
         self._plant = Plant(robot, count, cable=settings.cable)
         self._parameters = pack_parameters(robot)
         self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
-        space = self.layout.space()
-        self._bounds = np.array([space.low, space.high])
-        self._workspace = np.array(robot.pose_bounds, order="C")  # numba compiles once per memory order
         self._stall = np.tile(robot.stall_torque, (count, 1))
         self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
         self._slack_for = np.zeros(count)
@@ -74,7 +58,6 @@ class Simulation:
         self.streams = Streams(count)
         """Random streams of all draws."""
         self._disturbances = Disturbances(robot, count, settings.control_frequency, self.streams)
-        self._draw_size = draw_size(robot)
         self.truth: dict[str, Array] = {}
         """True parameters of the present episodes by name, each (N, …)."""
         self._trajectories: list[Trajectory] = [settings.trajectory] * count
@@ -83,6 +66,40 @@ class Simulation:
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
         self.info = np.zeros((count, outcome.info_columns(robot.cables)))
+        space = self.layout.space()
+        self._constants = outcome.Constants(
+            flexible=robot.flexible,
+            lanes=self._plant.lanes,
+            workspace=np.array(robot.pose_bounds, order="C"),  # numba compiles once per memory order
+            bounds=np.array([space.low, space.high]),
+            weights=settings.weights,
+            period=settings.period,
+            termination_radius=settings.termination_radius,
+            slack_time=settings.slack_time,
+        )
+        self._bind()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restores a copy or pickle, whose arrays the compiled code then reads."""
+        self.__dict__.update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        """Makes the compiled code read the present arrays."""
+        plant, tables = self._plant, self._tables
+        episodes = outcome.Episodes(
+            record=plant.record,
+            step=plant.step_index,
+            trajectory_index=plant.trajectory_index,
+            references=tables.control,
+            last_rows=tables.control_ends,
+            settings=self._episode_settings,
+            stall=self._stall,
+            noise=self._disturbances.noise,
+            slack_for=self._slack_for,
+        )
+        outputs = outcome.Outputs(observation=self.observation, reward=self.reward, reason=self.reason, info=self.info)
+        self._records = _RECORD_ROWS, tuple(self._constants), tuple(episodes), tuple(outputs)
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -111,18 +128,31 @@ class Simulation:
         """True poses X, shape (N, n)."""
         return self._plant.pose
 
-    @property
-    def velocity(self) -> Array:
-        """True velocities Ẋ, shape (N, n)."""
-        return self._plant.velocity
+    def reset(
+        self,
+        env_indices: NDArray[np.int64],
+        options: Mapping[str, Any] | None = None,
+        seeds: Sequence[int | None] | None = None,
+    ) -> None:
+        """Starts new episodes in the environments ``env_indices``.
 
-    def reset(self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> None:
-        """Starts new episodes in the environments ``env_indices``; ``options`` apply to these episodes only.
+        Args:
+            env_indices: environments, (k,).
+            options: reset options, which apply to these episodes only.
+            seeds: seed of each of these environments, or None to continue its streams.
 
         Raises:
-            ValueError: if an option is unknown or invalid. The environments are unchanged then, apart from the episode
-                numbers of the streams.
+            ValueError: if an option is unknown or invalid. The environments and their streams are unchanged then.
         """
+        before = self.streams.state()
+        try:
+            self.streams.seed(env_indices, [None] * len(env_indices) if seeds is None else seeds)
+            self._start_episodes(env_indices, options)
+        except Exception:
+            self.streams.restore(before)
+            raise
+
+    def _start_episodes(self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None) -> None:
         settings, robot = self.settings, self.settings.robot
         given = check_options(options, robot, self.count)
         trajectory = given.get("trajectory", settings.trajectory)
@@ -147,7 +177,7 @@ class Simulation:
             pose = pose + settings.initial_error_range * (2 * uniform - 1)
         velocity = np.broadcast_to(start.velocity, pose.shape)
         starts = [
-            self._draw_start(env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows])
+            self._prepared_start(env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows])
             for uncertainty, rows in self._by_uncertainty(env_indices, uncertainties)
         ]
 
@@ -157,9 +187,10 @@ class Simulation:
         self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
         for env_index in env_indices:
             self._trajectories[env_index], self._error_bounds[env_index] = trajectory, error_bounds
-        for start_state in starts:
-            self._apply_start(start_state)
+        for apply in starts:
+            apply()
         self._tables.follow(env_indices, trajectory, self._plant.trajectory_index)
+        self._bind()  # the tables and the noise may be new arrays
         self._observe(env_indices, fresh=True)
 
     def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
@@ -176,10 +207,10 @@ class Simulation:
         for uncertainty in dict.fromkeys(uncertainties[env_index] for env_index in env_indices):
             yield uncertainty, np.flatnonzero([uncertainties[env_index] == uncertainty for env_index in env_indices])
 
-    def _draw_start(
+    def _prepared_start(
         self, env_indices: NDArray[np.int64], uncertainty: Uncertainty, payload: Array, pose: Array, velocity: Array
-    ) -> _Start:
-        """Draws the true robots of k episodes, without a change of the plant.
+    ) -> Callable[[], None]:
+        """Draws the true robots of k episodes. The returned function writes their initial conditions to the plant.
 
         Raises:
             ValueError: if a robot has to be at rest at its start pose and no cable tensions hold it there.
@@ -187,7 +218,7 @@ class Simulation:
         robot: RobotArrays = self.settings.robot
         parameters = self._parameters
         if uncertainty.parameters:
-            uniform = self.streams.uniform(env_indices, Purpose.PARAMETERS, self._draw_size)
+            uniform = self.streams.uniform(env_indices, Purpose.PARAMETERS, draw_size(self.settings.robot))
             robot = true = uncertainty.draw(self.settings.robot, payload, uniform)
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
@@ -200,36 +231,22 @@ class Simulation:
             if uncertainty.delay:
                 torque = textbook.static_torque(robot, loaded, pose, minimum=minimum)
         except np.linalg.LinAlgError as error:
-            raise ValueError(
-                "no tensions hold the robot at rest at its start pose: choose another start pose"
-            ) from error
+            raise ValueError("no tensions hold the robot at rest at its start pose: choose another one") from error
         if robot.flexible or uncertainty.delay:
             speed = textbook.pulley_speed(robot, pose, velocity)
-        return _Start(
-            env_indices=env_indices,
-            uncertainty=uncertainty,
-            robot=robot,
-            payload=payload,
-            parameters=rows,
-            pose=pose,
-            velocity=velocity,
-            angle=angle,
-            torque=torque,
-            speed=speed,
-        )
 
-    def _apply_start(self, start: _Start) -> None:
-        """Writes the initial conditions to the plant."""
-        env_indices, robot = start.env_indices, start.robot
-        self._stall[env_indices] = robot.stall_torque
-        self._episode_settings[env_indices, outcome.PAYLOAD] = start.payload
-        self._store_truth(env_indices, robot, start.payload)
-        self._plant.set_parameters(env_indices, start.parameters)
-        self._plant.set_state(env_indices, start.pose, start.velocity)
-        if robot.flexible:
-            self._plant.set_motors(env_indices, start.angle, start.speed)
-        holding = textbook.normalised_action(robot, start.torque, start.speed)
-        self._disturbances.reset(env_indices, start.uncertainty, holding)
+        def apply() -> None:
+            self._stall[env_indices] = robot.stall_torque
+            self._episode_settings[env_indices, outcome.PAYLOAD] = payload
+            self._store_truth(env_indices, robot, payload)
+            self._plant.set_parameters(env_indices, rows)
+            self._plant.set_state(env_indices, pose, velocity)
+            if robot.flexible:
+                self._plant.set_motors(env_indices, angle, speed)
+            holding = textbook.normalised_action(robot, torque, speed)
+            self._disturbances.reset(env_indices, uncertainty, holding)
+
+        return apply
 
     def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
@@ -241,43 +258,35 @@ class Simulation:
                 self.truth[name] = np.zeros((self.count, *np.shape(nominal)))
             self.truth[name][env_indices] = payload if name == "payload" else getattr(robot, parameter.attribute)
 
-    def step(self, action: Array) -> None:
-        """Advances all environments by one control period under the actions (N, m), which must be finite."""
+    def step(self, actions: ArrayLike) -> None:
+        """Advances all environments by one control period under actions (N, m), or (m,) of the single environment.
+
+        Raises:
+            ValueError: if the shape differs, or a component is not finite or not within ± ``LARGEST``.
+        """
         plant, tables, settings = self._plant, self._tables, self.settings
+        checked = _check_actions(actions, self._action_shape)
         if not self._disturbances.quiet:
-            action = self._disturbances.delayed(action)
+            checked = self._disturbances.delayed(checked)
             self._disturbances.update_wrench(plant)
-        plant.set_action(action)
+        plant.set_action(checked)
         plant.advance(tables.physics, tables.physics_ends, substeps=settings.substeps, step=settings.physics_step)
         self._observe(self._all_indices, fresh=False)
 
     def _observe(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
-        plant, tables, settings = self._plant, self._tables, self.settings
         if not self._disturbances.quiet:
-            self._disturbances.measure(env_indices, plant.step_index[env_indices])
-        outcome.outcome(
-            fresh,
-            settings.robot.flexible,
-            env_indices,
-            plant.lanes,
-            kernel.RECORD_ROWS,
-            plant.record,
-            tables.control,
-            tables.control_ends,
-            plant.trajectory_index,
-            plant.step_index,
-            self._episode_settings,
-            self._stall,
-            self._workspace,
-            self._bounds,
-            settings.weights,
-            settings.period,
-            settings.termination_radius,
-            settings.slack_time,
-            self._slack_for,
-            self._disturbances.noise,
-            self.observation,
-            self.reward,
-            self.reason,
-            self.info,
-        )
+            self._disturbances.measure(env_indices, self._plant.step_index[env_indices])
+        outcome.outcome(fresh, env_indices, *self._records)
+
+
+def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
+    checked = np.asarray(actions, dtype=np.float64)
+    if checked.shape != shape:
+        raise ValueError(f"an action must have shape {shape}, one component for each motor, not {checked.shape}")
+    largest = outcome.LARGEST
+    # A Python loop is faster than NumPy for a few numbers.
+    components = checked.tolist() if checked.ndim == 1 else [np.max(np.abs(checked))]
+    for component in components:
+        if not -largest < component < largest:
+            raise ValueError(f"an action must be finite, each component within ± {largest:g}, not {component}")
+    return checked

@@ -11,22 +11,12 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import check_spec
-from cablebot_gym.envs.outcome import (
-    FIRST_CABLE_INFO,
-    INFO_NAMES,
-    LARGEST,
-    SLACK_MARK,
-    TERMINATION_REASONS,
-    cable_columns,
-)
-from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode, moment, scene
-from cablebot_gym.envs.settings import check_keywords, make_settings
+from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
-from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.task import Task
-
-SEED_MESSAGE = "a seed must be at least 0 and an integer, not {!r}"
+from cablebot_gym.utils.checks import whole
 
 
 class CableBotEnv(gym.Env[Array, Array]):
@@ -239,19 +229,15 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     def __init__(self, *, robot: Any, render_mode: str | None = None, **keywords: Any) -> None:
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
-        check_keywords(keywords)
-        self.settings = make_settings(robot=robot, count=1, **keywords)
+        self._simulation = Simulation(robot, (), keywords)
+        self.settings = self._simulation.settings
         """Checked constructor keywords."""
-        self._simulation = Simulation(self.settings, 1)
         self.layout = self._simulation.layout
         """Layout of the observation: names, slices, units and bounds of its blocks."""
-        self._cables = self.settings.robot.cables
-        self._cable_columns = tuple(cable_columns(self._cables).items())
-        self.action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
+        self.action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
         self.observation_space = self.layout.space()
         self._env_index = np.zeros(1, np.int64)
-        title = self.settings.robot.name
-        self._pictures = None if render_mode is None else Pictures(self._simulation, title)
+        self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
         self._started = self._terminated = False
 
     @property
@@ -269,16 +255,6 @@ class CableBotEnv(gym.Env[Array, Array]):
         """True pose X, shape (n,)."""
         pose: Array = self._simulation.pose[0]
         return pose
-
-    @property
-    def scene(self) -> Scene:
-        """Constant content of the pictures of the present episode."""
-        return scene(self._simulation, 0, self.settings.robot.name)
-
-    @property
-    def moment(self) -> Moment:
-        """True present state, as the painter needs it."""
-        return moment(self._simulation, 0)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The present picture, shape (480, 640, 3), if the render mode is ``rgb_array``; else None. See the class.
@@ -313,18 +289,11 @@ class CableBotEnv(gym.Env[Array, Array]):
         """
         if not self._started:
             check_spec(self.spec, self.settings.robot)
-        if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
-            raise ValueError(SEED_MESSAGE.format(seed))
-        before = self._np_random, self._np_random_seed, self._simulation.streams.state()
-        try:
-            if seed is not None or not self._started:
-                super().reset(seed=None if seed is None else int(seed))
-                self._simulation.streams.seed([0], [self.np_random_seed])
-            self._simulation.reset(self._env_index, options)
-        except Exception:  # an invalid reset changes nothing, not even the seed
-            self._np_random, self._np_random_seed, streams = before
-            self._simulation.streams.restore(streams)
-            raise
+        if seed is not None:
+            seed = whole("seed", seed)
+        first = self.np_random_seed if seed is None and not self._started else seed
+        self._simulation.reset(self._env_index, options, [first])
+        super().reset(seed=seed)  # after the check of the options, because an invalid reset does not change the seed
         self._started, self._terminated = True, False
         if self._pictures is not None:
             self._pictures.on_reset([0])
@@ -342,10 +311,9 @@ class CableBotEnv(gym.Env[Array, Array]):
         """
         if not self._started:
             raise ResetNeeded("call reset() before step()")
-        checked = check_action(action, (self._cables,))
         if self._terminated:
             gym.logger.warn("step() after the episode was terminated: the results are meaningless, call reset()")
-        self._simulation.step(checked)
+        self._simulation.step(action)
         if self._pictures is not None:
             self._pictures.on_step()
             if self.render_mode == "human":
@@ -354,31 +322,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         return observation, reward, self._terminated, False, info
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
-        simulation = self._simulation
-        row, reason = simulation.info[0].copy(), int(simulation.reason[0])
-        # Arrays are views of the copied row. tolist() converts all scalars to Python floats at once, which is fastest.
-        info: dict[str, Any] = dict(zip(INFO_NAMES, row[:FIRST_CABLE_INFO].tolist(), strict=True))
-        for name, columns in self._cable_columns:
-            info[name] = row[columns]
-        info["slack"] = info["slack"] > SLACK_MARK
+        simulation, reason = self._simulation, int(self._simulation.reason[0])
+        info = info_dict(simulation.info[0].copy(), self.settings.robot.cables)
         info["termination_reason"] = TERMINATION_REASONS[reason]
         return simulation.observation[0].copy(), float(simulation.reward[0]), reason > 0, info
-
-
-def check_action(action: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """The action as an array of floats of the given shape.
-
-    Raises:
-        ValueError: if its shape differs, or a component is not finite or not within ± ``LARGEST``.
-    """
-    checked = np.asarray(action, dtype=np.float64)
-    if checked.shape != shape:
-        raise ValueError(f"an action must have shape {shape}, one component for each motor, not {checked.shape}")
-    # A Python loop is faster than NumPy for a few numbers.
-    if checked.ndim == 1:
-        valid = all(-LARGEST < component < LARGEST for component in checked.tolist())
-    else:
-        valid = bool(np.all(np.abs(checked) < LARGEST))
-    if not valid:
-        raise ValueError(f"an action must be finite, each component within ± {LARGEST:g}: no NaN, no infinity")
-    return checked

@@ -41,11 +41,11 @@ class Streams:
         self._state = self._philox.state
         self._generator = np.random.Generator(self._philox)
 
-    def seed(self, env_indices: Sequence[int], seeds: Sequence[int]) -> None:
-        """Seeds the environments ``env_indices``, one seed each; their next episode is number 0."""
+    def seed(self, env_indices: NDArray[np.int64], seeds: Sequence[int | None]) -> None:
+        """Seeds the environments ``env_indices``, one seed each, or None; the next episode after a seed is number 0."""
         for env_index, seed in zip(env_indices, seeds, strict=True):
-            self.seeds[env_index] = seed
-            self.episodes[env_index] = -1
+            if seed is not None:
+                self.seeds[env_index], self.episodes[env_index] = seed, -1
 
     def start_episode(self, env_indices: NDArray[np.int64]) -> None:
         """Advances the environments ``env_indices`` to their next episode."""

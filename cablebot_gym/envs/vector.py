@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym.envs import check_spec
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
-from cablebot_gym.envs.settings import check_keywords, make_settings
 from cablebot_gym.envs.simulation import Simulation
-from cablebot_gym.envs.single import SEED_MESSAGE, check_action
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import choice, whole
 
 _REASONS = np.array(TERMINATION_REASONS)
 
@@ -65,35 +64,26 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         **keywords: Any,
     ) -> None:
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
-        if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-            raise ValueError(f"num_envs must be a whole number of at least 1, not {num_envs!r}")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps must be at least 1 or None, not {max_episode_steps!r}")
-        try:
-            self._autoreset = AutoresetMode(autoreset_mode)
-        except ValueError:
-            modes = ", ".join(mode.value for mode in AutoresetMode)
-            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {modes}") from None
-        self.num_envs = int(num_envs)
-        self.metadata = {**self.metadata, "autoreset_mode": self._autoreset}
-        check_keywords(keywords)
-        self.settings = make_settings(robot=robot, count=self.num_envs, **keywords)
+        self.num_envs = whole("num_envs", num_envs, least=1)
+        if max_episode_steps is not None:
+            max_episode_steps = whole("max_episode_steps", max_episode_steps, least=1)
+        if not isinstance(autoreset_mode, AutoresetMode):
+            autoreset_mode = AutoresetMode(choice("autoreset_mode", autoreset_mode, [m.value for m in AutoresetMode]))
+        self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
+        self._simulation = Simulation(robot, (self.num_envs,), keywords)
+        self.settings = self._simulation.settings
         """Checked constructor keywords."""
-        self._simulation = Simulation(self.settings, self.num_envs)
         self.layout = self._simulation.layout
         """Layout of the observation: names, slices, units and bounds of its blocks."""
-        self._cables = self.settings.robot.cables
-        self.single_action_space = Box(-1.0, 1.0, (self._cables,), dtype=np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
         self.single_observation_space = self.layout.space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._max_steps = max_episode_steps
+        self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
         self._steps = np.zeros(self.num_envs, np.int64)
         self._done = np.zeros(self.num_envs, np.bool_)
-        self._all_indices = np.arange(self.num_envs)
         self._started = False
-        title = self.settings.robot.name
-        self._pictures = None if render_mode is None else Pictures(self._simulation, title)
+        self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -138,33 +128,31 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         env_indices = self._reset_indices(options)
         seeds = self._seeds(seed)
         if not self._started:
-            missing = [env_index for env_index, item in enumerate(seeds) if item is None]
-            entropy = np.random.SeedSequence().generate_state(len(missing), np.uint64)
-            for env_index, item in zip(missing, entropy, strict=True):
-                seeds[env_index] = int(item)
-        # Seed first, because this reset draws from the streams. An invalid option restores the old seeds.
-        before = self._simulation.streams.state()
-        seeded = [env_index for env_index in env_indices.tolist() if seeds[env_index] is not None]
-        self._simulation.streams.seed(seeded, [seeds[env_index] for env_index in seeded])
-        try:
-            self._simulation.reset(env_indices, options)
-        except Exception:
-            self._simulation.streams.restore(before)
-            raise
+            drawn = np.random.SeedSequence().generate_state(self.num_envs, np.uint64).tolist()
+            seeds = [new if given is None else given for given, new in zip(seeds, drawn, strict=True)]
+        self._reset(env_indices, options, [seeds[env_index] for env_index in env_indices.tolist()])
         self._started = True
-        self._on_reset(env_indices)
         self._done[env_indices] = False
-        return self._simulation.observation.copy(), self._info(self._simulation.info.copy())
+        return self._simulation.observation.copy(), self._info()
+
+    def _reset(
+        self,
+        env_indices: NDArray[np.int64],
+        options: dict[str, Any] | None = None,
+        seeds: Sequence[int | None] | None = None,
+    ) -> None:
+        self._simulation.reset(env_indices, options, seeds)
+        self._steps[env_indices] = 0
+        if self._pictures is not None:
+            self._pictures.on_reset(env_indices.tolist())
 
     def _reset_indices(self, options: dict[str, Any] | None) -> NDArray[np.int64]:
-        mask = (options or {}).get("reset_mask")
+        mask = options.get("reset_mask") if isinstance(options, dict) else None
         if mask is None:
-            return self._all_indices
+            return np.arange(self.num_envs)
         mask = np.asarray(mask)
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(
-                f"reset_mask must be {self.num_envs} booleans with at least one True, not {mask.tolist()!r}"
-            )
+            raise ValueError(f"reset_mask must be {self.num_envs} booleans with at least one True, not {mask!r}")
         if not self._started:
             raise ResetNeeded("the first reset has to start all environments: omit reset_mask")
         return np.flatnonzero(mask)
@@ -172,68 +160,41 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        integer = (int, np.integer)
-        seeds: list[int | None]
-        if isinstance(seed, integer):
-            seeds = [int(seed) + env_index for env_index in range(self.num_envs)]
-        else:
-            seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [-1]
-        if any(item is not None and (not isinstance(item, integer) or item < 0) for item in seeds):
-            raise ValueError(SEED_MESSAGE.format(seed))
-        if len(seeds) != self.num_envs:
+        if not isinstance(seed, (Sequence, np.ndarray)):
+            first = whole("seed", seed)
+            return [first + env_index for env_index in range(self.num_envs)]
+        if len(seed) != self.num_envs:
             raise ValueError(
-                f"seed must be one number or {self.num_envs} numbers, one for each environment, not {len(seeds)}"
+                f"seed must be an integer or {self.num_envs} integers, one per environment, not {len(seed)}"
             )
-        return [None if item is None else int(item) for item in seeds]
+        return [None if item is None else whole("seed", item) for item in seed]
 
-    def step(self, actions: ArrayLike, *, past_end: bool = False) -> VectorStep:
+    def step(self, actions: ArrayLike) -> VectorStep:
         """Advances every environment by one control period.
 
         Args:
             actions: actions (N, m).
-            past_end: with autoreset disabled, whether a step is allowed while the episodes of some environments have
-                ended. A wrapper that resets them later needs this. Their results are meaningless.
 
         Raises:
-            ResetNeeded: before the first reset. With autoreset disabled, also if an episode has ended and ``past_end``
-                is False.
+            ResetNeeded: before the first reset.
             ValueError: if the actions are not (N, m) finite numbers.
         """
         if not self._started:
             raise ResetNeeded("call reset() before step()")
-        actions = check_action(actions, (self.num_envs, self._cables))
-        if self._autoreset is AutoresetMode.DISABLED and self._done.any() and not past_end:
-            raise ResetNeeded("the episode of an environment has ended: call reset(options={'reset_mask': …})")
-        simulation, ended = self._simulation, self._done
+        simulation, ended, autoreset = self._simulation, self._done, self.metadata["autoreset_mode"]
         simulation.step(actions)
         self._steps += 1
         if self._pictures is not None:
             self._pictures.on_step()
-        restarted = ended if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(ended)
-        if restarted.any():
-            self._restart(restarted)
-        reward, terminated = simulation.reward.copy(), simulation.reason > 0
-        truncated = self._steps >= self._max_steps if self._max_steps is not None else np.zeros_like(ended)
+        if autoreset is AutoresetMode.NEXT_STEP and ended.any():
+            self._reset(np.flatnonzero(ended))
+        reward, terminated, truncated = simulation.reward.copy(), simulation.reason > 0, self._steps >= self._max_steps
         self._done = terminated | truncated
-        if self._autoreset is AutoresetMode.DISABLED:
-            self._done |= ended
         final = {}
-        if self._autoreset is AutoresetMode.SAME_STEP and self._done.any():
+        if autoreset is AutoresetMode.SAME_STEP and self._done.any():
             final = self._final(self._done)
-            self._restart(self._done)
-            self._done = np.zeros_like(ended)
-        info = self._info(simulation.info.copy()) | final
-        return simulation.observation.copy(), reward, terminated, truncated, info
-
-    def _restart(self, mask: NDArray[np.bool_]) -> None:
-        env_indices = np.flatnonzero(mask)
-        self._simulation.reset(env_indices)
-        self._on_reset(env_indices)
-
-    def _on_reset(self, env_indices: NDArray[np.int64]) -> None:
-        self._steps[env_indices] = 0
-        if self._pictures is not None:
-            self._pictures.on_reset(env_indices.tolist())
+            self._reset(np.flatnonzero(self._done))
+        return simulation.observation.copy(), reward, terminated, truncated, self._info() | final
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture of each environment, as in the single environment, if the render mode is ``rgb_array``; else None.
@@ -252,9 +213,10 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         observations = np.full(self.num_envs, None, dtype=object)
         for env_index in np.flatnonzero(mask):
             observations[env_index] = self._simulation.observation[env_index].copy()
-        info = self._info(self._simulation.info.copy())
+        info = self._info()
         info |= {f"_{name}": mask.copy() for name in info}
         return {"final_obs": observations, "_final_obs": mask.copy(), "final_info": info, "_final_info": mask.copy()}
 
-    def _info(self, rows: Array) -> dict[str, Any]:
-        return info_dict(rows, self._cables) | {"termination_reason": _REASONS[self._simulation.reason]}
+    def _info(self) -> dict[str, Any]:
+        info = info_dict(self._simulation.info.copy(), self.settings.robot.cables)
+        return info | {"termination_reason": _REASONS[self._simulation.reason]}

@@ -1,4 +1,4 @@
-"""Batched rollouts of one policy: payloads × draws. The payload search and the comparison share this module."""
+"""Batched episodes of one policy: payloads × draws. All evaluations, comparisons and recordings run this loop."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.envs import check_robot, env_robot
-from cablebot_gym.envs.single import SEED_MESSAGE
+from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_criterion
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import as_policy, load_policy, name_of
+from cablebot_gym.policies import Policy, as_policy, load_policy, name_of
 from cablebot_gym.policies.protocol import checked_actions, reset_policy
 from cablebot_gym.robots import find_robot
-from cablebot_gym.task import ErrorBounds, Task, to_jsonable
-from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
+from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
+from cablebot_gym.uncertainty import find_uncertainty
+from cablebot_gym.utils.checks import whole
 
 BATCH = 1024
 """Number of episodes in one batch; at least the draws of one payload. This many episodes fit into the caches of a core.
@@ -33,9 +34,19 @@ DEFAULT_DRAWS = 256
 Progress = Callable[[int, int], None]
 """Callback after every control step: number of finished steps, expected number of steps."""
 
-Observer = Callable[[dict[str, Any], Array, NDArray[np.bool_]], None]
-"""Callback after every control step of the first batch: info, poses (N, n), and a mask of the running episodes (N,).
-An episode is running until the environment ends it. Unless the full motion is run, a violation ends it as well."""
+
+class Observer(Protocol):
+    """Receives the control steps of the episodes of one payload."""
+
+    def start(self, observation: Array, info: dict[str, Any]) -> None:
+        """Called after the reset, with arrays (N, …)."""
+
+    def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
+        """Called after every control step, with arrays (N, …).
+
+        ``running`` marks the episodes that this step belongs to: an episode ends when the environment terminates it
+        and, unless the full motion is run, at its first violation.
+        """
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,21 +72,34 @@ class Trial:
     @property
     def violation(self) -> Violation | None:
         """The earliest violation of the most frequent kind; None if the payload was carried in every draw."""
-        return None if self.violation_draw is None else self.verdicts[self.violation_draw].violation
+        draw = self.violation_draw
+        return None if draw is None else self.verdicts[draw].violation
 
     @property
     def violation_draw(self) -> int | None:
         """Index of the draw in which :attr:`violation` occurred, from 0; None without a violation."""
-        if not self.failures:
-            return None
-        most_frequent = next(iter(self.failures))
-        violations = [(draw, verdict.violation) for draw, verdict in enumerate(self.verdicts)]
-        times = [
-            (violation.time or 0.0, draw)
-            for draw, violation in violations
-            if violation is not None and violation.kind == most_frequent
-        ]
-        return min(times)[1]
+        kind, violations = next(iter(self.failures), None), [verdict.violation for verdict in self.verdicts]
+        times = [(one.time, draw) for draw, one in enumerate(violations) if one is not None and one.kind == kind]
+        return min(times)[1] if times else None
+
+
+class StepCount:
+    """Counts finished control steps for a progress callback.
+
+    Args:
+        progress: the callback; None for none.
+        expected: expected number of control steps.
+    """
+
+    def __init__(self, progress: Progress | None, expected: int) -> None:
+        self._progress = progress
+        self.done, self.expected = 0, expected
+
+    def add(self, steps: int) -> None:
+        """Counts further steps and calls the callback."""
+        self.done += steps
+        if self._progress is not None:
+            self._progress(self.done, max(self.expected, self.done))
 
 
 def versions() -> dict[str, str]:
@@ -87,21 +111,6 @@ def versions() -> dict[str, str]:
 def uncertainty_name(uncertainty: Any) -> str | None:
     """Name of an uncertainty in results: its own name, ``custom`` for data, or None without uncertainty."""
     return uncertainty if isinstance(uncertainty, str | None) else "custom"
-
-
-def resolve_draws(draws: int | None, uncertainty: Uncertainty, *, random: bool) -> int:
-    """Checks the requested number of draws. None gives :data:`DEFAULT_DRAWS` under a random uncertainty, else 1.
-
-    Raises:
-        ValueError: if the number is not an integer of at least 1, or if it exceeds 1 although nothing is random.
-    """
-    if draws is None:
-        return DEFAULT_DRAWS if uncertainty.random else 1
-    if not isinstance(draws, (int, np.integer)) or isinstance(draws, bool) or draws < 1:
-        raise ValueError(f"draws must be an integer of at least 1, not {draws!r}")
-    if draws > 1 and not random:
-        raise ValueError(f"all {draws} draws would be equal: choose a random uncertainty, such as table6, or draws=1")
-    return int(draws)
 
 
 def draw_seeds(seed: int, draws: int) -> list[int]:
@@ -118,14 +127,12 @@ def draw_seeds(seed: int, draws: int) -> list[int]:
 class Batch:
     """Rolls out payloads × draws with one policy in one vector environment.
 
-    Use it as a context manager, which closes the environment.
-
     Args:
         policy: an object with ``predict``, a callable ``observation -> action``, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         name: name of the policy; None for its own name.
         criterion: ``task`` or ``paper``.
-        error_bounds: bounds of the tracking errors.
+        error_bounds: bounds of the tracking errors; None for the default.
         uncertainty: model errors and disturbances that the policy does not know.
         draws: number of episodes at each payload; None for the default.
         seed: seed that alone determines the draws.
@@ -142,72 +149,63 @@ class Batch:
         policy: Any,
         env_id: str,
         *,
-        name: str | None,
-        criterion: str,
-        error_bounds: ErrorBounds,
-        uncertainty: Any,
-        draws: int | None,
-        seed: int,
-        max_payloads: int,
-        keywords: dict[str, Any],
+        name: str | None = None,
+        criterion: str = "task",
+        error_bounds: ErrorBounds | dict[str, float] | None = None,
+        uncertainty: Any = None,
+        draws: int | None = None,
+        seed: int = 0,
+        max_payloads: int = 1,
+        keywords: dict[str, Any] | None = None,
     ) -> None:
-        self.criterion, self.error_bounds = find_criterion(criterion), error_bounds
+        keywords = keywords or {}
+        for key in {"payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode"} & keywords.keys():
+            raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
+        self.criterion, self.error_bounds = find_criterion(criterion), find_error_bounds(error_bounds)
         check_robot(env_id, keywords.get("robot"))
-        _check_keywords(keywords | {"uncertainty": uncertainty})
-        robot = find_robot(keywords.get("robot") or env_robot(env_id))
-        resolved = find_uncertainty(uncertainty, robot)
-        random = resolved.random or keywords.get("initial_error_range") is not None
-        self.draws = resolve_draws(draws, resolved, random=random)
-        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
-            raise ValueError(SEED_MESSAGE.format(seed))
-        self.seeds = draw_seeds(int(seed), self.draws)
+        resolved = find_uncertainty(uncertainty, find_robot(keywords.get("robot") or env_robot(env_id)))
+        default = DEFAULT_DRAWS if resolved.random else 1
+        self.draws = default if draws is None else whole("draws", draws, least=1)
+        if self.draws > 1 and not resolved.random and keywords.get("initial_error_range") is None:
+            raise ValueError(f"all {draws} draws would be equal: choose a random uncertainty or draws=1")
+        self.seeds = draw_seeds(whole("seed", seed), self.draws)
         """Seed of each draw. An environment that is reset with this seed repeats the draw."""
         self._batch_payloads = min(max_payloads, max(1, BATCH // self.draws))
         # With wide error bounds the environment must not terminate an episode before a violation.
-        self.keywords = {"termination_radius": error_bounds.termination_radius} | keywords
+        self.keywords = {"termination_radius": self.error_bounds.termination_radius} | keywords
         """Keywords of the environment."""
-        self.env = gym.make_vec(
+        env = gym.make_vec(
             env_id,
             num_envs=self._batch_payloads * self.draws,
-            error_bounds=error_bounds,
+            error_bounds=self.error_bounds,
             max_episode_steps=None,
             uncertainty=resolved,
             **self.keywords,
-        )
-        try:
-            self.env.reset(seed=self._episode_seeds)
-            self.task: Task = self._unwrapped.tasks[0]
-            self.task.check_motion()
-            self.policy = load_policy(policy, self.task.robot) if isinstance(policy, str) else as_policy(policy)
-            self.name = name or name_of(policy)
-            if self.criterion == "paper" and not getattr(self.policy, "unsaturated_actions", False):
-                raise ValueError(
-                    f"the paper criterion does not apply to policy {self.name!r}, because it does not declare "
-                    "unsaturated_actions = True; use criterion='task'"
-                )
-        except BaseException:
-            self.env.close()
-            raise
-
-    def __enter__(self) -> Batch:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.env.close()
+        ).unwrapped
+        assert isinstance(env, CableBotVectorEnv)
+        self.env: CableBotVectorEnv = env
+        """The vector environment."""
+        env.reset(seed=self.seeds * self._batch_payloads)
+        self.task: Task = env.tasks[0]
+        self.task.check_motion()
+        self.policy = load_policy(policy, self.task.robot) if isinstance(policy, str) else as_policy(policy)
+        self.name = name or name_of(policy)
+        if self.criterion == "paper" and not getattr(self.policy, "unsaturated_actions", False):
+            raise ValueError(
+                f"the paper criterion does not apply to policy {self.name!r}, because it does not declare "
+                "unsaturated_actions = True; use criterion='task'"
+            )
 
     @property
-    def _episode_seeds(self) -> Any:  # the signature of Gymnasium excludes a sequence of seeds
-        return self.seeds * self._batch_payloads
-
-    @property
-    def _unwrapped(self) -> Any:
-        """The unwrapped environment, which has tasks, pose, settings and true parameters."""
-        return self.env.unwrapped
+    def fallbacks(self) -> float | None:
+        """Mean number of the policy's fallbacks per episode of the last batch; None if it does not count them."""
+        count = getattr(self.policy, "fallbacks", None)
+        return None if count is None else float(count) / self.env.num_envs
 
     def description(self) -> dict[str, Any]:
         """Settings of the episodes without the seeds, as JSON-able data."""
         separate = ("robot", "trajectory", "payload_known", "model_payload_factor")
-        settings = self._unwrapped.settings
+        settings = self.env.settings
         return {
             "robot": self.task.robot.to_dict(),
             "trajectory": to_jsonable(self.task.trajectory),
@@ -218,12 +216,6 @@ class Batch:
             "uncertainty": to_jsonable(settings.uncertainty[0]),
         }
 
-    @property
-    def truth(self) -> dict[str, Array]:
-        """True parameters of the current episodes by name, each (N, …)."""
-        truth: dict[str, Array] = self._unwrapped.truth
-        return truth
-
     def steps(self, payloads: int) -> int:
         """Number of control steps of :meth:`run` for a number of payloads, for a progress bar."""
         return -(-payloads // self._batch_payloads) * self.task.steps
@@ -232,16 +224,16 @@ class Batch:
         self,
         payloads: Sequence[float] | Array,
         *,
-        observe: Observer | None = None,
-        progress: Callable[[int], None] | None = None,
+        observer: Observer | None = None,
+        count: StepCount | None = None,
         full_motion: bool = False,
     ) -> list[Trial]:
         """Rolls out payloads in all draws.
 
         Args:
-            payloads: nominal payloads [kg].
-            observe: callback for the steps of the first batch.
-            progress: callback with the number of control steps just finished or skipped.
+            payloads: nominal payloads [kg]; exactly one with an observer.
+            observer: receives the steps; the first ``draws`` environments are the draws.
+            count: counts the finished or skipped control steps.
             full_motion: whether to simulate an episode to the end of the motion after a violation.
 
         Returns:
@@ -250,60 +242,81 @@ class Batch:
         trials: list[Trial] = []
         for first in range(0, len(payloads), self._batch_payloads):
             chunk = np.asarray(payloads[first : first + self._batch_payloads], float)
-            judge = self._roll_out(chunk, observe if first == 0 else None, progress, full_motion)
-            for index, payload in enumerate(chunk):
-                env_indices = range(index * self.draws, (index + 1) * self.draws)
-                verdicts = tuple(
-                    judge.verdict(env_index, complete=not judge.failed[env_index]) for env_index in env_indices
-                )
-                trials.append(Trial(payload=float(payload), verdicts=verdicts))
-        return trials
-
-    def _roll_out(
-        self, payloads: Array, observe: Observer | None, progress: Callable[[int], None] | None, full_motion: bool
-    ) -> Judge:
-        fill = np.full(self._batch_payloads - len(payloads), payloads[-1])
-        batch = np.repeat(np.append(payloads, fill), self.draws)
-        task = self.task
-        observation, info = self.env.reset(seed=self._episode_seeds, options={"payload": batch})
-        judge = Judge(self.criterion, self.error_bounds, task.robot.cables, len(batch))
-        judge.reset(info)
-        reset_policy(self.policy, self.name, lambda: self._unwrapped.tasks)
-        state, start = None, np.ones(len(batch), np.bool_)
-        ended = np.zeros(len(batch), np.bool_)
-        for step in range(task.steps):
-            over = (ended if full_motion else judge.failed).copy()
-            action, state = checked_actions(
+            filled = np.append(chunk, np.full(self._batch_payloads - len(chunk), chunk[-1]))
+            batch = np.repeat(filled, self.draws)
+            observation, info = self.env.reset(seed=self.seeds * self._batch_payloads, options={"payload": batch})
+            judge = Judge(self.criterion, self.task.robot.cables, len(batch))
+            judge.reset(info, self.error_bounds, self.task.steps)
+            if observer is not None:
+                observer.start(observation, info)
+            run_episodes(
+                self.env,
                 self.policy,
                 self.name,
                 observation,
-                state,
-                start,
-                cables=task.robot.cables,
+                judge,
                 payloads=batch,
-                time=step / task.control_frequency,
-                ignored=over,
+                observer=observer,
+                count=count,
+                full_motion=full_motion,
             )
-            observation, _, terminated, _, info = self.env.step(action)
-            judge.observe(info, terminated)
-            if observe is not None:
-                observe(info, self._unwrapped.pose, ~over)
-            ended |= terminated
-            start = terminated  # the environment restarts these episodes; the judge ignores them
-            if progress is not None:
-                progress(1)
-            if (ended if full_motion else judge.failed).all():
-                if progress is not None:
-                    progress(task.steps - step - 1)
-                break
-        return judge
+            for index, payload in enumerate(chunk):
+                draws = range(index * self.draws, (index + 1) * self.draws)
+                trials.append(Trial(payload=float(payload), verdicts=tuple(judge.verdict(draw) for draw in draws)))
+        return trials
 
 
-def _check_keywords(keywords: dict[str, Any]) -> None:
-    if taken := {"payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode"} & set(keywords):
-        raise ValueError(f"{sorted(taken)[0]} is set by the evaluation: remove it from the keywords")
-    for key, most in (("payload_known", 0), ("model_payload_factor", 0), ("initial_error", 1)):
-        if np.ndim(keywords.get(key, 0)) > most:
-            raise ValueError(f"{key} must be one value for all episodes, not one for each environment")
-    if isinstance(keywords["uncertainty"], (list, tuple)):
-        raise ValueError("uncertainty must be one value for all episodes, not one for each environment")
+def run_episodes(
+    env: CableBotVectorEnv,
+    policy: Policy,
+    name: str,
+    observation: Array,
+    judge: Judge,
+    *,
+    payloads: Array,
+    observer: Observer | None = None,
+    count: StepCount | None = None,
+    full_motion: bool = False,
+) -> None:
+    """Runs the episodes of a vector environment that has been reset.
+
+    Args:
+        env: the environment.
+        policy: the policy, which is reset first.
+        name: name of the policy in messages.
+        observation: observations of the reset, (N, size).
+        judge: checks the steps; it has been reset and has the number of control steps of each motion.
+        payloads: nominal payloads in messages, (N,) [kg].
+        observer: receives the steps.
+        count: counts the finished or skipped control steps.
+        full_motion: whether to simulate an episode to the end of the motion after a violation.
+
+    Raises:
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+    """
+    reset_policy(policy, name, lambda: env.tasks)
+    state, start = None, np.ones(env.num_envs, np.bool_)
+    terminated = np.zeros(env.num_envs, np.bool_)
+    count, longest = count or StepCount(None, 0), int(judge.steps.max())
+    for step in range(longest):
+        over = (terminated if full_motion else judge.failed) | judge.finished
+        if over.all():
+            count.add(longest - step)
+            return
+        action, state = checked_actions(
+            policy,
+            name,
+            observation,
+            state,
+            start,
+            cables=env.settings.robot.cables,
+            payloads=payloads,
+            time=step / env.settings.control_frequency,
+            ignored=over,
+        )
+        observation, reward, start, _, info = env.step(action)  # the environment restarts terminated episodes
+        judge.observe(info, start)
+        if observer is not None:
+            observer.step(observation, reward, info, ~over)
+        terminated |= start
+        count.add(1)

@@ -6,24 +6,30 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.batch import Batch, Progress, Trial, uncertainty_name, versions
+from cablebot_gym.evaluation.batch import Batch, Progress, StepCount, uncertainty_name, versions
+from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
+from cablebot_gym.utils.checks import number
 
 CONFIDENCE = 0.95
 """Confidence of every interval."""
 
 RESAMPLES = 2000
 """Number of bootstrap resamples for the interval of a reduction."""
+
+_RECORDED = (
+    *("tracking_error", "rotation_error", "tracking_error_peak", "rotation_error_peak"),
+    *("torques", "commanded_action", "tensions", "time"),
+)
+"""Recorded arrays of every draw."""
 
 REDUCTION_QUANTITIES = ("mean_error", "rms_error", "max_error")
 """Quantities with a reported reduction relative to the first policy."""
@@ -78,11 +84,13 @@ class PolicyMetrics:
 
     def estimate(self, quantity: str) -> Estimate:
         """Mean of a quantity over the draws with the confidence interval of Student's t-distribution."""
+        from scipy.special import stdtrit  # slow to import
+
         values: Array = getattr(self, quantity)
         mean, width = float(values.mean()), 0.0
         if len(values) > 1:
             error = float(values.std(ddof=1)) / math.sqrt(len(values))
-            width = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1)) * error
+            width = float(stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2)) * error
         return Estimate(mean=mean, low=mean - width, high=mean + width)
 
 
@@ -114,7 +122,7 @@ class Comparison:
     """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
     error_bounds: ErrorBounds
     """Bounds of the tracking errors."""
-    metrics: tuple[PolicyMetrics, ...]
+    metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
     """Robot, trajectory, uncertainty, control frequency and further settings, as JSON-able data."""
@@ -148,19 +156,9 @@ class Comparison:
             policies.append(
                 {"policy": metrics.policy, "estimates": estimates, "reductions": reductions, "per_draw": values}
             )
-        names = (
-            "env_id",
-            "payload",
-            "payload_known",
-            "model_payload_factor",
-            "uncertainty",
-            "draws",
-            "seed",
-            "environment",
-            "versions",
-        )
-        head = {name: getattr(self, name) for name in names} | {"draw_seeds": list(self.draw_seeds)}
-        return head | {"confidence": CONFIDENCE, "error_bounds": vars(self.error_bounds), "policies": policies}
+        replaced = {"draw_seeds": list(self.draw_seeds), "error_bounds": vars(self.error_bounds)}
+        head = {item.name: getattr(self, item.name) for item in fields(self) if item.repr} | replaced
+        return head | {"confidence": CONFIDENCE, "policies": policies}
 
     def to_json(self) -> str:
         """The comparison as JSON, indented."""
@@ -171,13 +169,11 @@ class Comparison:
         lines = [f"{described(self.env_id, self.task.robot.name)}, {self.payload:g} kg, {draws}"]
         for index, metrics in enumerate(self.metrics):
             mean, largest = metrics.estimate("mean_error"), metrics.estimate("max_error")
-            text = f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean, {1e3 * largest.mean:.3g} mm max"
-            if index:
-                fractions = [self.reduction(index, name).mean for name in ("mean_error", "max_error")]
-                texts = [f"{abs(fraction):.0%} {'less' if fraction >= 0 else 'more'}" for fraction in fractions]
-                text += f" ({' and '.join(texts)} than {self.metrics[0].policy})"
-            ended = f", ended early in {metrics.ended.mean():.0%}" if metrics.ended.any() else ""
-            lines.append(f"{text}; carried in {metrics.carried.mean():.0%}{ended}")
+            change = f" ({-self.reduction(index, 'mean_error').mean:+.0%} versus {self.metrics[0].policy})"
+            lines.append(
+                f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean{change if index else ''}, "
+                f"{1e3 * largest.mean:.3g} mm max; carried in {metrics.carried.mean():.0%}"
+            )
         return "\n".join(lines)
 
 
@@ -220,33 +216,19 @@ def compare_policies(
         raise ValueError("there is no policy to compare: give at least one policy")
     if len(set(labels)) < len(labels) or len(labels) != len(policies):
         raise ValueError(f"every policy needs its own name, but the names are {', '.join(labels)}: give distinct names")
-    if not isinstance(payload, Real) or isinstance(payload, bool) or not 0 <= payload < math.inf:
-        raise ValueError(f"payload must be a finite number of at least 0 kg, not {payload!r}")
-    bounds, metrics = find_error_bounds(error_bounds), []
-    for index, (policy, label) in enumerate(zip(policies, labels, strict=True)):
-        batch = Batch(
-            policy,
-            env_id,
-            name=label,
-            criterion="task",
-            error_bounds=bounds,
-            uncertainty=uncertainty,
-            draws=draws,
-            seed=seed,
-            max_payloads=1,
-            keywords=keywords,
-        )
-        with batch:
-            recorder, steps = _Recorder(batch.draws, batch.task.robot.cables), batch.task.steps
-            advance = _Steps(progress, index * steps, len(labels) * steps)
-            trial = batch.run([payload], observe=recorder, progress=advance, full_motion=True)[0]
-            radius = batch.keywords["termination_radius"]
-            metrics.append(recorder.metrics(label, trial, steps, radius))
-            task, description = batch.task, batch.description()
+    payload = number("payload", payload, least=0, unit="kg")
+    bounds, metrics, count = find_error_bounds(error_bounds), [], StepCount(progress, 0)
+    shared = {"error_bounds": bounds, "uncertainty": uncertainty, "draws": draws, "seed": seed, "keywords": keywords}
+    for policy, label in zip(policies, labels, strict=True):
+        batch = Batch(policy, env_id, name=label, **shared)
+        count.expected = len(labels) * batch.task.steps
+        recorder = Recorder(batch.env, range(batch.draws), _RECORDED)
+        trial = batch.run([payload], observer=recorder, count=count, full_motion=True)[0]
+        metrics.append(_metrics(label, recorder.rollouts(trial.verdicts), batch.keywords["termination_radius"]))
     return Comparison(
         env_id=env_id,
-        payload=float(payload),
-        payload_known=task.payload_known,
+        payload=payload,
+        payload_known=batch.task.payload_known,
         model_payload_factor=float(keywords.get("model_payload_factor", 1.0)),
         uncertainty=uncertainty_name(uncertainty),
         draws=len(metrics[0].carried),
@@ -254,80 +236,54 @@ def compare_policies(
         draw_seeds=tuple(batch.seeds),
         error_bounds=bounds,
         metrics=tuple(metrics),
-        environment=description,
+        environment=batch.description(),
         versions=versions(),
-        task=task,
+        task=batch.task,
     )
 
 
-class _Steps:
-    """Progress callback that adds the steps of one policy to those of the previous policies."""
+def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:
+    """Metrics of one policy from its draws. The errors at the start of the episodes come from the verdicts.
 
-    def __init__(self, progress: Progress | None, done: int, expected: int) -> None:
-        self._progress, self._done, self._expected = progress, done, expected
+    Args:
+        policy: name of the policy.
+        rollouts: recording of every draw.
+        termination_radius: least position error that counts after an early termination [m].
+    """
 
-    def __call__(self, steps: int) -> None:
-        self._done += steps
-        if self._progress is not None:
-            self._progress(self._done, self._expected)
+    def largest(name: str) -> Array:
+        return np.array([np.abs(rollout.arrays[name]).max() for rollout in rollouts])
+
+    error, rotation = (_series(rollouts, name) for name in ("tracking_error", "rotation_error"))
+    ended = np.array([rollout.reason != "" for rollout in rollouts])
+    final = np.maximum([rollout.arrays["tracking_error"][-1] for rollout in rollouts], termination_radius)
+    rest = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
+    filled = np.concatenate([error, rest])
+    filled = np.where(np.isnan(filled), final, filled)
+    peak = np.maximum(largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts])
+    return PolicyMetrics(
+        policy=policy,
+        mean_error=filled.mean(axis=0),
+        rms_error=np.sqrt((filled**2).mean(axis=0)),
+        max_error=np.where(ended, np.maximum(peak, final), peak),
+        max_rotation=np.maximum(
+            largest("rotation_error_peak"), [rollout.verdict.rotation_peak for rollout in rollouts]
+        ),
+        rms_torque=np.array([math.sqrt(np.mean(rollout.arrays["torques"] ** 2)) for rollout in rollouts]),
+        peak_torque=largest("torques"),
+        torque_margin=1 - largest("commanded_action"),
+        least_tension=np.array([rollout.arrays["tensions"].min() for rollout in rollouts]),
+        carried=np.array([rollout.verdict.carried for rollout in rollouts]),
+        ended=ended,
+        error=error,
+        rotation=rotation,
+    )
 
 
-class _Recorder:
-    """Observer that accumulates the metrics of a batch during its steps."""
-
-    def __init__(self, draws: int, cables: int) -> None:
-        self._error: list[Array] = []
-        self._rotation: list[Array] = []
-        self._peak, self._rotation_peak, self._torque_squares = np.zeros(draws), np.zeros(draws), np.zeros(draws)
-        self._torque, self._action, self._tension = np.zeros(draws), np.zeros(draws), np.full(draws, np.inf)
-        self._steps, self._last_error, self._cables = np.zeros(draws), np.zeros(draws), cables
-        self._ended = np.zeros(draws, np.bool_)
-
-    def __call__(self, info: dict[str, Any], pose: Array, running: NDArray[np.bool_]) -> None:
-        self._error.append(np.where(running, info["tracking_error"], np.nan))
-        self._rotation.append(np.where(running, info["rotation_error"], np.nan))
-        self._ended |= running & (info["termination_reason"] != "")
-        torque, action = np.abs(info["torques"]), np.abs(info["commanded_action"])
-        self._torque_squares += np.where(running, np.sum(torque**2, axis=1), 0.0)
-        self._steps += running
-        self._last_error[running] = info["tracking_error"][running]
-        for largest, values in (
-            (self._peak, info["tracking_error_peak"]),
-            (self._rotation_peak, info["rotation_error_peak"]),
-            (self._torque, torque.max(axis=1)),
-            (self._action, action.max(axis=1)),
-        ):
-            np.maximum(largest, values, out=largest, where=running)
-        np.minimum(self._tension, info["tensions"].min(axis=1), out=self._tension, where=running)
-
-    def metrics(self, policy: str, trial: Trial, steps: int, termination_radius: float) -> PolicyMetrics:
-        """Metrics of the finished batch. The errors at the start of the episodes come from the verdicts.
-
-        Args:
-            policy: name of the policy.
-            trial: verdicts of the episodes.
-            steps: number of control steps of the full motion.
-            termination_radius: least position error that counts after an early termination [m].
-        """
-        verdicts = trial.verdicts
-        error, rotation = np.array(self._error), np.array(self._rotation)
-        rest = np.full((steps - len(error), error.shape[1]), np.nan)
-        final = np.maximum(self._last_error, termination_radius)
-        filled = np.concatenate([error, rest])
-        filled = np.where(np.isnan(filled), final, filled)
-        peak = np.maximum(self._peak, [verdict.position_peak for verdict in verdicts])
-        return PolicyMetrics(
-            policy=policy,
-            mean_error=filled.mean(axis=0),
-            rms_error=np.sqrt((filled**2).mean(axis=0)),
-            max_error=np.where(self._ended, np.maximum(peak, final), peak),
-            max_rotation=np.maximum(self._rotation_peak, [verdict.rotation_peak for verdict in verdicts]),
-            rms_torque=np.sqrt(self._torque_squares / self._steps / self._cables),
-            peak_torque=self._torque,
-            torque_margin=1 - self._action,
-            least_tension=self._tension,
-            carried=np.array([verdict.carried for verdict in verdicts]),
-            ended=self._ended,
-            error=error,
-            rotation=rotation,
-        )
+def _series(rollouts: Sequence[Rollout], name: str) -> Array:
+    """An array of every rollout, (steps, draws), with NaN after an early termination."""
+    arrays = [rollout.arrays[name] for rollout in rollouts]
+    series = np.full((max(map(len, arrays)), len(arrays)), np.nan)
+    for draw, values in enumerate(arrays):
+        series[: len(values), draw] = values
+    return series

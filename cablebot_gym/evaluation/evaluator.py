@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablebot_gym.evaluation.batch import Batch, Progress, Trial, uncertainty_name, versions
-from cablebot_gym.evaluation.constraints import Violation
-from cablebot_gym.evaluation.result import DLCCResult, History
+from cablebot_gym.evaluation.batch import Batch, Progress, StepCount, Trial, uncertainty_name, versions
+from cablebot_gym.evaluation.result import DLCCResult
+from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import RequiredDraws
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.task import ErrorBounds, find_error_bounds
+from cablebot_gym.utils.checks import number
 
 SCAN_POINTS = 64
 """Number of payloads in the first scan, including both ends, and in every refinement."""
@@ -81,11 +80,10 @@ def evaluate_dlcc(
             ``unsaturated_actions``.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
     """
-    for label, fraction, least in (("probability", probability, 0.0), ("confidence", confidence, 0.5)):
-        if not least < fraction < 1:
-            raise ValueError(f"{label} must lie between {least:g} and 1, not {fraction}")
-    if resolution is not None and not 0 < resolution < math.inf:
-        raise ValueError(f"resolution must be greater than 0 kg, not {resolution}")
+    number("probability", probability, above=0, below=1)
+    number("confidence", confidence, above=0.5, below=1)
+    if resolution is not None:
+        number("resolution", resolution, above=0, unit="kg")
     error_bounds = find_error_bounds(error_bounds)
     batch = Batch(
         policy,
@@ -99,66 +97,55 @@ def evaluate_dlcc(
         max_payloads=SCAN_POINTS,
         keywords=keywords,
     )
-    with batch:
-        robot = batch.task.robot
-        top = float(PAYLOAD_MAX["planar" if robot.planar else "spatial"] if payload_max is None else payload_max)
-        if not 0 < top < math.inf:
-            raise ValueError(f"payload_max must be greater than 0 kg, not {top}")
-        if resolution is None:
-            resolution = DEFAULT_RESOLUTION if batch.draws == 1 else DRAWN_RESOLUTION
-        required = RequiredDraws.of(batch.draws, probability, confidence)
-        search = _Search(batch, top, resolution, required, progress).run()
-        several = batch.draws > 1
-        has_rotation = batch.criterion == "task" and not robot.planar
-        bounds = {"position": error_bounds.position, "rotation": error_bounds.rotation if has_rotation else None}
-        carried = search.carried
-        return DLCCResult(
-            env_id=env_id,
-            policy=batch.name,
-            criterion=batch.criterion,
-            payload=None if carried is None else carried.payload,
-            total_mass=None if carried is None else carried.payload + robot.mass,
-            resolution=search.gap,
-            violation=search.violation,
-            scan_ended=search.violation is None,
-            margins=_margins(carried, bounds) if carried else {},
-            feasible=search.feasible,
-            payload_max=top,
-            error_bounds=bounds,
-            payload_known=bool(batch.task.payload_known),
-            model_payload_factor=float(batch.keywords.get("model_payload_factor", 1.0)),
-            uncertainty=uncertainty_name(uncertainty),
-            draws=batch.draws,
-            probability=probability if several else None,
-            confidence=confidence if several else None,
-            assured_payload=search.assured.payload if several and search.assured else None,
-            failures=search.failures if several else {},
-            draw_seeds=tuple(batch.seeds),
-            violation_seed=None if search.violation_draw is None else batch.seeds[search.violation_draw],
-            success=search.success if several else (),
-            seed=int(seed),
-            environment=batch.description(),
-            versions=versions(),
-            task=batch.task,
-            history=search.history,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _SearchResult:
-    """Result of a payload search; attributes as in :class:`~cablebot_gym.evaluation.result.DLCCResult`."""
-
-    carried: Trial | None
-    """Trial at the largest carried payload; None if the policy fails unloaded."""
-    assured: Trial | None
-    """Trial at the assured payload; None if there is none."""
-    violation: Violation | None
-    violation_draw: int | None
-    failures: dict[str, int]
-    gap: float
-    feasible: tuple[tuple[float, float], ...]
-    success: tuple[tuple[float, float], ...]
-    history: dict[str, Array]
+    robot = batch.task.robot
+    top = PAYLOAD_MAX["planar" if robot.planar else "spatial"] if payload_max is None else payload_max
+    top = number("payload_max", top, above=0, unit="kg")
+    if resolution is None:
+        resolution = DEFAULT_RESOLUTION if batch.draws == 1 else DRAWN_RESOLUTION
+    required = RequiredDraws.of(batch.draws, probability, confidence)
+    search = _Search(batch, top, resolution, required, progress)
+    search.run()
+    below, above = search.gap(required.fraction)
+    feasible = search.feasible()
+    if below is not None:
+        feasible[0] = (0.0, below.payload)
+    assured = None if required.assured is None else search.gap(required.assured)[0]
+    rollout = search.record(below)
+    several = batch.draws > 1
+    has_rotation = batch.criterion == "task" and not robot.planar
+    bounds = {"position": error_bounds.position, "rotation": error_bounds.rotation if has_rotation else None}
+    draw = None if above is None else above.violation_draw
+    return DLCCResult(
+        env_id=env_id,
+        policy=batch.name,
+        criterion=batch.criterion,
+        payload=None if below is None else below.payload,
+        total_mass=None if below is None else below.payload + robot.mass,
+        resolution=0.0 if below is None or above is None else above.payload - below.payload,
+        violation=None if above is None else above.violation,
+        scan_ended=above is None,
+        margins=_margins(below, bounds) if below else {},
+        feasible=tuple(feasible),
+        payload_max=top,
+        error_bounds=bounds,
+        payload_known=bool(batch.task.payload_known),
+        model_payload_factor=float(batch.keywords.get("model_payload_factor", 1.0)),
+        uncertainty=uncertainty_name(uncertainty),
+        draws=batch.draws,
+        probability=probability if several else None,
+        confidence=confidence if several else None,
+        assured_payload=None if assured is None else assured.payload,
+        failures=above.failures if several and above else {},
+        draw_seeds=tuple(batch.seeds),
+        violation_seed=None if draw is None else batch.seeds[draw],
+        success=search.success() if several else (),
+        seed=int(seed),
+        environment=batch.description(),
+        versions=versions(),
+        task=batch.task,
+        rollout=rollout,
+        fallbacks=batch.fallbacks,
+    )
 
 
 class _Search:
@@ -167,60 +154,20 @@ class _Search:
     def __init__(
         self, batch: Batch, top: float, resolution: float, required: RequiredDraws, progress: Progress | None
     ) -> None:
-        self._batch, self._top, self._resolution, self._required = batch, top, resolution, required
+        self._batch, self._resolution, self._required = batch, resolution, required
+        self._grid = np.linspace(0.0, top, SCAN_POINTS)
         refinements = math.ceil(
             math.log(max(1.0, top / (SCAN_POINTS - 1) / resolution)) / math.log(SCAN_POINTS + 1) - 1e-9
         )
-        self._expected = (1 + refinements) * batch.steps(SCAN_POINTS) + batch.steps(1)
-        self._done, self._progress = 0, progress
+        self._count = StepCount(progress, (1 + refinements) * batch.steps(SCAN_POINTS) + batch.steps(1))
         self._trials: dict[float, Trial] = {}
 
-    def run(self) -> _SearchResult:
-        """Scans, refines, and repeats the episode at the payload to record its history."""
-        grid = np.linspace(0.0, self._top, SCAN_POINTS)
-        self._try(grid)
-        self._refine()
-        required, (below, above) = self._required, self._gap(self._required.fraction)
-        assured = None if required.assured is None else self._gap(required.assured)[0]
-        feasible = _intervals(grid, np.array([self._trials[payload].carried >= required.fraction for payload in grid]))
-        if below is not None:
-            feasible[0] = (0.0, below.payload)
-        trial = self._trials[0.0] if below is None else below
-        history, draw = History(), (trial.violation_draw or 0) if below is None else _first_carried(trial)
-
-        def record(info: dict[str, Any], pose: Array, running: NDArray[np.bool_]) -> None:
-            if history.stall_torque is None:
-                history.stall_torque = self._batch.truth["motor_strength"][draw]
-            if running[draw]:
-                history.append(info, pose, draw)
-
-        self._expected = min(self._expected, self._done + self._batch.steps(1))
-        repeated = self._run([trial.payload], record)[0]
-        if repeated.carried != trial.carried:
-            raise PolicyError(
-                f"policy {self._batch.name!r} is not reproducible: it carried {repeated.payload:g} kg in "
-                f"{trial.carried} of {self._batch.draws} episodes, and in {repeated.carried} of the same episodes when "
-                "they were repeated"
-            )
-        return _SearchResult(
-            carried=below,
-            assured=assured,
-            violation=None if above is None else above.violation,
-            violation_draw=None if above is None else above.violation_draw,
-            failures={} if above is None else above.failures,
-            gap=0.0 if below is None or above is None else above.payload - below.payload,
-            feasible=tuple(feasible),
-            success=tuple(
-                (payload, self._trials[payload].carried / self._batch.draws) for payload in sorted(self._trials)
-            ),
-            history=history.closed(),
-        )
-
-    def _refine(self) -> None:
-        """Subdivides the gaps above the payload and above the assured payload down to the resolution."""
+    def run(self) -> None:
+        """Scans, then subdivides the gaps above the payload and above the assured payload down to the resolution."""
+        self._try(self._grid)
         required = {count for count in (self._required.fraction, self._required.assured) if count is not None}
         while True:
-            gaps = {(below.payload, above.payload) for below, above in map(self._gap, required) if below and above}
+            gaps = {(below.payload, above.payload) for below, above in map(self.gap, required) if below and above}
             wide = [gap for gap in sorted(gaps) if gap[1] - gap[0] > self._resolution]
             inner = [np.linspace(*gap, SCAN_POINTS // len(wide) + 2)[1:-1] for gap in wide]
             fresh = [payload for payload in np.concatenate([[], *inner]).tolist() if payload not in self._trials]
@@ -228,7 +175,7 @@ class _Search:
                 return
             self._try(np.array(fresh))
 
-    def _gap(self, required: int) -> tuple[Trial | None, Trial | None]:
+    def gap(self, required: int) -> tuple[Trial | None, Trial | None]:
         """The trial of the first payload that fewer than ``required`` draws carry, and the trial below it.
 
         Returns:
@@ -241,26 +188,38 @@ class _Search:
             below = self._trials[payload]
         return below, None
 
+    def feasible(self) -> list[tuple[float, float]]:
+        """Intervals of carried payloads on the grid of the scan [kg]."""
+        carried = [self._trials[payload].carried >= self._required.fraction for payload in self._grid]
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], carried, [False]]).astype(int)))
+        return [(float(self._grid[low]), float(self._grid[high - 1])) for low, high in edges.reshape(-1, 2)]
+
+    def success(self) -> tuple[tuple[float, float], ...]:
+        """Pairs of payload [kg] and fraction of the draws that carry it."""
+        return tuple((payload, self._trials[payload].carried / self._batch.draws) for payload in sorted(self._trials))
+
+    def record(self, carried: Trial | None) -> Rollout:
+        """Repeats an episode at the carried payload, or the unloaded one that fails, and records it.
+
+        Raises:
+            PolicyError: if the repeated episodes have another outcome.
+        """
+        batch, trial = self._batch, carried or self._trials[0.0]
+        draw = trial.violation_draw or 0
+        if carried is not None:
+            draw = [verdict.carried for verdict in carried.verdicts].index(True)
+        self._count.expected = min(self._count.expected, self._count.done + batch.steps(1))
+        recorder = Recorder(batch.env, [draw])
+        repeated = batch.run([trial.payload], observer=recorder, count=self._count)[0]
+        if repeated.carried != trial.carried:
+            raise PolicyError(
+                f"policy {batch.name!r} is not reproducible: it carried {trial.payload:g} kg in {trial.carried} of "
+                f"{batch.draws} episodes, and in {repeated.carried} of the same episodes when they were repeated"
+            )
+        return recorder.rollouts(repeated.verdicts)[0]
+
     def _try(self, payloads: Array) -> None:
-        self._trials |= {trial.payload: trial for trial in self._run(payloads, None)}
-
-    def _run(self, payloads: Any, observe: Any) -> list[Trial]:
-        return self._batch.run(payloads, observe=observe, progress=self._advance)
-
-    def _advance(self, steps: int) -> None:
-        self._done += steps
-        if self._progress is not None:
-            self._progress(self._done, max(self._expected, self._done))
-
-
-def _first_carried(trial: Trial) -> int:
-    return next(draw for draw, verdict in enumerate(trial.verdicts) if verdict.carried)
-
-
-def _intervals(payloads: Array, carried: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Intervals of carried payloads on the grid of the scan."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], carried.astype(int), [0]])))
-    return [(float(payloads[low]), float(payloads[high - 1])) for low, high in edges.reshape(-1, 2)]
+        self._trials |= {trial.payload: trial for trial in self._batch.run(payloads, count=self._count)}
 
 
 def _margins(trial: Trial, bounds: dict[str, float | None]) -> dict[str, float]:

@@ -6,46 +6,10 @@ import json
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-import numpy as np
-
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.constraints import Criterion, Violation
-from cablebot_gym.kinematics import Array
+from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.task import Task, payload_model_text
-
-
-class History:
-    """Recorder of one episode. :meth:`closed` returns arrays with the control steps as first axis."""
-
-    NAMES = (
-        "action_time",
-        "commanded_action",
-        "torques",
-        "tensions",
-        "motor_speeds",
-        "tracking_error",
-        "rotation_error",
-    )
-    """Recorded entries of ``info``."""
-
-    def __init__(self) -> None:
-        self._rows: list[dict[str, Any]] = []
-        self.stall_torque: Array | None = None
-        """True stall torque τ_s in the episode (m,) [N·m]; has to be set before :meth:`closed`."""
-
-    def append(self, info: dict[str, Any], pose: Array, env_index: int) -> None:
-        """Adds one step of one environment of a batch: its entries of ``info`` and its row of the poses (N, n)."""
-        self._rows.append(
-            {name: np.array(info[name][env_index]) for name in self.NAMES} | {"pose": np.array(pose[env_index])}
-        )
-
-    def closed(self) -> dict[str, Array]:
-        """All arrays by name. ``pose`` and the errors are those at the end of each step.
-
-        ``stall_torque`` (m,) has no time axis.
-        """
-        arrays = {name: np.array([row[name] for row in self._rows]) for name in (*self.NAMES, "pose")}
-        return arrays | {"stall_torque": np.array(self.stall_torque)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,9 +78,12 @@ class DLCCResult:
     """Versions of Python and of the packages that determine the result."""
     task: Task = field(repr=False)
     """Public task of the episodes."""
-    history: dict[str, Array] = field(repr=False)
-    """Episode at the payload, or at zero payload if the policy fails unloaded, see :class:`History`. With several
-    draws, the first draw that carries the payload, or the draw of ``violation`` if the policy fails unloaded."""
+    rollout: Rollout = field(repr=False)
+    """Episode at the payload, or at zero payload up to the violation if the policy fails unloaded. With several draws,
+    the first draw that carries the payload, or the draw of ``violation`` if the policy fails unloaded."""
+    fallbacks: float | None = field(repr=False)
+    """Mean number of the policy's fallbacks per repetition of that episode; None for a policy that does not count
+    ``fallbacks``."""
 
     @property
     def score(self) -> float:
@@ -129,9 +96,8 @@ class DLCCResult:
         return f"none up to {self.payload_max:g} kg" if self.violation is None else str(self.violation)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able data without task and history."""
-        skipped = {"task", "history"}
-        data = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in skipped}
+        """JSON-able data without task, rollout and fallbacks."""
+        data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
         pairs = {name: [list(pair) for pair in getattr(self, name)] for name in ("feasible", "success")}
         seeds = {"draw_seeds": list(self.draw_seeds)}
         return data | {"violation": None if self.violation is None else asdict(self.violation)} | pairs | seeds
@@ -146,17 +112,14 @@ class DLCCResult:
             others = "; it carries " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)
             text = f"fails unloaded: {self.violation_text}{others if self.feasible else ''}"
         else:
-            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg){self._draws_text()}"
+            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg)"
+            if self.probability is not None and self.confidence is not None:
+                bound = f"{100 * self.probability:g}/{100 * self.confidence:g} lower tolerance bound"
+                assured = "none" if self.assured_payload is None else f"{self.assured_payload:.3f} kg"
+                text += (
+                    f" in at least {self.probability:.0%} of {self.draws} draws, assured payload {assured} ({bound})"
+                )
             text += f"; limiting violation: {self.violation_text}"
         model = payload_model_text(self.payload_known, self.model_payload_factor)
         uncertainty = "" if self.uncertainty is None else f", {self.uncertainty}"
         return f"{head}, {model}{uncertainty}: {text}"
-
-    def _draws_text(self) -> str:
-        if self.probability is None or self.confidence is None:
-            return ""
-        assured = "none" if self.assured_payload is None else f"{self.assured_payload:.3f} kg"
-        return (
-            f" in at least {self.probability:.0%} of {self.draws} draws, assured payload {assured} "
-            f"({100 * self.probability:g}/{100 * self.confidence:g} lower tolerance bound)"
-        )

@@ -1,107 +1,58 @@
-"""Recording of one episode of a policy."""
+"""Recording of episodes."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
-from cablebot_gym.envs import check_robot
-from cablebot_gym.evaluation.constraints import DLCCMonitor, Verdict
+from cablebot_gym.envs.vector import CableBotVectorEnv
+from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
+from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import as_policy, load_policy, name_of
-from cablebot_gym.policies.protocol import checked_actions, reset_policy
+from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.files import atomic_write
 
 SUFFIXES = (".npz", ".csv")
 """File name suffixes of recordings."""
 
 
-def record_rollout(
-    policy: Any,
-    env_id: str,
-    *,
-    payload: float = 0.0,
-    seed: int = 0,
-    name: str | None = None,
-    on_step: Callable[[DLCCMonitor], None] = lambda env: None,
-    progress: Callable[[int, int], None] = lambda done, expected: None,
-    **keywords: Any,
-) -> Rollout:
-    """Records one episode over the full motion, or until the environment terminates it.
-
-    Args:
-        policy: an object with ``predict``, a callable, or a name as on the command line.
-        env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        payload: payload on the platform [kg].
-        seed: seed of the environment.
-        name: name of the policy in messages; None for its own name.
-        on_step: callback with the environment after the reset and after every step.
-        progress: callback with the number of finished and of expected control steps, after the reset and after every
-            step.
-        keywords: keywords of the environment.
-
-    Raises:
-        ValueError: if an argument is invalid.
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
-    """
-    check_robot(env_id, keywords.get("robot"))
-    env = DLCCMonitor(gym.make(env_id, max_episode_steps=-1, payload=payload, **keywords))
-    try:
-        observation, info = env.reset(seed=seed)
-        on_step(env)
-        task: Task = env.get_wrapper_attr("task")
-        loaded = load_policy(policy, task.robot) if isinstance(policy, str) else as_policy(policy)
-        task.check_motion()
-        progress(0, task.steps)
-        label = name or name_of(policy)
-        reset_policy(loaded, label, lambda: (task,))
-        layout = env.get_wrapper_attr("layout")
-        rows: list[dict[str, Any]] = []
-        state, start, terminated = None, np.ones(1, np.bool_), False
-        while len(rows) < task.steps and not terminated:
-            action, state = checked_actions(
-                loaded,
-                label,
-                observation[None],
-                state,
-                start,
-                cables=task.robot.cables,
-                payloads=np.array([payload]),
-                time=len(rows) / task.control_frequency,
-            )
-            start = np.zeros(1, np.bool_)
-            observation, reward, terminated, _, info = env.step(action[0])
-            on_step(env)
-            blocks = layout.split(observation)
-            motion = {name: blocks[name].copy() for name in ("pose", "velocity", "reference_pose")}
-            numbers = {name: value for name, value in info.items() if not isinstance(value, str)}
-            rows.append({"time": numbers.pop("time")} | motion | numbers | {"reward": reward})
-            progress(len(rows), task.steps)
-        arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        return Rollout(arrays=arrays, verdict=env.verdict, reason=str(info["termination_reason"]))
-    finally:
-        env.close()
-
-
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """A recorded episode.
+    """A recorded episode. It has a moment at the start and one after every control step; ``len`` is their number."""
 
-    Args:
-        arrays: arrays by name, with the control steps as first axis, in SI units and radians. Pose, velocity, reference
-            and errors are those at ``time``, the end of the step. Commanded action, torques, tensions and motor speeds
-            are those at ``action_time``, the start of the step.
-        verdict: verdict under the task criterion.
-        reason: reason of an early termination, or "".
-    """
+    task: Task
+    """Public task of the episode."""
+    payload: float
+    """True payload [kg]."""
+    stall_torque: Array
+    """True stall torques τ_s, (m,) [N·m]."""
+    start: Mapping[str, Array]
+    """State after the reset, by name."""
+    arrays: Mapping[str, Array]
+    """Arrays by name, with the control steps as first axis, in SI units and radians. Pose, velocity, reference and
+    errors are those at ``time``, the end of the step. ``pose`` and ``velocity`` are measured, ``true_pose`` is exact.
+    Commanded action, torques, tensions and motor speeds are those at ``action_time``, the start of the step."""
+    verdict: Verdict
+    """Verdict under the criterion."""
+    reason: str
+    """Reason of an early termination by the environment, or ""."""
 
-    def __init__(self, *, arrays: dict[str, Array], verdict: Verdict, reason: str) -> None:
-        self.arrays, self.verdict, self.reason = arrays, verdict, reason
+    def __len__(self) -> int:
+        return 1 + len(self.arrays["time"])
+
+    def moment(self, index: int) -> Moment:
+        """Moment 0 is the start; moment k is the end of control step k; moment −1 is the last one."""
+        index = range(len(self))[index]
+        state = {name: values[index - 1] for name, values in self.arrays.items()} if index else self.start
+        return Moment.from_info(self.task.robot, self.stall_torque, state["true_pose"], state)
 
     def save(self, path: Path) -> None:
         """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as name_1, name_2, …).
@@ -125,6 +76,99 @@ class Rollout:
             writer = csv.writer(file)
             writer.writerow(names)
             writer.writerows(np.concatenate(columns, axis=1).tolist())
+
+
+class Recorder:
+    """Observer that records some draws of one payload.
+
+    Args:
+        env: the environment.
+        draws: indices of the recorded environments, which are the draws in a batch.
+        names: names of the recorded arrays; None for all.
+    """
+
+    def __init__(self, env: CableBotVectorEnv, draws: Sequence[int], names: Collection[str] | None = None) -> None:
+        self._env, self._draws, self._names = env, list(draws), names
+        self._states: list[dict[str, Array]] = []
+        self._running: list[NDArray[np.bool_]] = []
+        self._reason = np.full(len(self._draws), "", "<U16")
+
+    def start(self, observation: Array, info: dict[str, Any]) -> None:
+        """Records the state after the reset."""
+        tasks = self._env.tasks
+        self._tasks, self._stall_torque = [tasks[draw] for draw in self._draws], self._env.truth["motor_strength"]
+        self._record(observation, np.zeros(len(observation)), info)
+
+    def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
+        """Records a step of the episodes that are running."""
+        self._running.append(running[self._draws])
+        self._reason = np.where(self._running[-1], info["termination_reason"][self._draws], self._reason)
+        self._record(observation, reward, info)
+
+    def _record(self, observation: Array, reward: Array, info: dict[str, Any]) -> None:
+        slices = self._env.layout.slices()
+        motion = {name: observation[:, slices[name]] for name in ("pose", "velocity", "reference_pose")}
+        state = {"time": info["time"], **motion, **info, "reward": reward, "true_pose": self._env.pose}
+        names = state.keys() - {"termination_reason"} if self._names is None else self._names
+        self._states.append({name: values[self._draws] for name, values in state.items() if name in names})
+
+    def rollouts(self, verdicts: Sequence[Verdict]) -> list[Rollout]:
+        """The recorded episodes.
+
+        Args:
+            verdicts: verdicts of all draws.
+        """
+        running = np.array(self._running).reshape(-1, len(self._draws))
+        series = {name: np.array([state[name] for state in self._states]) for name in self._states[0]}
+        rollouts = []
+        for row, draw in enumerate(self._draws):
+            steps = slice(1, 1 + np.count_nonzero(running[:, row]))
+            rollouts.append(
+                Rollout(
+                    task=self._tasks[row],
+                    payload=verdicts[draw].payload,
+                    stall_torque=self._stall_torque[draw],
+                    start={name: values[0, row] for name, values in series.items()},
+                    arrays={name: values[steps, row] for name, values in series.items()},
+                    verdict=verdicts[draw],
+                    reason=str(self._reason[row]),
+                )
+            )
+        return rollouts
+
+
+def record_rollout(
+    policy: Any,
+    env_id: str,
+    *,
+    payload: float = 0.0,
+    seed: int = 0,
+    name: str | None = None,
+    progress: Progress | None = None,
+    **keywords: Any,
+) -> Rollout:
+    """Records one episode over the full motion, or until the environment terminates it.
+
+    Args:
+        policy: an object with ``predict``, a callable, or a name as on the command line.
+        env_id: one of :data:`cablebot_gym.ENV_IDS`.
+        payload: nominal payload [kg].
+        seed: seed of the environment.
+        name: name of the policy in messages; None for its own name.
+        progress: callback after the reset and after every control step.
+        keywords: keywords of the environment.
+
+    Raises:
+        ValueError: if an argument is invalid.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+    """
+    settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
+    payload = number("payload", payload, least=0, unit="kg")
+    batch = Batch(policy, env_id, name=name, draws=1, seed=seed, keywords=keywords, **settings)
+    recorder, count = Recorder(batch.env, [0]), StepCount(progress, batch.task.steps)
+    count.add(0)
+    trial = batch.run([payload], observer=recorder, count=count, full_motion=True)[0]
+    return recorder.rollouts(trial.verdicts)[0]
 
 
 def check_suffix(path: Path) -> None:

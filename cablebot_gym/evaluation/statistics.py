@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import beta
 
 from cablebot_gym.kinematics import Array
 
 
 def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
     """One-sided lower confidence bound of the success probability (Clopper and Pearson), shape of ``successes``."""
+    from scipy.special import betaincinv  # slow to import
+
     successes = np.asarray(successes)
-    with np.errstate(invalid="ignore"):  # the beta quantile is undefined without a success, and the bound is 0
-        return np.where(successes > 0, beta.ppf(1 - confidence, successes, draws - successes + 1), 0.0)
+    # The quantile is undefined without a success, and the bound is 0.
+    return np.where(successes > 0, betaincinv(np.maximum(successes, 1), draws - successes + 1, 1 - confidence), 0.0)
 
 
 def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:

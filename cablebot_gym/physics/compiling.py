@@ -1,12 +1,57 @@
-"""A message while numba compiles, which happens once per machine and version and takes up to a minute."""
+"""Loading of numba, and a message while it compiles: once per machine and version, which takes up to a minute."""
 
 from __future__ import annotations
 
+import gc
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
 
-from numba.core import event
+
+@contextmanager
+def _lasting() -> Iterator[None]:
+    """Exempts the objects that are made here from garbage collection, and all others that exist at the end.
+
+    Numba makes half a million objects, which stay until the process ends. Their collections take a third of the time of
+    a process that makes an environment and ends.
+    """
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.freeze()
+            gc.enable()
+
+
+with _lasting():
+    from numba import njit
+    from numba.core import event, registry
+
+__all__ = ["announce_compilation", "load_numba", "njit"]
 
 _LOGGER = logging.getLogger("cablebot_gym")
+
+
+@cache
+def load_numba() -> None:
+    """Loads the parts of numba that its first call would load, in half of the time.
+
+    Numba imports ``scipy.linalg`` only to find out whether SciPy is installed, on which this package depends. A
+    function that uses BLAS still imports it when it is compiled.
+    """
+    from numba.np import linalg
+
+    ensure_blas = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
+    try:
+        with _lasting():
+            registry.cpu_target.target_context.refresh()
+    finally:
+        linalg.ensure_blas = ensure_blas
 
 
 class _Announcer(event.Listener):

@@ -45,13 +45,6 @@ CABLE_PARAMETERS = 15
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
 DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED = 0, 1, 2, 3, 4, 5, 6
 CABLE_RECORDS = 7
-RECORD_ROWS = np.array(
-    [
-        *(POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD, CABLE_RECORDS),
-        *(DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED),
-    ]
-)
-"""The row numbers above, for compiled code in other files."""
 
 # Rows of the scratch memory, which is not used between calls.
 _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36

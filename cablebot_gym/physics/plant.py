@@ -9,7 +9,9 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
-from cablebot_gym.robots import Cable, Robot, RobotArrays
+from cablebot_gym.physics.compiling import load_numba
+from cablebot_gym.robots import Cable, Robot
+from cablebot_gym.uncertainty import RobotArrays
 
 
 def pack_parameters(robot: RobotArrays) -> Array:
@@ -37,11 +39,6 @@ def pack_parameters(robot: RobotArrays) -> Array:
     return rows
 
 
-def _kind(robot: Robot) -> str:
-    """Suffix of the kernel's entry points for a robot."""
-    return ("flexible_" if robot.flexible else "") + ("planar" if robot.planar else "spatial")
-
-
 def kernel_memory(*shape: int) -> Array:
     """Array of zeros that starts at a cache line; loads across two lines make the kernel 20 % slower."""
     count, line = math.prod(shape), 64
@@ -55,9 +52,15 @@ class Plant:
 
     A batch of one robot runs the same source code, compiled for one lane. The unused lanes of the last tile repeat
     robot N − 1.
+
+    Args:
+        robot: nominal robot.
+        count: number of robots N.
+        cable: ``unilateral`` cables can only pull, ``bilateral`` cables can push too.
     """
 
     def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral") -> None:
+        load_numba()
         self.robot, self.count = robot, count
         self.unilateral = cable == "unilateral"
         self.lanes = 1 if count == 1 else kernel.LANES
@@ -74,8 +77,8 @@ class Plant:
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
         self._cables = (0,) * robot.cables
-        single, kind = self.lanes == 1, _kind(robot)
-        self._advance = getattr(kernel, f"advance_{'one_' if single else ''}{kind}")
+        kind = ("one_" if self.lanes == 1 else "") + ("flexible_" if robot.flexible else "")
+        self._advance = getattr(kernel, f"advance_{kind}{'planar' if robot.planar else 'spatial'}")
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -209,20 +212,3 @@ class Plant:
         """A row of the record per cable, such as ``kernel.TENSION``, shape (N, m)."""
         first = kernel.FIRST_CABLE_RECORD + row
         return self._read(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
-
-    def evaluate(self, torques: Array) -> tuple[Array, Array]:
-        """Accelerations Ẍ (N, n) and tensions T (N, m) at the current state for motor torques (N, m).
-
-        The state does not change.
-
-        Raises:
-            ValueError: for a batch of one robot, which the compiled function does not support.
-        """
-        if self.lanes == 1:
-            raise ValueError("evaluate() needs a batch of at least two robots")
-        first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
-        self._write(self.record, first, np.arange(self.count), np.asarray(torques, float), kernel.CABLE_RECORDS)
-        acceleration = np.zeros((self.record.shape[0], self.robot.coordinates * self.lanes))
-        entry = getattr(kernel, f"evaluate_{_kind(self.robot)}")
-        entry(self._cables, self.unilateral, self._parameters, self.record, self._scratch, acceleration)
-        return self._read(acceleration, 0, self.robot.coordinates), self.per_cable(kernel.TENSION)

@@ -1,8 +1,12 @@
 """The equations of motion of the paper with its errata corrected, in batched numpy.
 
-This module is the readable reference for control laws and for tests of the compiled kernel. Every function takes poses
-X and velocities Ẋ of shape (..., n), and ``mass``, the mass of platform and payload [kg], of shape (...). The payload
-is a point mass at the platform's centre of mass, so it does not change the rotational inertia.
+This module is the readable reference for control laws and for tests of the compiled kernel. The payload is a point mass
+at the platform's centre of mass, so it does not change the rotational inertia. All functions have these arguments:
+
+    robot: the robot, or N robots whose uncertain values have a leading axis N.
+    mass: mass of the platform and its payload [kg], shape (...).
+    pose: X = (x, y) or (x, y, z, ψ, θ, φ) [m, rad], shape (..., n).
+    velocity, acceleration: Ẋ and Ẍ, shape (..., n).
 """
 
 from __future__ import annotations
@@ -15,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
-from cablebot_gym.robots import Cable, Robot, RobotArrays
+from cablebot_gym.robots import Cable, Robot
+from cablebot_gym.uncertainty import RobotArrays
 
 MINIMUM_TENSION = 5.0
 """Default minimum tension T_min of planar robots [N], for control laws and for springs at rest. With 0 the cables
@@ -141,24 +146,7 @@ def required_tensions(
     Spatial: the unique solution, which may have either sign; ``minimum`` has no effect. Planar: the smallest tensions
     that are all at least ``minimum`` [N], see :func:`tension_distribution` (Eq. 11), also for ``strict``.
     """
-    pose = np.asarray(pose, float)
-    return _tensions(robot, mass, pose, velocity, acceleration, jacobian(robot, pose), minimum, strict)
-
-
-def _tensions(
-    robot: RobotArrays,
-    mass: ArrayLike,
-    pose: Array,
-    velocity: ArrayLike,
-    acceleration: ArrayLike,
-    structure: Array,
-    minimum: float,
-    strict: bool,
-) -> Array:
-    wrench = load(robot, mass, pose, velocity, acceleration)
-    if robot.planar:
-        return tension_distribution(structure, wrench, minimum, strict=strict)
-    return -np.linalg.solve(np.swapaxes(structure, -1, -2), wrench[..., None])[..., 0]
+    return inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum, strict=strict).tensions
 
 
 def tension_distribution(structure: Array, load: Array, minimum: float, *, strict: bool = True) -> Array:
@@ -231,7 +219,7 @@ def required_torques(
 
 
 def _pulley_motion(
-    robot: Robot, structure: Array, rate: Array, velocity: ArrayLike, acceleration: ArrayLike
+    robot: RobotArrays, structure: Array, rate: Array, velocity: ArrayLike, acceleration: ArrayLike
 ) -> tuple[Array, Array]:
     """β̇ and β̈ from S and Ṡ, see :func:`pulley_speed` and :func:`pulley_acceleration`."""
     velocity = as_numbers(velocity)
@@ -239,7 +227,7 @@ def _pulley_motion(
     return speed, -(_apply(structure, as_numbers(acceleration)) + _apply(rate, velocity)) / robot.pulley_radius
 
 
-def _torques(robot: Robot, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
+def _torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
     torque: Array = robot.pulley_radius * as_numbers(tensions)
     return torque + robot.pulley_inertia * acceleration + robot.damping * speed
 
@@ -259,7 +247,7 @@ class InverseDynamics:
 
 
 def inverse_dynamics(
-    robot: Robot,
+    robot: RobotArrays,
     mass: ArrayLike,
     pose: ArrayLike,
     velocity: ArrayLike,
@@ -272,7 +260,11 @@ def inverse_dynamics(
     pose, velocity, acceleration = (np.asarray(array, float) for array in (pose, velocity, acceleration))
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
     speed, second = _pulley_motion(robot, structure, rate, velocity, acceleration)
-    tensions = _tensions(robot, mass, pose, velocity, acceleration, structure, minimum, strict)
+    wrench = load(robot, mass, pose, velocity, acceleration)
+    if robot.planar:
+        tensions = tension_distribution(structure, wrench, minimum, strict=strict)
+    else:
+        tensions = -np.linalg.solve(np.swapaxes(structure, -1, -2), wrench[..., None])[..., 0]
     torques = _torques(robot, tensions, speed, second)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, pulley_accelerations=second)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.planning.motion import PlannedMotion
 from cablebot_gym.robots import Robot
+from cablebot_gym.utils.checks import number, numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,10 +61,9 @@ class Follower:
     """Damping ratio of the motor loop; > 0."""
 
     def __post_init__(self) -> None:
-        if not all(0 <= gain < math.inf for gain in self.gains):
-            raise ValueError(f"gains must be finite and at least 0, not {self.gains}")
-        if not (0 < self.motor_frequency < math.inf and 0 < self.motor_damping < math.inf):
-            raise ValueError("motor_frequency and motor_damping must be finite and greater than 0")
+        numbers("gains", self.gains, shapes=[(2,)], least=0.0)
+        number("motor_frequency", self.motor_frequency, above=0.0, unit="rad/s")
+        number("motor_damping", self.motor_damping, above=0.0)
 
     def action(self, plan: PlannedMotion, state: State, payload: Array, period: float) -> Array:
         """Actions for the torques of :meth:`torques`, shape (..., m)."""

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.planning.motion import Margins, PlannedMotion
+from cablebot_gym.planning.motion import PlannedMotion
 from cablebot_gym.planning.program import MotionProgram
 from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.robots import Robot
@@ -79,7 +79,7 @@ def load_or_compute(
     value = make()
     data = write(value)
     with suppress(OSError):
-        atomic_write(cache_folder() / name, lambda temporary: _write(temporary, data))
+        atomic_write(cache_folder() / name, lambda temporary: temporary.write_bytes(data))
     return value
 
 
@@ -90,20 +90,7 @@ def read_cached(name: str, read: Callable[[bytes], Any]) -> Any:
     return None
 
 
-def _write(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-
-
-def plan_motion(
-    robot: Robot,
-    trajectory: Trajectory,
-    error_bounds: ErrorBounds,
-    *,
-    intervals: int,
-    margins: Margins | None = None,
-    lightest: float | None = None,
-    period: float = 0.0,
-) -> PlannedMotion:
+def plan_motion(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, **settings: Any) -> PlannedMotion:
     """The cached solution of a :class:`~cablebot_gym.planning.program.MotionProgram`, which has the same arguments.
 
     Raises:
@@ -111,23 +98,12 @@ def plan_motion(
         ImportError: if CasADi is missing.
     """
     import_casadi()
-    margins = margins or Margins()
-    settings = {
-        "error_bounds": error_bounds,
-        "margins": margins,
-        "intervals": intervals,
-        "lightest": lightest,
-        "period": period,
-    }
-    key = fingerprint("cablebot_gym.planning.program", robot, trajectory, **settings)
+    key = fingerprint("cablebot_gym.planning.program", robot, trajectory, error_bounds=error_bounds, **settings)
 
-    def make() -> PlannedMotion:
-        program = MotionProgram(
-            robot, trajectory, error_bounds, intervals=intervals, margins=margins, lightest=lightest, period=period
-        )
-        return program.solve()
+    def solve() -> PlannedMotion:
+        return MotionProgram(robot, trajectory, error_bounds, **settings).solve()
 
-    plan: PlannedMotion = load_or_compute(f"plan-{key}.npz", _read_plan, make, _plan_bytes)
+    plan: PlannedMotion = load_or_compute(f"plan-{key}.npz", _read_plan, solve, _plan_bytes)
     return plan
 
 

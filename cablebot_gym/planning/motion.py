@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Reference
+from cablebot_gym.utils.checks import number
 
 MOTOR_DEGREE = 3
 """Degree of the splines of β′. β̈′ dominates the torque; it is linear between knots and does not oscillate."""
@@ -41,10 +42,8 @@ class Margins:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            value = getattr(self, item.name)
-            most = 1.0 if item.name == "action" else math.inf
-            if not 0 <= value < most:
-                raise ValueError(f"margins: {item.name} must be at least 0 and below {most:g}, not {value!r}")
+            below = 1.0 if item.name == "action" else math.inf
+            number(f"margins: {item.name}", getattr(self, item.name), least=0.0, below=below)
 
     def scaled(self, factor: float) -> Margins:
         """A copy with every margin multiplied by a factor."""

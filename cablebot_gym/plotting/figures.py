@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -123,10 +123,7 @@ def draw_torques(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure = new_figure(torques_height(result.task.robot.cables))
-    _draw_torques(figure, result)
-    _set_result_title(figure, result)
-    return figure
+    return _drawn(result, {_draw_torques: torques_height(result.task.robot.cables)})
 
 
 def draw_path(result: DLCCResult) -> Figure:
@@ -135,10 +132,7 @@ def draw_path(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure = new_figure(_PATH_HEIGHT)
-    _draw_path(figure, result)
-    _set_result_title(figure, result)
-    return figure
+    return _drawn(result, {_draw_path: _PATH_HEIGHT})
 
 
 def draw_result(result: DLCCResult) -> Figure:
@@ -147,11 +141,16 @@ def draw_result(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    heights = [torques_height(result.task.robot.cables), _PATH_HEIGHT]
-    figure = new_figure(sum(heights))
-    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
-    _draw_torques(above, result)
-    _draw_path(below, result)
+    return _drawn(result, {_draw_torques: torques_height(result.task.robot.cables), _draw_path: _PATH_HEIGHT})
+
+
+def _drawn(result: DLCCResult, parts: Mapping[Callable[[FigureBase, DLCCResult], None], float]) -> Figure:
+    """A figure with parts of given heights [inch], one below the other, and the title of the result."""
+    figure = new_figure(sum(parts.values()))
+    heights = list(parts.values())
+    rows = [figure] if len(parts) == 1 else figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
+    for draw, row in zip(parts, rows, strict=True):
+        draw(row, result)
     _set_result_title(figure, result)
     return figure
 
@@ -218,27 +217,27 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
 
 def tightest(result: DLCCResult) -> tuple[int, int]:
     """Step and motor with the least torque margin, both from 0: the first occurrence of the largest |a|."""
-    action = np.abs(result.history["commanded_action"])
+    action = np.abs(result.rollout.arrays["commanded_action"])
     step, motor = np.unravel_index(np.argmax(action), action.shape)
     return int(step), int(motor)
 
 
 def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
     """U⁻ and U⁺ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
-    stall, drop = result.history["stall_torque"], _slope(result) * result.history["motor_speeds"]
+    stall, drop = result.rollout.stall_torque, _slope(result) * result.rollout.arrays["motor_speeds"]
     return -stall - drop, stall - drop
 
 
 def requested_torque(result: DLCCResult) -> Array:
     """Requested torque ``τ_s a − (τ_s/ω_n) β̇``, (steps, m) [N·m]; beyond U± where |a| > 1."""
-    history = result.history
-    return np.asarray(history["stall_torque"] * history["commanded_action"] - _slope(result) * history["motor_speeds"])
+    rollout, arrays = result.rollout, result.rollout.arrays
+    return np.asarray(rollout.stall_torque * arrays["commanded_action"] - _slope(result) * arrays["motor_speeds"])
 
 
 def _slope(result: DLCCResult) -> Array:
     """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free speed."""
     robot = result.task.robot
-    slope: Array = robot.speed_slope * (result.history["stall_torque"] / robot.stall_torque)
+    slope: Array = robot.speed_slope * (result.rollout.stall_torque / robot.stall_torque)
     return slope
 
 
@@ -288,11 +287,11 @@ def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool 
 
 
 def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
-    history, (lower, upper), (step, motor) = result.history, torque_limits(result), tightest(result)
-    action = abs(history["commanded_action"][step, motor])
+    arrays, (lower, upper), (step, motor) = result.rollout.arrays, torque_limits(result), tightest(result)
+    action = abs(arrays["commanded_action"][step, motor])
     profile = TorqueProfile(
-        times=history["action_time"],
-        torques=history["torques"],
+        times=arrays["action_time"],
+        torques=arrays["torques"],
         lower=lower,
         upper=upper,
         requested=requested_torque(result),
@@ -342,7 +341,7 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
 
 def _end(result: DLCCResult) -> float:
     """End of the last step of the episode [s]."""
-    return float(result.history["action_time"][-1] + 1 / result.task.control_frequency)
+    return float(result.rollout.arrays["action_time"][-1] + 1 / result.task.control_frequency)
 
 
 def _span(times: Array, end: float) -> tuple[float, float]:
@@ -400,12 +399,12 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
 
 
 def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
-    history = result.history
+    arrays = result.rollout.arrays
     path = TravelledPath(
-        times=history["action_time"] + 1 / result.task.control_frequency,
-        pose=history["pose"],
-        position_error=history["tracking_error"],
-        rotation_error=None if result.task.robot.planar else history["rotation_error"],
+        times=arrays["action_time"] + 1 / result.task.control_frequency,
+        pose=arrays["true_pose"],
+        position_error=arrays["tracking_error"],
+        rotation_error=None if result.task.robot.planar else arrays["rotation_error"],
     )
     path_panels(figure, result.task.trajectory, [path], **result.error_bounds)
 

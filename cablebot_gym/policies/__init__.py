@@ -6,6 +6,7 @@ from cablebot_gym.policies.loading import (
     FileLoader,
     load_policy,
     policy_entries,
+    policy_entry,
 )
 from cablebot_gym.policies.protocol import (
     Policy,
@@ -26,4 +27,5 @@ __all__ = [
     "load_policy",
     "name_of",
     "policy_entries",
+    "policy_entry",
 ]

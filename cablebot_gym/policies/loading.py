@@ -6,6 +6,7 @@ import importlib
 import logging
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,19 @@ def policy_entries() -> dict[str, PolicyEntry]:
     return {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
 
 
+def policy_entry(name: str) -> PolicyEntry | None:
+    """The installed policy with a name; None if there is none.
+
+    Only its own package is imported if the entry point has the name of the policy, as it should.
+    """
+    for point in entry_points(group=ENTRY_POINT_GROUP, name=name):
+        with suppress(Exception):
+            entry: PolicyEntry = point.load()
+            if entry.name == name:
+                return entry
+    return None if name.endswith(".zip") or ":" in name else policy_entries().get(name)
+
+
 def load_policy(name: str, robot: Robot) -> Policy:
     """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
 
@@ -52,9 +66,9 @@ def load_policy(name: str, robot: Robot) -> Policy:
         ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the robot. The message
             lists the valid names.
     """
-    entries = policy_entries()
-    if name in entries:
-        return entries[name].factory(robot)
+    entry = policy_entry(name)
+    if entry is not None:
+        return entry.factory(robot)
     if name.endswith(".zip"):
         return _load_file(Path(name), robot)
     if ":" in name:
@@ -69,20 +83,15 @@ def load_policy(name: str, robot: Robot) -> Policy:
         except TypeError as error:
             raise ValueError(f"policy {name!r}: the factory must return a policy; {error}") from None
     alternatives = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
-    raise unknown_name_error("policy", name, entries, alternatives)
+    raise unknown_name_error("policy", name, policy_entries(), alternatives)
 
 
 def _load_factory(name: str) -> Callable[[Robot], Any]:
     module_name, _, attribute = name.partition(":")
     try:
-        module = importlib.import_module(module_name)
+        factory = getattr(importlib.import_module(module_name), attribute)
     except Exception as error:
-        corrected = f"{module_name.removesuffix('.py')}:{attribute}"
-        hint = f"; write the module name without .py: {corrected}" if module_name.endswith(".py") else ""
-        raise ValueError(f"policy {name!r}: cannot import {module_name!r} ({error}){hint}") from error
-    if not hasattr(module, attribute):
-        raise ValueError(f"policy {name!r}: {module_name!r} has no attribute {attribute!r}")
-    factory = getattr(module, attribute)
+        raise ValueError(f"policy {name!r}: cannot import {attribute!r} of {module_name!r} ({error})") from error
     if isinstance(factory, PolicyEntry):
         return factory.factory
     if not callable(factory):
@@ -115,13 +124,7 @@ def _load_file(path: Path, robot: Robot) -> Policy:
 
 def _check_zip(path: Path) -> None:
     """Raises a ValueError if a file is not a zip file or if a checksum is wrong."""
-    try:
-        with zipfile.ZipFile(path) as file:
-            broken = file.testzip()
-    except Exception as error:  # zipfile's own errors and those of the decompressors
-        reason = str(error) or type(error).__name__
-        raise ValueError(
-            f"policy file {str(path)!r} is not a zip file, or it is damaged ({reason}): save or copy it again"
-        ) from error
-    if broken is not None:
-        raise ValueError(f"policy file {str(path)!r} is damaged (member {broken!r}): save or copy it again")
+    with suppress(Exception), zipfile.ZipFile(path) as file:
+        if file.testzip() is None:
+            return
+    raise ValueError(f"policy file {str(path)!r} is not a zip file, or it is damaged: save or copy it again")

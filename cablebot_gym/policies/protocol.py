@@ -77,8 +77,6 @@ class BatchItemError(RuntimeError):
 class CallablePolicy:
     """A policy made from a function ``observation -> action``, which is called for one observation at a time."""
 
-    unsaturated_actions = False
-
     def __init__(self, function: Callable[[Array], Any]) -> None:
         self._function = function
         self.unsaturated_actions = bool(getattr(function, "unsaturated_actions", False))
@@ -102,16 +100,37 @@ class CallablePolicy:
         actions: list[Array] = []
         for index, item in enumerate(observation):
             try:
-                returned = self._function(item)
+                actions.append(_to_floats(self._function(item)))
             except Exception as error:
-                raise BatchItemError(index, f"it raised {type(error).__name__}: {error}{code_line(error)}") from error
-            try:
-                actions.append(_to_floats(returned))
-            except ValueError as error:
-                raise BatchItemError(index, f"it returned {error}") from error
+                raise BatchItemError(
+                    index, f"it failed with {type(error).__name__}: {error}{code_line(error)}"
+                ) from error
             if actions[index].shape != actions[0].shape:
                 raise BatchItemError(index, f"it returned shape {actions[index].shape} after {actions[0].shape}")
         return np.stack(actions), state
+
+
+class OpenLoop:
+    """A policy that returns given actions one after the other.
+
+    Args:
+        actions: action of every control step, (steps, m).
+    """
+
+    def __init__(self, actions: Array) -> None:
+        self._actions = actions
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """The next action for each observation; the state is the number of past steps."""
+        step = state or 0
+        action = self._actions[step]
+        return np.broadcast_to(action, (*observation.shape[:-1], len(action))), step + 1
 
 
 def as_policy(policy: Any) -> Policy:
@@ -162,33 +181,31 @@ def checked_actions(
     Raises:
         PolicyError: if the policy raises, or if its actions are not finite numbers of shape (N, m).
     """
-    at, batch = f"at t = {time:.3f} s", f"with payloads of {payloads.min():g} to {payloads.max():g} kg"
-    if len(payloads) == 1:
-        batch = f"with a payload of {payloads[0]:g} kg"
+
+    def failure(cause: str, of: Array = payloads) -> PolicyError:
+        least, largest = f"{of.min():g}", f"{of.max():g}"
+        loads = f"a payload of {least} kg" if least == largest else f"payloads of {least} to {largest} kg"
+        return PolicyError(f"policy {name!r}, at t = {time:.3f} s with {loads}: {cause}")
+
     try:
         returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
     except BatchItemError as error:
-        episode = f"with a payload of {payloads[error.index]:g} kg"
-        raise PolicyError(f"policy {name!r} failed {at} {episode}: {error}") from error.__cause__
+        raise failure(str(error), payloads[[error.index]]) from error.__cause__
     except Exception as error:
-        cause = f"raised {type(error).__name__} {at} {batch}: {error}{code_line(error)}"
-        raise PolicyError(f"policy {name!r} {cause}") from error
+        raise failure(f"it raised {type(error).__name__}: {error}{code_line(error)}") from error
     if not isinstance(returned, tuple) or len(returned) != 2:
-        kind = f"a tuple of length {len(returned)}" if isinstance(returned, tuple) else type(returned).__name__
-        raise PolicyError(f"policy {name!r} returned {kind} {at}: predict() must return (actions, state)")
+        raise failure(f"predict() must return (actions, state), not {type(returned).__name__}")
     raw, state = returned
     try:
         action = _to_floats(raw)
     except ValueError as error:
-        raise PolicyError(f"policy {name!r} returned {error} {at} {batch}") from error
+        raise failure(f"it returned {error}") from error
     if action.shape != (len(payloads), cables):
-        expected = (len(payloads), cables)
-        raise PolicyError(f"policy {name!r} returned shape {action.shape} {at} {batch}; expected {expected}")
+        raise failure(f"it returned shape {action.shape}; expected {(len(payloads), cables)}")
     if ignored is not None:
         action[ignored] = 0.0
-    if not np.all(np.isfinite(action)):
-        episode = f"with a payload of {payloads[np.argmin(np.isfinite(action).all(axis=1))]:g} kg"
-        raise PolicyError(f"policy {name!r} returned NaN or infinity {at} {episode}")
+    if not np.isfinite(action).all():
+        raise failure("it returned NaN or infinity", payloads[~np.isfinite(action).all(axis=1)][:1])
     return action, state
 
 
@@ -203,28 +220,21 @@ def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]
     Raises:
         PolicyError: if ``reset`` raises.
     """
-    method = getattr(policy, "reset", None)
-    if method is None:
+    if (method := getattr(policy, "reset", None)) is None:
         return
+    arguments = [tasks()] if _takes_tasks(method) else []
     try:
-        if _takes_tasks(method):
-            method(tasks())
-        else:
-            method()
+        method(*arguments)
     except Exception as error:
-        cause = f"raised {type(error).__name__} in reset(): {error}{code_line(error)}"
-        raise PolicyError(f"policy {name!r} {cause}") from error
+        cause = f"it raised {type(error).__name__} in reset(): {error}{code_line(error)}"
+        raise PolicyError(f"policy {name!r}: {cause}") from error
 
 
 def _takes_tasks(method: Callable[..., Any]) -> bool:
-    """Whether a method has a parameter ``tasks`` or a required positional parameter."""
+    """Whether a method has a parameter ``tasks`` or a required positional one."""
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     return any(
-        parameter.name == "tasks"
-        or parameter.kind is parameter.VAR_POSITIONAL
-        or (
-            parameter.default is parameter.empty
-            and parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
-        )
+        parameter.name == "tasks" or (parameter.default is parameter.empty and parameter.kind in positional)
         for parameter in inspect.signature(method).parameters.values()
     )
 
@@ -235,13 +245,12 @@ def _to_floats(returned: Any) -> Array:
     Raises:
         ValueError: if the actions are not real numbers. The message names their type.
     """
-    kind = type(returned).__name__
     try:
         values = np.asarray(returned)
     except Exception as error:  # rows of different lengths, a tensor with gradients
-        raise ValueError(f"{kind} instead of real numbers: {error}") from error
+        raise ValueError(f"{type(returned).__name__} instead of real numbers: {error}") from error
     if values.dtype.kind not in "biuf":
-        raise ValueError(f"{'complex' if values.dtype.kind == 'c' else kind} instead of real numbers")
+        raise ValueError(f"{type(returned).__name__} of type {values.dtype} instead of real numbers")
     return values.astype(float)
 
 

@@ -53,18 +53,16 @@ def _algorithms(path: Path) -> list[Any]:
         sb3 = importlib.import_module("stable_baselines3")
     except ImportError:
         raise ValueError("an SB3 policy needs Stable-Baselines3: pip install 'cablebot-gym[sb3]'") from None
-    own = [getattr(sb3, name) for name in SB3_ALGORITHMS]
-    needed = _policy_module(path).startswith("sb3_contrib")
+    own, others = [getattr(sb3, name) for name in SB3_ALGORITHMS], []
+    contributed = _policy_module(path).startswith("sb3_contrib")
     try:
         contrib = importlib.import_module("sb3_contrib")
+        others = [getattr(contrib, name) for name in CONTRIB_ALGORITHMS if hasattr(contrib, name)]
     except ImportError:
-        if needed:
-            raise ValueError(
-                f"policy file {str(path)!r} was saved by sb3-contrib: pip install 'cablebot-gym[sb3]'"
-            ) from None
-        return own
-    others = [getattr(contrib, name) for name in CONTRIB_ALGORITHMS if hasattr(contrib, name)]
-    return others + own if needed else own + others
+        if contributed:
+            needed = "was saved by sb3-contrib: pip install 'cablebot-gym[sb3]'"
+            raise ValueError(f"policy file {str(path)!r} {needed}") from None
+    return others + own if contributed else own + others
 
 
 def _policy_module(path: Path) -> str:
@@ -82,7 +80,7 @@ def _check_spaces(model: Any, path: Path, robot: Robot) -> None:
     Raises:
         ValueError: if the spaces differ. The message describes both.
     """
-    inputs, outputs, layout = model.observation_space, model.action_space, observation_layout(robot)
+    inputs, outputs = model.observation_space, model.action_space
     if not _fits(model, robot):
         other = next((f", which fits {i}" for i, name in ENV_ROBOTS.items() if _fits(model, find_robot(name))), "")
         difference = f"the model reads {_described(inputs)} and returns {_described(outputs)}{other}"
@@ -92,11 +90,10 @@ def _check_spaces(model: Any, path: Path, robot: Robot) -> None:
         difference = f"the model returns rescaled actions within [{np.min(outputs.low):g}, {np.max(outputs.high):g}]"
     else:
         return
-    blocks = ", ".join(f"{block.name} {block.size}" for block in layout.blocks)
     raise ValueError(
-        f"policy file {str(path)!r} does not fit robot {robot.name!r}: {difference}. The robot has {layout.size} "
-        f"observed numbers ({blocks}) and {robot.cables} actions within [-1, 1]. Evaluate a model on the environment "
-        "it was trained on. Export a model trained inside wrappers as a bundle by `cablebot train`"
+        f"policy file {str(path)!r} does not fit robot {robot.name!r}: {difference}. The robot has "
+        f"{observation_layout(robot).size} observed numbers and {robot.cables} actions within [-1, 1]. Export a model "
+        "that was trained inside wrappers as a bundle by `cablebot train`"
     )
 
 

@@ -1,17 +1,18 @@
-"""Content of a picture: constant during an episode, and at one instant."""
+"""Content of a picture: the state of an episode at one instant."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import torque_limits
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import Trajectory
 
 HANG = 0.3
 """Distance below a spatial platform at which the payload is drawn [m]. In the model it is at the centre of mass."""
@@ -28,20 +29,6 @@ def ball_radius(payload: float) -> float:
 def full_tension(robot: Robot) -> float:
     """Tension that the strongest motor holds at standstill [N]: the end of the tension scale."""
     return float(np.max(robot.stall_torque / robot.pulley_radius))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """Content of the pictures that is constant during an episode."""
-
-    robot: Robot
-    """Nominal robot, whose geometry is drawn."""
-    trajectory: Trajectory
-    """Reference motion."""
-    error_bounds: ErrorBounds
-    """Bounds of the tracking error."""
-    title: str = ""
-    """Text above the picture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,3 +59,28 @@ class Moment:
     """Distance from the reference position [m]."""
     rotation_error: float
     """Largest difference of an angle from the reference [rad]; 0 for planar robots."""
+
+    @classmethod
+    def from_info(cls, robot: Robot, stall_torque: Array, pose: Array, info: Mapping[str, Any]) -> Moment:
+        """The moment after a control step.
+
+        Args:
+            robot: nominal robot.
+            stall_torque: true stall torques [N·m], (m,).
+            pose: true pose X, (n,).
+            info: ``info`` of the step.
+        """
+        # Uncertain motor strength scales the torque-speed line: the free speed stays nominal.
+        strength = stall_torque / robot.stall_torque
+        return cls(
+            time=float(info["time"]),
+            payload=float(info["payload"]),
+            pose=pose,
+            tensions=info["tensions"],
+            torques=info["torques"],
+            torque_limits=strength * np.array(torque_limits(robot, info["motor_speeds"])),
+            commanded_action=info["commanded_action"],
+            slack=info["slack"],
+            position_error=float(info["tracking_error"]),
+            rotation_error=float(info["rotation_error"]),
+        )

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.rendering.camera import fit_camera
-from cablebot_gym.rendering.moment import HANG, Moment, Scene, ball_radius, full_tension
+from cablebot_gym.rendering.moment import HANG, Moment, ball_radius, full_tension
+from cablebot_gym.task import Task
 from cablebot_gym.utils import palette
 
 if TYPE_CHECKING:
@@ -69,9 +70,9 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
     Raises:
         ValueError: if it is below :data:`SMALLEST` or above ``LARGEST``.
     """
-    for exceeds, limit, word in ((np.less, SMALLEST, "least"), (np.greater, LARGEST, "most")):
-        if np.any(exceeds(size, limit)):
-            raise ValueError(f"a picture must have at {word} {limit[0]} × {limit[1]} pixels, not {size[0]} × {size[1]}")
+    if np.any(np.less(size, SMALLEST)) or np.any(np.greater(size, LARGEST)):
+        least, most, given = (f"{width} × {height}" for width, height in (SMALLEST, LARGEST, size))
+        raise ValueError(f"a picture must have between {least} and {most} pixels, not {given}")
     return size
 
 
@@ -79,7 +80,8 @@ class Painter:
     """Paints the moments of one episode.
 
     Args:
-        scene: constant content of the pictures.
+        task: task of the episode, whose robot, motion and error bounds are drawn.
+        title: text above the pictures.
         size: width and height [pixels].
 
     Raises:
@@ -87,40 +89,35 @@ class Painter:
         ValueError: if the size is too small or too large.
     """
 
-    def __init__(self, scene: Scene, size: tuple[int, int] = SIZE) -> None:
+    def __init__(self, task: Task, title: str = "", size: tuple[int, int] = SIZE) -> None:
         check_size(size)
         self._pygame = import_pygame()
         self._pygame.font.init()
-        self.scene, self.size = scene, (int(size[0]), int(size[1]))
+        self.task, self.title, self.size = task, title, (int(size[0]), int(size[1]))
         self._unit = _OVERSAMPLING * min(size[0] / SIZE[0], size[1] / SIZE[1])
         self._fonts: dict[float, pygame.font.Font] = {}
         self._canvas = self._pygame.Surface((_OVERSAMPLING * self.size[0], _OVERSAMPLING * self.size[1]))
         self._glass = self._pygame.Surface(self._canvas.get_size(), self._pygame.SRCALPHA)
-        robot, trajectory = scene.robot, scene.trajectory
+        robot, trajectory = task.robot, task.trajectory
         path = np.array([trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)])
         self._path, self._base = self._points(path), self._points(robot.base)
         visible = [self._base.reshape(-1, 3), self._path]
-        if not robot.planar:
+        if robot.planar:
+            visible += [self._path + 0.06, self._path - 0.06]
+        else:
             reach = np.abs(robot.platform).max() * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
             visible += [(self._path[::20, None] + reach).reshape(-1, 3), self._path + np.array([0, 0, HANG + 0.07])]
-        else:
-            visible += [self._path + 0.06, self._path - 0.06]
         width, height = self._canvas.get_size()
-        panel = self._panel
+        self._panel = max(40 + _BAR_SPACING * robot.cables, 150) * self._unit  # width of the motor panel at the right
         window = (
             int(0.04 * width),
             int(58 * self._unit),
-            int(width - panel - 0.08 * width),
+            int(width - self._panel - 0.08 * width),
             int(height - 152 * self._unit),
         )
         angles = (0.0, math.pi / 2) if robot.planar else (_AZIMUTH, _ELEVATION)
         self._camera = fit_camera(np.concatenate(visible), window, azimuth=angles[0], elevation=angles[1])
         self._static_layer = self._background()
-
-    @property
-    def _panel(self) -> float:
-        """Width of the motor panel at the right."""
-        return max(40 + _BAR_SPACING * self.scene.robot.cables, 150) * self._unit
 
     def paint(
         self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
@@ -134,7 +131,7 @@ class Painter:
             good: whether the note is green, for success, or red.
         """
         self._canvas.blit(self._static_layer, (0, 0))
-        past = np.array(trail, float).reshape(-1, self.scene.robot.coordinates)
+        past = np.array(trail, float).reshape(-1, self.task.robot.coordinates)
         past = past[np.isfinite(past).all(axis=1)]
         if len(past) > 1:
             points = self._camera.project(self._points(past))
@@ -144,7 +141,7 @@ class Painter:
         self._motors(moment)
         self._gauges(moment)
         unit, payload = self._unit, f"{moment.payload:.2f} kg"
-        title = f"{self.scene.title}   {payload}" if self.scene.title else payload
+        title = f"{self.title}   {payload}" if self.title else payload
         self._write(title, (14 * unit, 8 * unit), 17)
         self._write(note, (14 * unit, 28 * unit), 13, palette.GREEN if good else palette.VERMILLION)
         return self._pygame.transform.smoothscale(self._canvas, self.size)
@@ -155,11 +152,9 @@ class Painter:
         """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
         return as_array(self.paint(moment, trail, note, good=good))
 
-    # ---------------------------------------------------------------------------------------------------- the robot
-
     def _points(self, positions: Array) -> Array:
         """Points in space (..., 3) of poses or anchors. Planar robots lie in z = 0, with y upwards in the picture."""
-        if not self.scene.robot.planar:
+        if not self.task.robot.planar:
             return positions[..., :3]
         return np.stack([positions[..., 0], -positions[..., 1], np.zeros(positions.shape[:-1])], axis=-1)
 
@@ -171,7 +166,7 @@ class Painter:
         corners = base[_polygon_order(base)]
         pygame.draw.polygon(surface, "#F4F5F7", corners)
         pygame.draw.polygon(surface, "#B8BCC4", corners, max(1, round(1.5 * unit)))
-        tube = self._camera.pixels(2 * self.scene.error_bounds.position, self._path.mean(axis=0))
+        tube = self._camera.pixels(2 * self.task.error_bounds.position, self._path.mean(axis=0))
         path = self._camera.project(self._path)
         for point in _resample(path, max(1.0, tube / 8)):
             pygame.draw.circle(surface, palette.SKY, point, max(tube / 2, unit))
@@ -186,7 +181,7 @@ class Painter:
 
     def _robot(self, moment: Moment) -> None:
         pygame, canvas, unit, camera = self._pygame, self._canvas, self._unit, self._camera
-        robot = self.scene.robot
+        robot = self.task.robot
         centre = self._points(moment.pose)
         ends = np.tile(centre, (robot.cables, 1))
         if not robot.planar:
@@ -197,7 +192,9 @@ class Painter:
             hook = camera.project(np.array([centre, ball]))
             pygame.draw.line(canvas, _INK, hook[0], hook[1], round(1.5 * unit))
         if moment.payload > 0:
-            self._ball(camera.project(ball), max(camera.pixels(radius, ball), 2 * unit))
+            middle, size = camera.project(ball), max(camera.pixels(radius, ball), 2 * unit)
+            for fraction, colour in ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94")):
+                pygame.draw.circle(canvas, colour, middle - 0.3 * (1 - fraction) * size, max(fraction * size, 1))
         if robot.planar:
             pygame.draw.circle(canvas, palette.YELLOW, camera.project(centre), 5 * unit)
             pygame.draw.circle(canvas, _INK, camera.project(centre), 5 * unit, round(1.4 * unit))
@@ -211,13 +208,8 @@ class Painter:
                 self._line(first, last, _INK, 1.6 * unit)
         for cable in range(robot.cables):
             self._cable(self._base[cable], ends[cable], moment, cable)
-        reference = self._points(np.asarray(self.scene.trajectory(moment.time).position))
+        reference = self._points(np.asarray(self.task.trajectory(moment.time).position))
         pygame.draw.circle(canvas, palette.VERMILLION, camera.project(reference), 3.2 * unit, round(1.3 * unit))
-
-    def _ball(self, centre: Array, radius: float) -> None:
-        for fraction, colour in ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94")):
-            shifted = centre - 0.3 * (1 - fraction) * radius
-            self._pygame.draw.circle(self._canvas, colour, shifted, max(fraction * radius, 1))
 
     def _cable(self, base: Array, end: Array, moment: Moment, cable: int) -> None:
         if moment.slack[cable]:
@@ -225,21 +217,19 @@ class Painter:
             sag = 4 * _SAG_FRACTION * float(np.linalg.norm(end - base)) * along * (1 - along)
             # Planar robots are viewed along the sag direction: draw the arc sideways.
             sag_direction = np.array([0, 0, 1.0])
-            if self.scene.robot.planar:
+            if self.task.robot.planar:
                 sag_direction = np.cross(sag_direction, end - base) / max(float(np.linalg.norm(end - base)), 1e-9)
             points = self._camera.project(base + along * (end - base) + sag * sag_direction)
             self._dashed(self._canvas, points, palette.GREY, 1.6 * self._unit, 6 * self._unit)
             return
-        fraction = float(moment.tensions[cable]) / full_tension(self.scene.robot)
+        fraction = float(moment.tensions[cable]) / full_tension(self.task.robot)
         start, stop = self._camera.project(np.array([base, end]))
         self._line(start, stop, tension_colour(fraction), (1.6 + 2.4 * min(max(fraction, 0.0), 1.0)) * self._unit)
-
-    # --------------------------------------------------------------------------------------------- motors and errors
 
     def _motors(self, moment: Moment) -> None:
         """Paints a bar of the applied torque for each motor. The scale beyond its present U± is shaded."""
         pygame, canvas, unit = self._pygame, self._canvas, self._unit
-        robot, (width, height) = self.scene.robot, canvas.get_size()
+        robot, (width, height) = self.task.robot, canvas.get_size()
         left, top, bottom = width - self._panel + 26 * unit, 44 * unit, height - 118 * unit
         largest = float(np.max(robot.stall_torque))
         # A motor that rotates against its torque can exceed its stall torque.
@@ -253,36 +243,32 @@ class Painter:
         for motor in range(robot.cables):
             x, bar_width = left + _BAR_SPACING * unit * motor, 16 * unit
             low, high = (row(float(limit)) for limit in moment.torque_limits[:, motor])
-            pygame.draw.rect(canvas, palette.SHADE, (x, top, bar_width, bottom - top))
-            pygame.draw.rect(canvas, _PAPER, (x, high, bar_width, low - high))
+            self._rect(palette.SHADE, x, top, bar_width, bottom - top)
+            self._rect(_PAPER, x, high, bar_width, low - high)
             torque, saturated = row(float(moment.torques[motor])), abs(float(moment.commanded_action[motor])) >= 1
-            bar = (x + 3 * unit, min(torque, zero), bar_width - 6 * unit, max(abs(torque - zero), unit))
-            pygame.draw.rect(canvas, palette.VERMILLION if saturated else palette.BLUE, bar)
+            colour, length = palette.VERMILLION if saturated else palette.BLUE, max(abs(torque - zero), unit)
+            self._rect(colour, x + 3 * unit, min(torque, zero), bar_width - 6 * unit, length)
             for edge in (low, high):
                 self._line((x, edge), (x + bar_width, edge), _INK, 1.6 * unit)
             self._write(str(motor + 1), (x + bar_width / 2, bottom + 4 * unit), 12, across=0.5)
-        self._line(
-            (left - 4 * unit, zero), (left + _BAR_SPACING * unit * robot.cables - 4 * unit, zero), palette.GREY, unit
-        )
+        start = left - 4 * unit
+        self._line((start, zero), (start + _BAR_SPACING * unit * robot.cables, zero), palette.GREY, unit)
         for torque in (-largest, 0.0, largest):
             self._write(f"{torque:.3g}", (left - 7 * unit, row(torque)), 11, palette.GREY, across=1.0, along=0.5)
 
         # Colour scale of the cable tensions.
         y, across = bottom + 34 * unit, self._panel - 40 * unit
         for x in range(round(across)):
-            colour = tension_colour(x / across)
-            pygame.draw.line(canvas, colour, (left + x, y), (left + x, y + 7 * unit))
+            pygame.draw.line(canvas, tension_colour(x / across), (left + x, y), (left + x, y + 7 * unit))
         self._write("cable tension [N]", (left + across / 2, y - 15 * unit), 11, palette.GREY, across=0.5)
         self._write("0", (left, y + 8 * unit), 11, palette.GREY)
-        self._write(
-            f"{full_tension(self.scene.robot):.3g}", (left + across, y + 8 * unit), 11, palette.GREY, across=1.0
-        )
+        self._write(f"{full_tension(self.task.robot):.3g}", (left + across, y + 8 * unit), 11, palette.GREY, across=1.0)
 
     def _gauges(self, moment: Moment) -> None:
         """Paints the errors relative to their bounds, and the time."""
-        unit, (width, height), error_bounds = self._unit, self._canvas.get_size(), self.scene.error_bounds
+        unit, (width, height), error_bounds = self._unit, self._canvas.get_size(), self.task.error_bounds
         gauges = [("position", moment.position_error, error_bounds.position, "mm")]
-        if not self.scene.robot.planar:
+        if not self.task.robot.planar:
             gauges.append(("rotation", moment.rotation_error, error_bounds.rotation, "mrad"))
         left, scale = 76 * unit, width - self._panel - 190 * unit
         for index, (name, error, bound, bound_unit) in enumerate(gauges):
@@ -295,16 +281,15 @@ class Painter:
             self._rect(colour, left, y - 5 * unit, fraction * scale, 10 * unit)
             mark = left + scale / _GAUGE_SCALE
             self._line((mark, y - 8 * unit), (mark, y + 8 * unit), _INK, 2 * unit)
-            text = f"{_thousandths(error)} of {1e3 * bound:g} {bound_unit}"
+            text = f"{1e3 * error:.1f}" if error < 1 else "> 1000"
+            text = f"{text} of {1e3 * bound:g} {bound_unit}"
             self._write(text, (left + scale + 8 * unit, y), 12, colour if beyond else _INK, along=0.5)
-        duration, y = self.scene.trajectory.duration, height - 18 * unit
+        duration, y = self.task.trajectory.duration, height - 18 * unit
         self._write("time", (14 * unit, y), 12, along=0.5)
         self._rect(palette.SHADE, left, y - 2 * unit, scale, 4 * unit)
         self._rect(palette.GREY, left, y - 2 * unit, scale * min(moment.time / duration, 1.0), 4 * unit)
         text = f"{moment.time:.3f} of {duration:.3g} s"
         self._write(text, (left + scale + 8 * unit, y), 12, along=0.5)
-
-    # ---------------------------------------------------------------------------------------------------- primitives
 
     def _rect(self, colour: str, left: float, top: float, width: float, height: float) -> None:
         self._pygame.draw.rect(self._canvas, colour, (left, top, width, height))
@@ -319,9 +304,8 @@ class Painter:
             self._pygame.draw.polygon(self._canvas, colour, [first + aside, last + aside, last - aside, first - aside])
 
     def _dashed(self, surface: pygame.Surface, points: Array, colour: str, width: float, dash: float) -> None:
-        for index, (start, stop) in enumerate(_pieces(points, dash)):
-            if index % 2 == 0:
-                self._pygame.draw.line(surface, colour, start, stop, max(1, round(width)))
+        for start, stop in list(pairwise(_resample(points, dash)))[::2]:
+            self._pygame.draw.line(surface, colour, start, stop, max(1, round(width)))
 
     def _write(
         self,
@@ -357,26 +341,18 @@ def tension_colour(fraction: float) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _thousandths(error: float) -> str:
-    return f"{1e3 * error:.1f}" if error < 1 else "> 1000"
+def _first_indices(points: Array) -> list[int]:
+    """Index of the first occurrence of each point among points (m, …) that may coincide."""
+    return [
+        index for index in range(len(points)) if not any(np.allclose(points[index], points[i]) for i in range(index))
+    ]
 
 
 def _polygon_order(points: Array) -> list[int]:
     """Indices of points (m, 2), sorted by direction from the centre and without duplicates: corners of a polygon."""
     relative = points - points.mean(axis=0)
-    order = np.argsort(np.arctan2(relative[:, 1], relative[:, 0]))
-    kept: list[int] = []
-    for index in order.tolist():
-        if not any(np.allclose(points[index], points[other]) for other in kept):
-            kept.append(index)
-    return kept
-
-
-def _first_indices(points: Array) -> list[int]:
-    """Index of the first occurrence of each point among points (m, 3) that may coincide."""
-    return [
-        index for index in range(len(points)) if not any(np.allclose(points[index], points[i]) for i in range(index))
-    ]
+    angles = np.arctan2(relative[:, 1], relative[:, 0])
+    return sorted(_first_indices(points), key=lambda index: float(angles[index]))
 
 
 def _resample(points: Array, step: float) -> Array:
@@ -384,7 +360,3 @@ def _resample(points: Array, step: float) -> Array:
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.linspace(0.0, lengths[-1], max(2, math.ceil(lengths[-1] / step)))
     return np.stack([np.interp(at, lengths, points[:, 0]), np.interp(at, lengths, points[:, 1])], axis=-1)
-
-
-def _pieces(points: Array, dash: float) -> list[tuple[Array, Array]]:
-    return list(pairwise(_resample(points, dash)))

@@ -67,33 +67,26 @@ class Window:
         return pressed
 
     def _open(self, size: tuple[int, int]) -> pygame.Surface:
-        pygame = self._pygame
-        variables = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+        display, variables = self._pygame.display, ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+        # Without these variables, SDL selects a driver without output.
+        found = sys.platform != "linux" or any(os.environ.get(name) for name in variables)
         try:
-            if sys.platform == "linux" and not any(os.environ.get(name) for name in variables):
-                raise NoDisplayError(_NO_DISPLAY)  # otherwise SDL selects a driver without output
-            try:
-                pygame.display.init()
-            except pygame.error as error:
-                raise NoDisplayError(_NO_DISPLAY) from error
-        except NoDisplayError:
+            if found:
+                display.init()
+        except self._pygame.error:
+            found = False
+        if not found:
             if self._needs_display:
-                raise
+                raise NoDisplayError(_NO_DISPLAY)
             _LOGGER.warning("%s The pictures are painted but not shown.", _NO_DISPLAY)
-            self._init_without_display()
-        pygame.display.set_caption(self._caption)
-        return pygame.display.set_mode(size)
-
-    def _init_without_display(self) -> None:
-        before = os.environ.get("SDL_VIDEODRIVER")
-        os.environ["SDL_VIDEODRIVER"] = "dummy"
-        try:
-            self._pygame.display.init()
-        finally:
-            if before is None:
-                del os.environ["SDL_VIDEODRIVER"]
-            else:
+            before = os.environ.pop("SDL_VIDEODRIVER", None)
+            os.environ["SDL_VIDEODRIVER"] = "dummy"
+            display.init()
+            del os.environ["SDL_VIDEODRIVER"]
+            if before is not None:
                 os.environ["SDL_VIDEODRIVER"] = before
+        display.set_caption(self._caption)
+        return display.set_mode(size)
 
     def close(self) -> None:
         """Closes the window, if it is open. It cannot be opened again."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from statistics import median
 from typing import Any
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, Record, canonical
-from cablebot_gym.benchmark.maps import varied_axes
+from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.scores import (
     BestKnown,
     Column,
@@ -32,11 +34,6 @@ from cablebot_gym.trajectories import find_trajectory
 
 SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
 """Scripts of the page in order of their dependencies."""
-
-NO_MAPS = (
-    "These results contain no payload maps. To add them, run cablebot benchmark --suite maps --out maps, then "
-    "cablebot report RESULTS maps."
-)
 
 BEST_KNOWN = "best known payload"
 """Label of a best known payload in the policy column."""
@@ -76,52 +73,75 @@ def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[R
         replays: episodes, or an error message, by key of the cell.
     """
     assets = files("cablebot_gym.report") / "assets"
-
-    def read(name: str) -> str:
-        return (assets / name).read_text(encoding="utf-8")
-
     data = json.dumps(page_data(sources, replays), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     values = {
         "title": title.replace("&", "&amp;").replace("<", "&lt;"),
-        "style": read("style.css"),
-        "script": "\n".join(map(read, SCRIPTS)),
+        "style": (assets / "style.css").read_text(encoding="utf-8"),
+        "script": "\n".join((assets / name).read_text(encoding="utf-8") for name in SCRIPTS),
         "data": data.replace("<", "\\u003c"),  # excludes an end tag
     }
-    before, *rest = read("page.html").split("{{")
-    pieces = [before]
-    for piece in rest:  # in one pass, because inserted text may contain braces
-        name, _, after = piece.partition("}}")
-        pieces += [values[name], after]
-    return "".join(pieces)
+    page = (assets / "page.html").read_text(encoding="utf-8")
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], page)
 
 
 def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
     """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
     records = merge_records(sources)
     all_scores = scores(records)
-    references = [best for best in best_known_payloads(records).values() if not varied_axes(best.cell)]
+    references = [best for best in best_known_payloads(records).values() if not varied_fields(best.cell)]
     by_key = {record.cell.key: record for record in records}
     robots, motions = _Unique(), _Unique()
-    cells = [_cell(score, by_key[score.cell.key], replays, robots, motions) for score in all_scores]
+
+    def entry(cell: Cell, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> dict[str, Any]:
+        facts = [*facts, _made_by(by_key[cell.key])]
+        data = {"title": task_title(cell), "payload_label": label, "code": _code(cell), "facts": facts}
+        recorded = replays.get(cell.key, "")
+        if isinstance(recorded, str):
+            return data | {"replays": None, "reason": recorded or reason}
+        shown = [replay.to_dict() for replay in recorded]
+        return data | {"replays": shown, "robot": robots.add(_robot(cell)), "motion": motions.add(_motion(cell))}
+
+    cells = []
+    for score in all_scores:
+        reason = NO_EPISODE if score.result.get("applicable", True) else NOT_APPLICABLE
+        cells.append(entry(score.cell, "unloaded" if score.payload is None else "DLCC", _facts(score), reason))
     indices = {score.cell.key: index for index, score in enumerate(all_scores)}
-    rows = []
-    for leaderboard in leaderboards(records):
+    boards, rows = leaderboards(records), []
+    for leaderboard in boards:
         rows += [_row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries]
-        group = [best for best in references if _belongs(best.cell, leaderboard)]
+        motion = leaderboard.env_id, leaderboard.motion
+        group = [best for best in references if (best.cell.env_id, best.cell.trajectory["name"]) == motion]
         if group:
             rows.append(_best_row(leaderboard, group, range(len(cells), len(cells) + len(group))))
-            cells += [_best_cell(best, by_key[best.cell.key], replays, robots, motions) for best in group]
+            cells += [entry(best.cell, BEST_KNOWN, [["Best known payload", best_known_text(best)]]) for best in group]
     return {
         "rows": rows,
+        "start": _start(rows, cells, boards),
         "cells": cells,
         "robots": robots.values,
         "motions": motions.values,
         "maps": [_map(payload_map) for payload_map in payload_maps(records)],
         "notes": _notes(sources, records),
-        "no_maps": NO_MAPS,
         "rate": RATE,
         "levels": LEVELS,
     }
+
+
+def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]], boards: Sequence[Leaderboard]) -> int:
+    """Index of the row that the page opens: the largest payload in the first column of the first leaderboard.
+
+    A row without an episode is opened only if none of these rows has one.
+    """
+    if not boards:
+        return 0
+    board = boards[0]
+    keys = {_row_key(board, policy, board.columns[0]) for policy in board.policies}
+
+    def rank(index: int) -> tuple[bool, float]:
+        row = rows[index]
+        return cells[row["cells"][0]]["replays"] is not None, -1.0 if row["payload"] is None else row["payload"]
+
+    return max((index for index, row in enumerate(rows) if row["key"] in keys), key=rank)
 
 
 class _Unique:
@@ -147,14 +167,8 @@ def _row(leaderboard: Leaderboard, policy: str, column: Column, indices: Mapping
     payloads = [score.payload or 0.0 for score in entry]
     failed = any(score.error is not None for score in entry)
     value = entry[0].payload_text if len(entry) == 1 else f"{median(payloads):.2f}"
-    payload_text = "error" if failed else value if applicable else "n/a"
-    return {
-        "key": canonical([leaderboard.env_id, leaderboard.motion, policy, heading(column)]),
-        "id": leaderboard.env_id,
-        "policy": policy,
-        "motion": motion_title(leaderboard).removesuffix(": median and worst fraction"),
-        "condition": heading(column).removesuffix(" [kg]"),
-        "payload_text": payload_text,
+    return _conditions(leaderboard, policy, column) | {
+        "payload_text": "error" if failed else value if applicable else "n/a",
         "payload": None if failed or not applicable else median(payloads),
         "fraction": None if fraction is None else fraction.median,
         "interval": _interval(entry),
@@ -165,30 +179,31 @@ def _row(leaderboard: Leaderboard, policy: str, column: Column, indices: Mapping
     }
 
 
-def _belongs(cell: BestKnownCell, leaderboard: Leaderboard) -> bool:
-    return (cell.env_id, str(cell.trajectory["name"])) == (leaderboard.env_id, leaderboard.motion)
-
-
 def _best_row(leaderboard: Leaderboard, group: Sequence[BestKnown], indices: Sequence[int]) -> dict[str, Any]:
-    payloads = [best.result["payload"] for best in group if best.result.get("verified")]
-    payload = median(payloads) if len(payloads) == len(group) else None
-    return {
-        "key": canonical([leaderboard.env_id, leaderboard.motion, BEST_KNOWN]),
-        "id": leaderboard.env_id,
-        "policy": BEST_KNOWN,
-        "motion": motion_title(leaderboard).removesuffix(": median and worst fraction"),
-        "condition": heading(leaderboard.columns[0]).removesuffix(" [kg]"),
+    verified = all(best.result.get("verified") for best in group)
+    payload = median(best.result["payload"] for best in group) if verified else None
+    fraction = median(best.result["payload"] / (best.payload or 1.0) for best in group) if verified else None
+    return _conditions(leaderboard, BEST_KNOWN, leaderboard.columns[0]) | {
         "payload_text": "none" if payload is None else f"{payload:.2f}",
         "payload": payload,
-        "fraction": None
-        if payload is None
-        else median(best.result["payload"] / (best.payload or 1.0) for best in group),
-        "interval": None,
-        "raised": False,
-        "note": "",
-        "violation": "",
+        "fraction": fraction,
         "cells": [*indices],
     }
+
+
+def _conditions(leaderboard: Leaderboard, policy: str, column: Column) -> dict[str, Any]:
+    return {
+        "key": _row_key(leaderboard, policy, column),
+        "id": leaderboard.env_id,
+        "policy": policy,
+        "motion": motion_title(leaderboard).removesuffix(": median and worst fraction"),
+        "condition": heading(column).removesuffix(" [kg]"),
+        "violation": "",
+    }
+
+
+def _row_key(leaderboard: Leaderboard, policy: str, column: Column) -> str:
+    return canonical([leaderboard.env_id, leaderboard.motion, policy, heading(column)])
 
 
 def _note(entry: Sequence[Score], applicable: bool, failed: bool) -> str:
@@ -215,97 +230,56 @@ def _interval(entry: Sequence[Score]) -> list[float] | None:
 
 def _violation_text(entry: Sequence[Score]) -> str:
     """Limiting violation for one motion; the kinds of violation and their counts for several motions."""
-    violations = [Violation(**score.result["violation"]) for score in entry if score.result.get("violation")]
+    violations = [violation for score in entry if (violation := limiting_violation(score)) is not None]
     if len(entry) == 1:
         return str(violations[0]) if violations else (entry[0].error or "")
-    kinds = [violation.kind for violation in violations]
-    return ", ".join(f"{kind} {kinds.count(kind)} ×" for kind in dict.fromkeys(kinds))
+    counts = Counter(violation.kind for violation in violations)
+    return ", ".join(f"{kind} {count} ×" for kind, count in counts.items())
 
 
-def _cell(
-    score: Score,
-    record: Record,
-    replays: Mapping[str, Sequence[Replay] | str],
-    robots: _Unique,
-    motions: _Unique,
-) -> dict[str, Any]:
-    cell = score.cell
-    reason = NO_EPISODE if score.result.get("applicable", True) else NOT_APPLICABLE
-    return _episodes(cell, replays.get(cell.key, ""), robots, motions, reason) | {
-        "title": task_title(cell),
-        "payload_label": "unloaded" if score.payload is None else "DLCC",
-        "code": _code("cablebot_gym.evaluation", "evaluate_dlcc", [cell.policy, cell.env_id], cell.options()),
-        "facts": _facts(score, record),
-    }
-
-
-def _best_cell(
-    best: BestKnown,
-    record: Record,
-    replays: Mapping[str, Sequence[Replay] | str],
-    robots: _Unique,
-    motions: _Unique,
-) -> dict[str, Any]:
-    return _episodes(best.cell, replays.get(best.cell.key, ""), robots, motions) | {
-        "title": task_title(best.cell),
-        "payload_label": BEST_KNOWN,
-        "code": _code("cablebot_gym.bounds.best_known", "find_best_known", [best.cell.env_id], best.cell.options()),
-        "facts": [["Best known payload", best_known_text(best)], _made_by(record)],
-    }
-
-
-def _episodes(
-    cell: Cell, replays: Sequence[Replay] | str, robots: _Unique, motions: _Unique, reason: str = NO_EPISODE
-) -> dict[str, Any]:
-    if isinstance(replays, str):
-        return {"replays": None, "reason": replays or reason}
-    return {
-        "replays": [replay.to_dict() for replay in replays],
-        "robot": robots.add(_robot(cell)),
-        "motion": motions.add(_motion(cell)),
-    }
-
-
-def _code(module: str, function: str, arguments: Sequence[str], options: Mapping[str, Any]) -> str:
+def _code(cell: Cell) -> str:
     """Python code that computes a cell."""
-    lines = [repr(value) for value in arguments]
-    lines += [f"{name}={value!r}" for name, value in options.items() if value is not None]
+    if isinstance(cell, BestKnownCell):
+        module, name, lines = "cablebot_gym.bounds.best_known", "find_best_known", [repr(cell.env_id)]
+    else:
+        module, name, lines = "cablebot_gym.evaluation", "evaluate_dlcc", [repr(cell.policy), repr(cell.env_id)]
+    lines += [f"{option}={value!r}" for option, value in cell.options().items() if value is not None]
     inner = "".join(f"    {line},\n" for line in lines)
-    return f"import cablebot_gym\nfrom {module} import {function}\n\nprint({function}(\n{inner}))"
+    return f"import cablebot_gym\nfrom {module} import {name}\n\nprint({name}(\n{inner}))"
 
 
-def _facts(score: Score, record: Record) -> list[list[str]]:
+def _facts(score: Score) -> list[list[str]]:
     result, cell = score.result, score.cell
-    facts = [_made_by(record)]
     if score.error is not None:
-        return [["Error", score.error], *facts]
+        return [["Error", score.error]]
     if not result.get("applicable", True):
-        return [["Not applicable", NOT_APPLICABLE], *facts]
-    if cell.model_payload_factor != 1.0:
-        text = f"{cell.model_payload_factor:g} times the nominal payload"
-        facts.insert(0, ["Payload model", text])
-    if score.best_known is not None:
-        facts.insert(0, ["Best known payload", f"{score.best_known:.3f} kg"])
-    if result.get("failures"):
-        facts.insert(
-            0,
-            [
-                "Violations of the draws at a larger payload",
-                ", ".join(f"{k}: {n}" for k, n in result["failures"].items()),
-            ],
-        )
+        return [["Not applicable", NOT_APPLICABLE]]
+    intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
+    facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
+    if (violation := limiting_violation(score)) is not None:
+        facts.append(["Limiting violation", str(violation)])
     if cell.draws > 1:
         assured = result.get("assured_payload")
         text = "none" if assured is None else f"{assured:.3f} kg"
-        facts.insert(
-            0,
-            ["Draws", f"{cell.draws}; success rate {cell.probability:.0%}; 95/95 lower tolerance bound: {text}"],
-        )
-    if result.get("violation"):
-        facts.insert(0, ["Limiting violation", str(Violation(**result["violation"]))])
-    intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
-    facts.insert(0, ["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"])
+        success = f"success rate {cell.probability:.0%}; 95/95 lower tolerance bound: {text}"
+        facts.append(["Draws", f"{cell.draws}; {success}"])
+    if result.get("failures"):
+        counts = ", ".join(f"{kind}: {count}" for kind, count in result["failures"].items())
+        facts.append(["Violations of the draws at a larger payload", counts])
+    if score.best_known is not None:
+        facts.append(["Best known payload", f"{score.best_known:.3f} kg"])
+    if cell.model_payload_factor != 1.0:
+        facts.append(["Payload model", f"{cell.model_payload_factor:g} times the nominal payload"])
     return facts
+
+
+def limiting_violation(score: Score) -> Violation | None:
+    """Limiting violation of a score with the bound of its cell; None without a violation."""
+    data = score.result.get("violation")
+    if not data:
+        return None
+    violation = Violation(**data)
+    return replace(violation, bound=score.cell.error_bounds.get(violation.kind))
 
 
 def _made_by(record: Record) -> list[str]:
@@ -350,7 +324,7 @@ def _map(payload_map: PayloadMap) -> dict[str, Any]:
 
     return {
         "id": payload_map.env_id,
-        "label": payload_map.axis.label,
+        "label": ", ".join([*payload_map.constants, payload_map.axis.label]),
         "x": [round(value * payload_map.axis.scale, 9) for value in payload_map.values],
         "best_known": list(payload_map.best_known),
         "policies": [
@@ -362,38 +336,23 @@ def _map(payload_map: PayloadMap) -> dict[str, Any]:
 
 def _notes(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str, Any]]:
     references = [best_known_text(best) for best in best_known_payloads(records).values()]
-    sections = [
-        {
-            "title": "Definitions",
-            "lines": [
-                "The dynamic load carrying capacity (DLCC) is the upper end of the interval of feasible payloads that "
-                "starts at zero. A scan finds the interval, and a bisection refines its end.",
-                "The task criterion requires, at every physics step, a position error within R, a rotation error "
-                "within its bound and no slack cable. Motor torques are clipped.",
-                "Fractions refer to the best known payload for the same robot, motion and error bounds. It is "
-                "verified by replay.",
-                "The page shows the episode at the DLCC, or the unloaded episode if the policy fails unloaded, and an "
-                "episode at a slightly larger payload. For cells with draws, they are those of the first draw. For a "
-                "best known payload, the page shows the open-loop replay of its actions.",
-                "The code under 'How this number is computed' reproduces the number of each row.",
-            ],
-        },
-        {"title": "Commands", "lines": [f"suite {source.suite}: {source.command}" for source in sources]},
-        {"title": "Best known payloads", "lines": references or ["none in these results"]},
-    ]
-    notes = [*failures(records), *fallbacks(records)]
-    return sections + ([{"title": "Notes", "lines": notes}] if notes else [])
+    sections = {
+        "Commands": [f"suite {source.suite}: {source.command}" for source in sources],
+        "Best known payloads": references or ["none in these results"],
+        "Notes": [*failures(records), *fallbacks(records)],
+    }
+    return [{"title": title, "lines": lines} for title, lines in sections.items() if lines]
 
 
 def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
-    """The cells whose episodes the page shows, with their DLCC [kg], by key."""
+    """The cells whose episodes the page shows, with their DLCC [kg], by key.
+
+    The best known payload of a map has no row and therefore no episode.
+    """
     return {
         record.cell.key: (record.cell, record.result.get("payload"))
         for record in records
-        if record.error is None and record.result.get("applicable", True) and not _only_in_map(record.cell)
+        if record.error is None
+        and record.result.get("applicable", True)
+        and not (isinstance(record.cell, BestKnownCell) and varied_fields(record.cell))
     }
-
-
-def _only_in_map(cell: Cell) -> bool:
-    """Whether a cell is the best known payload of a map, which has no row and therefore no episode."""
-    return isinstance(cell, BestKnownCell) and bool(varied_axes(cell))

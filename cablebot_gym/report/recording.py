@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, canonical
-from cablebot_gym.report.replay import Replay, best_replays, replays
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
+from cablebot_gym.report.replay import Replay, batch_key, best_replays, replays
 from cablebot_gym.utils import workers as processes
 from cablebot_gym.utils.files import atomic_write_text
 
@@ -35,34 +34,42 @@ def record_all(
         workers: number of parallel processes.
         say: called with one-sentence messages for the user.
     """
-    pending: dict[str, partial[ReplayResult]] = {}
+    groups: dict[str, list[str]] = {}
     for key, (cell, payload) in queries.items():
         stored = _read(_path(folder, cell, payload))
-        if stored is None:
-            pending[key] = partial(_record, cell, payload)
-        else:
+        if stored is not None:
             yield key, stored
+        else:
+            group = key if isinstance(cell, BestKnownCell) else batch_key(cell)
+            groups.setdefault(group, []).append(key)
+    jobs = {group: partial(record_batch, [queries[key] for key in keys]) for group, keys in groups.items()}
     returned = (processes.WorkerDied,)
-    for key, result in processes.run(pending, workers=workers, kind=_kind, say=say, returned=returned):
-        if isinstance(result, processes.WorkerDied):
-            yield key, str(result)
-            continue
-        if not isinstance(result, str):
-            cell, payload = queries[key]
-            _write(_path(folder, cell, payload), result)
-        yield key, result
+    for group, results in processes.run(jobs, workers=workers, kind=_kind, say=say, returned=returned):
+        for index, key in enumerate(groups[group]):
+            if isinstance(results, processes.WorkerDied):
+                yield key, str(results)
+                continue
+            if not isinstance(results[index], str):
+                _write(_path(folder, *queries[key]), results[index])
+            yield key, results[index]
 
 
-def _record(cell: Cell, payload: float | None) -> ReplayResult:
-    """The episodes of a cell. An exception becomes an error message; it does not stop the report."""
+def record_batch(queries: Sequence[ReplayQuery]) -> list[ReplayResult]:
+    """The episodes of cells that share a batch. An exception becomes an error message; it does not stop the report."""
     try:
-        return best_replays(cell) if isinstance(cell, BestKnownCell) else replays(cell, payload)
+        first = queries[0][0]
+        if isinstance(first, BestKnownCell):
+            return [best_replays(first)]
+        return list(replays([(cell, payload) for cell, payload in queries if isinstance(cell, PolicyCell)]))
     except Exception as error:
-        return f"No episode: {' '.join(str(error).split())}"
+        if len(queries) > 1:  # an error in one cell must not hide the others
+            return [result for query in queries for result in record_batch([query])]
+        return [f"No episode: {' '.join(str(error).split())}"]
 
 
-def _kind(task: partial[ReplayResult]) -> str:
-    cell: Cell = task.args[0]
+def _kind(job: partial[list[ReplayResult]]) -> str:
+    """Jobs of one kind need the same compiled code."""
+    cell: Cell = job.args[0][0][0]
     return cell.env_id
 
 
@@ -73,13 +80,9 @@ def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
 
 def _read(path: Path) -> list[Replay] | None:
     try:
-        return [_replay(data) for data in json.loads(path.read_text(encoding="utf-8"))]
+        return [Replay(**data) for data in json.loads(path.read_text(encoding="utf-8"))]
     except (OSError, ValueError, TypeError, KeyError):
         return None
-
-
-def _replay(data: Mapping[str, Any]) -> Replay:
-    return Replay(**{**data, "low": tuple(data["low"]), "high": tuple(data["high"])})
 
 
 def _write(path: Path, episodes: list[Replay]) -> None:

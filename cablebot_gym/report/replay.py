@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import base64
+import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, canonical
 from cablebot_gym.bounds.best_known import cached_best_known
-from cablebot_gym.evaluation.batch import draw_seeds
-from cablebot_gym.evaluation.constraints import DLCCMonitor
-from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.envs.vector import CableBotVectorEnv
+from cablebot_gym.evaluation.batch import draw_seeds, run_episodes
+from cablebot_gym.evaluation.constraints import Judge, Violation
+from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.kinematics import Array, rotation_matrix
-from cablebot_gym.policies import load_policy
-from cablebot_gym.rendering.moment import Moment, ball_radius
+from cablebot_gym.policies import Policy, load_policy
+from cablebot_gym.policies.protocol import OpenLoop
+from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds
 
 RATE = 100
 """Frame rate of a replay [Hz]."""
@@ -33,6 +38,16 @@ LEVELS = 32000
 """Quantisation steps between the minimum and the maximum of a component; they fit into 16 bits."""
 
 
+APPROACH = (0.1, 0.05, 0.02)
+"""Times before a violation at which its margin is stated [s]."""
+
+_RECORDED = (
+    *("time", "true_pose", "tensions", "commanded_action"),
+    *("tracking_error", "rotation_error", "tracking_error_peak", "rotation_error_peak"),
+)
+"""Recorded arrays of an episode."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Replay:
     """One episode as frames at :data:`RATE`. SI units and radians."""
@@ -44,7 +59,9 @@ class Replay:
     carried: bool
     """Whether the policy carries the payload in this episode, by the task criterion."""
     violation: str
-    """First violation; empty if there is none."""
+    """First violation and how the margin shrinks before it, as sentences; empty if there is none."""
+    violation_time: float | None
+    """Time of the first violation [s]; None if there is none."""
     end: float
     """Time of the last frame [s]. All other frames are 1/:data:`RATE` apart, starting at 0."""
     frames: int
@@ -53,9 +70,9 @@ class Replay:
     """Number of components by channel. Values at the time of the frame: ``position`` of the platform and its
     ``anchors`` [m]. Values over the interval since the previous frame: ``tension`` (minimum) [N], ``action`` (value of
     the largest magnitude), ``position_error`` (maximum) [m] and ``rotation_error`` (maximum) [rad]."""
-    low: tuple[float, ...]
+    low: list[float]
     """Minimum of each component."""
-    high: tuple[float, ...]
+    high: list[float]
     """Maximum of each component."""
     data: str
     """Samples of one component after the other. Each component is quantised to 16 bits between ``low`` and ``high`` and
@@ -66,16 +83,6 @@ class Replay:
         return asdict(self)
 
 
-def unpack_channels(replay: Replay) -> dict[str, Array]:
-    """The channels of a replay as arrays (frames, components)."""
-    steps = np.frombuffer(zlib.decompress(base64.b64decode(replay.data)), "<i2").reshape(-1, replay.frames)
-    levels = np.cumsum(steps.astype(np.int64), axis=1).T
-    low, high = np.array(replay.low), np.array(replay.high)
-    values = low + levels / LEVELS * (high - low)
-    ends = np.cumsum(list(replay.channels.values()))[:-1]
-    return dict(zip(replay.channels, np.split(values, ends, axis=1), strict=True))
-
-
 def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     """The distinct anchor points of the platform (k, 2 or 3) [m], and the index of each cable's anchor point."""
     anchors = np.zeros_like(robot.base) if robot.planar else robot.platform
@@ -83,24 +90,72 @@ def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     return points, [int(index) for index in np.ravel(indices)]
 
 
-def replays(cell: PolicyCell, payload: float | None) -> list[Replay]:
-    """The episode of a cell at its DLCC and one at a larger payload; one unloaded episode without a DLCC.
+def batch_key(cell: PolicyCell) -> str:
+    """Cells with equal keys can be recorded in one batch: same policy, robot, error bounds and control frequency."""
+    # A learned policy requires equal error bounds in a batch.
+    return canonical([cell.policy, cell.env_id, cell.robot_changes, cell.error_bounds, cell.control_frequency])
 
-    For a cell with several draws, the episodes are those of the first draw.
+
+def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Replay]]:
+    """The episodes of cells: for each, one at its DLCC and one at a larger payload, or one unloaded without a DLCC.
+
+    All episodes run in one batch. For a cell with several draws, they are those of the first draw.
 
     Args:
-        cell: policy and conditions.
-        payload: DLCC of the cell [kg]; None if the policy fails unloaded.
+        cells: cells of one :func:`batch_key`, with their DLCC [kg]; None if the policy fails unloaded.
 
     Raises:
         ValueError: if the policy cannot be loaded or does not support the robot.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an invalid action.
     """
-    seed = draw_seeds(cell.seed, cell.draws)[0]
-    policy = load_policy(cell.policy, cell.robot)
-    payloads = [0.0] if payload is None else [payload, max(EXCESS_FACTOR * payload, payload + MIN_EXCESS)]
-    options = cell.env_options()
-    return [_replay(policy, cell, value, seed=seed, options=options) for value in payloads]
+    first = cells[0][0]
+    policy = load_policy(first.policy, first.robot)
+    episodes = [(cell, payload) for cell, dlcc in cells for payload in _payloads(dlcc)]
+    env = gym.make_vec(
+        first.env_id,
+        num_envs=len(episodes),
+        max_episode_steps=None,
+        robot=first.robot,
+        error_bounds=dict(first.error_bounds),
+        termination_radius=ErrorBounds(**first.error_bounds).termination_radius,
+        control_frequency=first.control_frequency,
+    ).unwrapped
+    assert isinstance(env, CableBotVectorEnv)
+    try:
+        recorded = map(compress, _rollouts(env, policy, episodes))
+        return [[next(recorded) for _ in _payloads(dlcc)] for _, dlcc in cells]
+    finally:
+        env.close()
+
+
+def _payloads(dlcc: float | None) -> list[float]:
+    return [0.0] if dlcc is None else [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
+
+
+def _rollouts(env: CableBotVectorEnv, policy: Policy, episodes: Sequence[tuple[PolicyCell, float]]) -> list[Rollout]:
+    """Records one episode of each environment, with the conditions of its cell and its payload."""
+    cells, payloads = [cell for cell, _ in episodes], np.array([payload for _, payload in episodes])
+    seeds: list[int | None] = [draw_seeds(cell.seed, cell.draws)[0] for cell in cells]
+    options: dict[str, Any] = {
+        "payload": payloads,
+        "payload_known": [cell.payload_known for cell in cells],
+        "model_payload_factor": [cell.model_payload_factor for cell in cells],
+        "uncertainty": [cell.uncertainty or "none" for cell in cells],
+    }
+    judge = Judge("task", env.settings.robot.cables, env.num_envs)
+    env.reset(options=options)
+    motions = np.array([canonical(dict(cell.trajectory)) for cell in cells])
+    for motion in dict.fromkeys(motions.tolist()):
+        mask = motions == motion
+        own = options | {"trajectory": json.loads(motion), "reset_mask": mask}
+        observation, info = env.reset(seed=seeds, options=own)
+        task = env.tasks[int(mask.argmax())]
+        judge.reset(info, task.error_bounds, task.steps, mask)
+    recorder = Recorder(env, range(env.num_envs), _RECORDED)
+    recorder.start(observation, info)
+    run: dict[str, Any] = {"payloads": payloads, "observer": recorder, "full_motion": True}
+    run_episodes(env, policy, cells[0].policy, observation, judge, **run)
+    return recorder.rollouts([judge.verdict(index) for index in range(env.num_envs)])
 
 
 def best_replays(cell: BestKnownCell) -> list[Replay]:
@@ -110,68 +165,62 @@ def best_replays(cell: BestKnownCell) -> list[Replay]:
         ValueError: if the cache does not contain the actions.
         ImportError: if CasADi is missing.
     """
-    options = cell.options()
+    options = cell.options() | {"robot": cell.robot}
     result = cached_best_known(cell.env_id, **options)
     if result is None:
         raise ValueError(
             "the actions of this best known payload are not in the cache of this machine, or they were computed by "
             "different code. Run the code under 'How this number is computed' (minutes), then cablebot report again"
         )
-    options = options | {"robot": cell.robot}
-    return [_replay(_OpenLoop(result.actions), cell, result.payload, seed=0, options=options)]
+    return [compress(record_rollout(OpenLoop(result.actions), cell.env_id, payload=result.payload, **options))]
 
 
-class _OpenLoop:
-    """An open-loop policy: it returns the rows of ``actions`` (steps, m) one after the other."""
-
-    def __init__(self, actions: Array) -> None:
-        self._actions = actions
-
-    def predict(
-        self, observation: Array, state: int | None = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Array, int]:
-        step = state or 0
-        return self._actions[None, step], step + 1
-
-
-def _replay(
-    policy: Any,
-    cell: PolicyCell | BestKnownCell,
-    payload: float,
-    *,
-    seed: int,
-    options: Mapping[str, Any],
-) -> Replay:
-    moments: list[Moment] = []
-
-    def record_moment(env: DLCCMonitor) -> None:
-        moments.append(env.get_wrapper_attr("moment"))
-
-    recorded = record_rollout(policy, cell.env_id, payload=payload, seed=seed, on_step=record_moment, **options)
-    channels = _channels(cell.robot, moments, recorded.arrays, max(1, round(cell.control_frequency / RATE)))
+def compress(rollout: Rollout) -> Replay:
+    """A recorded episode as a replay."""
+    channels = _channels(rollout, max(1, round(rollout.task.control_frequency / RATE)))
     table = np.concatenate(list(channels.values()), axis=1)
     low, high, data = _pack(table)
-    violation = recorded.verdict.violation
+    violation = rollout.verdict.violation
     return Replay(
-        payload=moments[0].payload,
-        radius=ball_radius(moments[0].payload),
-        carried=recorded.verdict.carried,
-        violation="" if violation is None else str(violation),
-        end=moments[-1].time,
+        payload=rollout.payload,
+        radius=ball_radius(rollout.payload),
+        carried=rollout.verdict.carried,
+        violation="" if violation is None else f"{violation}. {approach(rollout, violation)}".strip(),
+        violation_time=None if violation is None else violation.time,
+        end=float(rollout.arrays["time"][-1]),
         frames=len(table),
         channels={name: values.shape[1] for name, values in channels.items()},
-        low=tuple(low.tolist()),
-        high=tuple(high.tolist()),
+        low=low.tolist(),
+        high=high.tolist(),
         data=data,
     )
 
 
-def _channels(robot: Robot, moments: list[Moment], arrays: Mapping[str, Array], every: int) -> dict[str, Array]:
+def approach(rollout: Rollout, violation: Violation) -> str:
+    """One sentence on how the margin shrinks before a violation; empty if that is not recorded."""
+    arrays = rollout.arrays
+    if violation.bound is not None:
+        name = {"position": "tracking_error_peak", "rotation": "rotation_error_peak"}[violation.kind]
+        subject, values, unit = "The error", 100 * arrays[name] / violation.bound, "% of its bound"
+    elif violation.kind == "slack" and violation.index is not None:
+        subject, values = f"The tension of cable {violation.index}", arrays["tensions"][:, violation.index - 1]
+        unit = "N"
+    else:
+        return ""
+    times = arrays["time"] - (violation.time or 0.0)
+    instants = [before for before in APPROACH if times[0] <= -before]
+    if not instants:
+        return ""
+    shown = ", ".join(f"{values[np.searchsorted(times, -before - 1e-9)]:.0f}" for before in instants)
+    return f"{subject} is {shown} {unit}, {', '.join(f'{1e3 * before:.0f}' for before in instants)} ms before."
+
+
+def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
     """Frames of every channel: at the start, after every ``every`` control steps, and at the end."""
-    steps = len(moments) - 1
+    robot, arrays, steps = rollout.task.robot, rollout.arrays, len(rollout) - 1
     ends = [*range(every, steps, every), steps]
     windows = [slice(end - every if end % every == 0 else end - end % every, end) for end in ends]
-    poses = np.array([moments[index].pose for index in (0, *ends)])
+    poses = np.concatenate([rollout.start["true_pose"][None], arrays["true_pose"][np.array(ends) - 1]])
     position = poses[:, : robot.base.shape[1]]
     points, _ = platform_points(robot)
     anchors = position[:, None] + points
@@ -184,15 +233,11 @@ def _channels(robot: Robot, moments: list[Moment], arrays: Mapping[str, Array], 
         "anchors": anchors.reshape(len(poses), -1),
         "tension": _repeat_first([arrays["tensions"][w].min(0) for w in windows]),
         "action": _repeat_first(peaks),
-        "position_error": _prepend(
-            moments[0].position_error, [arrays["tracking_error_peak"][w].max() for w in windows]
-        ),
-        "rotation_error": _prepend(
-            moments[0].rotation_error, [arrays["rotation_error_peak"][w].max() for w in windows]
-        ),
     }
-    if robot.planar:
-        del channels["rotation_error"]
+    for kind, name in (("position", "tracking_error"), ("rotation", "rotation_error")):
+        if kind == "position" or not robot.planar:
+            peaks = [arrays[f"{name}_peak"][w].max() for w in windows]
+            channels[f"{kind}_error"] = np.array([rollout.start[name], *peaks])[:, None]
     return channels
 
 
@@ -201,18 +246,9 @@ def _repeat_first(rows: list[Array]) -> Array:
     return np.array([rows[0], *rows])
 
 
-def _prepend(first: float, values: list[float]) -> Array:
-    return np.array([first, *values])[:, None]
-
-
 def _pack(table: Array) -> tuple[Array, Array, str]:
     low, high = table.min(axis=0), table.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
     steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
     return low, high, base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9)).decode("ascii")
-
-
-def frame_times(replay: Replay) -> Array:
-    """Time of each frame (frames,) [s]."""
-    return np.minimum(np.arange(replay.frames) / RATE, replay.end)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Collection, Iterable, Mapping
 from difflib import get_close_matches
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+_T = TypeVar("_T")
 
 INF = math.inf
 
@@ -24,12 +27,15 @@ def number(
     most: float = INF,
     unit: str = "",
 ) -> float:
-    """A finite number within bounds. ``above`` and ``below`` exclude the bound, ``least`` and ``most`` include it.
+    """A finite number within bounds.
 
     Args:
         name: name of the argument in the message.
         value: the argument.
-        above, least, below, most: bounds.
+        above: lower bound, excluded.
+        least: lower bound, included.
+        below: upper bound, excluded.
+        most: upper bound, included.
         unit: unit of the bounds in the message, such as ``kg``.
 
     Raises:
@@ -42,14 +48,20 @@ def number(
     return float(value)
 
 
-def whole(name: str, value: Any, *, least: int = 0) -> int:
-    """An integer of at least ``least``.
+def whole(name: str, value: Any, *, least: int = 0, most: float = INF) -> int:
+    """An integer from ``least`` to ``most``.
+
+    Args:
+        name: name of the argument in the message.
+        value: the argument.
+        least: smallest valid integer.
+        most: largest valid integer.
 
     Raises:
         ValueError: if the value is not such an integer.
     """
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{name} must be an integer of at least {least}, not {value!r}")
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
+        raise ValueError(f"{name} must be an integer of{_bounds_text(-INF, least, INF, most, '')}, not {value!r}")
     return int(value)
 
 
@@ -72,7 +84,10 @@ def numbers(
         value: the argument: a number, a sequence or an array.
         shapes: valid shapes; every shape is valid if empty.
         form: valid forms in words, such as ``one number or one per motor``; the shapes if empty.
-        above, least, below, most: bounds of each number, as for :func:`number`.
+        above: lower bound of each number, excluded.
+        least: lower bound of each number, included.
+        below: upper bound of each number, excluded.
+        most: upper bound of each number, included.
         unit: unit of the bounds in the message.
 
     Raises:
@@ -113,8 +128,35 @@ def mapping(name: str, value: Any, keys: Iterable[str]) -> dict[str, Any]:
     return dict(value)
 
 
+def record(name: str, kind: type[_T], value: Any) -> _T:
+    """An instance of a dataclass from a mapping of its fields. An instance is returned unchanged.
+
+    Args:
+        name: name of the argument in the message.
+        kind: the dataclass.
+        value: the argument.
+
+    Raises:
+        ValueError: if a field is unknown, missing or invalid.
+    """
+    if isinstance(value, kind):
+        return value
+    known = dataclasses.fields(kind)  # type: ignore[arg-type]  # mypy has no type for the classes of dataclasses
+    given = mapping(name, value, [field.name for field in known])
+    for field in known:
+        if field.default is field.default_factory is dataclasses.MISSING and field.name not in given:
+            raise ValueError(f"{name} needs the key {field.name!r}")
+    return kind(**given)
+
+
 def choice(kind: str, value: Any, valid: Iterable[str], otherwise: str = "") -> str:
     """One of the valid names.
+
+    Args:
+        kind: kind of the named thing, such as ``environment``.
+        value: the argument.
+        valid: the valid names.
+        otherwise: other valid input, such as ``, or pass a Robot``.
 
     Raises:
         ValueError: if the name is unknown, see :func:`unknown_name_error`.

@@ -37,7 +37,7 @@ def check_writable_file(path: Path) -> None:
         raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another name")
 
 
-def atomic_write(path: Path, write: Callable[[Path], None]) -> None:
+def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     """Calls ``write`` with a temporary file beside ``path`` and then moves the file to ``path``.
 
     A missing folder is created. After an interrupt or an error the previous file at ``path`` is unchanged. The

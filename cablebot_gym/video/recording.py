@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.evaluation.constraints import DLCCMonitor, Verdict
-from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import name_of
-from cablebot_gym.rendering.moment import Moment, Scene
 from cablebot_gym.rendering.painter import SIZE, Painter, as_array, import_pygame
 from cablebot_gym.rendering.window import Window
+from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.files import atomic_write, check_writable_file
 from cablebot_gym.video import SPEED
 
@@ -34,70 +32,27 @@ SUFFIXES = (".mp4", ".gif")
 """File name suffixes of the video formats."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Video:
-    """A recorded episode, one moment per control step."""
-
-    scene: Scene
-    """Constant content of the pictures."""
-    moments: tuple[Moment, ...]
-    """Moments at the start and after every control step."""
-    verdict: Verdict
-    """Verdict of the task criterion."""
-
-    def at(self, time: float) -> int:
-        """Index of the last moment that is not later than a time [s]."""
-        times = [moment.time for moment in self.moments]
-        return max(int(np.searchsorted(times, time + 1e-9, side="right")) - 1, 0)
-
-    def note(self, index: int) -> str:
-        """Note below the title of the picture of moment ``index``.
-
-        From the time of the violation on, the note states it. The last picture of an episode without a violation has
-        the note "carried". Otherwise it is empty.
-        """
-        violation, time = self.verdict.violation, self.moments[index].time
-        if violation is not None and (violation.time or 0.0) <= time + 1e-9:
-            return f"not carried: {violation}"
-        return "carried" if self.verdict.carried and index == len(self.moments) - 1 else ""
-
-    @property
-    def trail(self) -> Array:
-        """Poses of all moments, (k, n)."""
-        return np.array([moment.pose for moment in self.moments])
+Episode = tuple[str, Rollout]
+"""A title and the recorded episode below it."""
 
 
-def record_video(policy: Any, env_id: str, *, title: str | None = None, **keywords: Any) -> Video:
-    """Records one episode of a policy.
+def note(rollout: Rollout, index: int) -> str:
+    """Note below the title of the picture of moment ``index``.
 
-    Args:
-        policy: an object with ``predict``, a callable, or a name as on the command line.
-        env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        title: text above the picture; by default the name of the policy and the environment id.
-        keywords: keywords of :func:`~cablebot_gym.evaluation.rollout.record_rollout`.
-
-    Raises:
-        ValueError: if an argument is invalid.
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises an error or returns invalid actions.
+    From the time of the violation on, the note states it. The last picture of an episode without a violation has the
+    note "carried". Otherwise it is empty.
     """
-    scenes: list[Scene] = []
-    moments: list[Moment] = []
-
-    def record_moment(env: DLCCMonitor) -> None:
-        if not scenes:
-            scenes.append(env.get_wrapper_attr("scene"))
-        moments.append(env.get_wrapper_attr("moment"))
-
-    rollout = record_rollout(policy, env_id, on_step=record_moment, **keywords)
-    title = f"{name_of(policy)} on {env_id}" if title is None else title
-    return Video(scene=replace(scenes[0], title=title), moments=tuple(moments), verdict=rollout.verdict)
+    violation = rollout.verdict.violation
+    if violation is not None and (violation.time or 0.0) <= rollout.moment(index).time + 1e-9:
+        return f"not carried: {violation}"
+    return "carried" if rollout.verdict.carried and index == len(rollout) - 1 else ""
 
 
 class VideoPainter:
-    """Paints videos side by side, at the same time of each episode.
+    """Paints episodes side by side, at the same time of each episode.
 
     Args:
-        videos: videos to paint, at least one.
+        episodes: episodes to paint, at least one.
         size: width and height of each picture [pixels].
 
     Raises:
@@ -105,21 +60,21 @@ class VideoPainter:
         ValueError: if the size is too small or too large.
     """
 
-    def __init__(self, videos: Sequence[Video], size: tuple[int, int] = SIZE) -> None:
-        self.videos = videos
-        self._painters = [Painter(video.scene, size) for video in videos]
-        self._trails = [video.trail for video in videos]
-        self.size = (size[0] * len(videos), size[1])
+    def __init__(self, episodes: Sequence[Episode], size: tuple[int, int] = SIZE) -> None:
+        self._rollouts = [rollout for _, rollout in episodes]
+        self._painters = [Painter(rollout.task, title, size) for title, rollout in episodes]
+        self.size = (size[0] * len(episodes), size[1])
         """Width and height of all pictures together [pixels]."""
-        self.duration = max(video.moments[-1].time for video in videos)
+        self.duration = max(rollout.moment(-1).time for rollout in self._rollouts)
         """Duration of the longest episode [s]."""
 
     def surfaces(self, time: float) -> Iterator[Any]:
-        """The picture of each video at a time of the episode [s]."""
-        for video, painter, trail in zip(self.videos, self._painters, self._trails, strict=True):
-            index = video.at(time)
-            note = video.note(index)
-            yield painter.paint(video.moments[index], trail[: index + 1], note, good=note == "carried")
+        """The picture of each episode at its last moment that is not later than a time [s]."""
+        for rollout, painter in zip(self._rollouts, self._painters, strict=True):
+            index = int(np.searchsorted(rollout.arrays["time"], time + 1e-9, side="right"))
+            text = note(rollout, index)
+            trail = np.concatenate([[rollout.start["true_pose"]], rollout.arrays["true_pose"][:index]])
+            yield painter.paint(rollout.moment(index), trail, text, good=text == "carried")
 
     def array(self, time: float) -> NDArray[np.uint8]:
         """All pictures at a time [s] as one array (height, width, 3)."""
@@ -147,38 +102,33 @@ def check_video(path: Path) -> None:
         raise ValueError(f"cannot write a video to {str(path)!r}: the file name has to end in {' or '.join(SUFFIXES)}")
     check_writable_file(path)
     try:
-        if path.suffix == ".gif":
-            import PIL.Image  # noqa: F401
-        else:
-            import imageio_ffmpeg  # noqa: F401
+        import_module("PIL.Image" if path.suffix == ".gif" else "imageio_ffmpeg")
     except ImportError as error:
         raise ImportError(f"{path.suffix} files require the extra: pip install 'cablebot-gym[render]'") from error
 
 
 def check_speed(speed: float) -> float:
-    """The playback speed, checked.
+    """The playback speed, checked; 1 is real time.
 
     Raises:
         ValueError: if it is not between 0.01 and 10.
     """
-    if not 0.01 <= speed <= 10:
-        raise ValueError(f"speed must lie between 0.01 and 10 (1 is real time), not {speed:g}")
-    return speed
+    return number("speed", speed, least=0.01, most=10)
 
 
 def write_video(
     path: Path,
-    videos: Sequence[Video],
+    episodes: Sequence[Episode],
     *,
     speed: float = SPEED,
     size: tuple[int, int] = SIZE,
     progress: Callable[[int, int], None] = lambda done, expected: None,
 ) -> None:
-    """Writes videos side by side to an ``.mp4`` file (H.264) or a ``.gif`` file. The write is atomic.
+    """Writes episodes side by side to an ``.mp4`` file (H.264) or a ``.gif`` file. The write is atomic.
 
     Args:
         path: file to write; its suffix determines the format.
-        videos: videos to write, at least one.
+        episodes: titles and episodes to show, at least one.
         speed: playback speed, as a fraction of real time.
         size: width and height of each picture, even numbers [pixels].
         progress: callback with the number of finished pictures and the number of all pictures.
@@ -191,7 +141,7 @@ def write_video(
     check_speed(speed)
     if any(side % 2 for side in size):
         raise ValueError(f"width and height of a video must be even numbers of pixels, not {size[0]} × {size[1]}")
-    painter = VideoPainter(videos, size)
+    painter = VideoPainter(episodes, size)
     rate = GIF_RATE if path.suffix == ".gif" else RATE
     times = painter.times(speed, rate)
 
@@ -225,8 +175,8 @@ def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[in
         first.save(file, format="GIF", save_all=True, append_images=images, duration=1000 // rate, loop=0)
 
 
-def play(videos: Sequence[Video], *, speed: float = SPEED, size: tuple[int, int] = SIZE) -> None:
-    """Shows videos side by side in a window, in a loop, until the window is closed.
+def play(episodes: Sequence[Episode], *, speed: float = SPEED, size: tuple[int, int] = SIZE) -> None:
+    """Shows episodes side by side in a window, in a loop, until the window is closed.
 
     Space pauses and resumes, the left and right arrow keys step by one picture, r restarts, q or Esc closes the window.
 
@@ -236,7 +186,7 @@ def play(videos: Sequence[Video], *, speed: float = SPEED, size: tuple[int, int]
         ImportError: if pygame is missing.
     """
     check_speed(speed)
-    painter = VideoPainter(videos, size)
+    painter = VideoPainter(episodes, size)
     window = Window("cablebot: Space pauses, arrow keys step, r restarts, q quits")
     times = painter.times(speed, RATE)
     surface = import_pygame().Surface(painter.size)

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
 
-from generate import docstrings, environments, figures, mathml, modules, policies, report, tables
-from generate.folder import Folder
+from generate import docstrings, environments, figures, mathml, policies, report, tables
+from generate.pages import Pages
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Registers the extension; Sphinx calls this function."""
     mathml.setup(app)
+    docstrings.setup(app)
     app.connect("builder-inited", write_all)
     app.connect("source-read", rewrite_links)
-    app.connect("builder-inited", report.write)
-    docstrings.setup(app)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def write_all(app: Sphinx) -> None:
-    """Writes all generated files and deletes files of earlier builds that this build does not write."""
-    with Folder(Path(app.srcdir) / "generated") as folder:
-        for module in (environments, policies, modules, tables, figures):
-            module.write(folder)
+    """Writes all generated files anew. Autodoc comes later, because Gymnasium sees its objects for default values."""
+    folder = Path(app.srcdir) / "generated"
+    shutil.rmtree(folder, ignore_errors=True)
+    for module in (environments, policies, tables, figures):
+        module.write(Pages(folder))
+    if app.builder.format == "html":
+        report.write(Path(app.outdir))
 
 
 def rewrite_links(app: Sphinx, name: str, source: list[str]) -> None:

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Any
 
 from cablebot_baselines.learned.runs import rank
-from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Condition, stem
+from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, stem
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.utils.files import atomic_write_text
 from cards.statistics import iqm, iqm_interval, scores
@@ -26,6 +26,34 @@ PROBABILITY = 0.95
 
 HELD_OUT = 20
 """Number of held-out motions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """Condition of an evaluation on the paper's circle."""
+
+    payload_known: bool = True
+    """Whether the policy's model contains the payload."""
+    uncertainty: str | None = None
+    """Name of an uncertainty model, sampled in each draw; None for no uncertainty."""
+
+
+KNOWN, UNKNOWN = Condition(), Condition(payload_known=False)
+
+CONDITIONS = {
+    "ppo-circle": (KNOWN, UNKNOWN),
+    "apg-circle": (KNOWN, UNKNOWN),
+    "apg-circle-margin": (
+        UNKNOWN,
+        KNOWN,
+        Condition(payload_known=False, uncertainty="sensors"),
+        Condition(uncertainty="sensors"),
+        Condition(payload_known=False, uncertainty="table6"),
+        Condition(uncertainty="table6"),
+    ),
+    "apg-loops": (KNOWN, UNKNOWN),
+}
+"""Conditions of the evaluation of each shipped policy; the first one selects the shipped seed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from cablebot_baselines.learned.shipped import Condition, short_id
+from cablebot_baselines.learned.shipped import short_id
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
-from cards.card import Card
+from cards.card import Card, Condition
 from cards.statistics import scores
 
 if TYPE_CHECKING:

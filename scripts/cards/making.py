@@ -12,7 +12,9 @@ from typing import Any
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.shipped import KNOWN, Condition, Shipped, stem
+from cablebot_baselines.learned.network import zero_network
+from cablebot_baselines.learned.runs import BEST, LAST
+from cablebot_baselines.learned.shipped import Shipped, stem
 from cablebot_baselines.learned.steering import action_mapping_to_jsonable
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Record
 from cablebot_gym.benchmark.leaderboard import read_results
@@ -20,7 +22,7 @@ from cablebot_gym.benchmark.scores import best_known_payloads, motion_key
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
-from cards.card import DRAWS, HELD_OUT, PROBABILITY, Card, HeldOut, SeedRun, has_loops
+from cards.card import CONDITIONS, DRAWS, HELD_OUT, KNOWN, PROBABILITY, Card, Condition, HeldOut, SeedRun, has_loops
 from cards.statistics import median_seed
 
 Evaluate = Callable[[Mapping[str, Cell]], Sequence[Record]]
@@ -86,9 +88,6 @@ def make_card(
         ValueError: if the runs belong to another policy or to different configurations, or are not bundles.
         RuntimeError: if an evaluation failed; the message contains the reason.
     """
-    from cablebot_baselines.learned.export import zero_network  # these need torch
-    from cablebot_baselines.learned.runs import BEST, LAST
-
     bundles = [Bundle.load(run / BEST) for run in runs]
     records = [Bundle.load(run / LAST).card for run in runs]
     _check_runs(shipped, env_id, runs, records)
@@ -97,20 +96,20 @@ def make_card(
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
     zero = zero_network(first.network.inputs, first.network.outputs)
     replace(first, network=zero, card={"note": "the base law alone"}).save(base)
-    law = reference_law(env_id)
+    law, conditions = reference_law(env_id), CONDITIONS[shipped.name]
 
     def cells(policy: str) -> list[PolicyCell]:
-        return [_cell(policy, env_id, condition, draws, probability) for condition in shipped.conditions]
+        return [_cell(policy, env_id, condition, draws, probability) for condition in conditions]
 
     policies = [*(str(run / BEST) for run in runs), str(base), law]
     payloads = _payloads([cell for policy in policies for cell in cells(policy)], evaluate)
-    count = len(shipped.conditions)
+    count = len(conditions)
     rows = [tuple(payloads[count * index : count * (index + 1)]) for index in range(len(policies))]
     trainings = tuple(_seed_run(card, row) for card, row in zip(records, rows, strict=False))
     chosen = median_seed({run.seed: run.in_training for run in trainings})
     evaluated = seeds if has_loops(motions) else [chosen]  # a policy for one motion is not made for others
     names = {seed: str(run / BEST) for seed, run in zip(seeds, runs, strict=True) if seed in evaluated}
-    unseen, motions_held_out = _held_out(names, law, env_id, shipped.conditions[0].payload_known, held_out, evaluate)
+    unseen, motions_held_out = _held_out(names, law, env_id, conditions[0].payload_known, held_out, evaluate)
     best = runs[seeds.index(chosen)] / BEST
     card = Card(
         policy=shipped.name,
@@ -126,7 +125,7 @@ def make_card(
         motions=motions,
         evaluation=records[0]["evaluation"],
         planner_output_used=any(card["planner_output_used"] for card in records),
-        conditions=shipped.conditions,
+        conditions=conditions,
         draws=draws,
         probability=probability,
         shipped_seed=chosen,

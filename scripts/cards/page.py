@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_baselines.learned.shipped import SHIPPED, Condition, short_id
+from cablebot_baselines.learned.shipped import SHIPPED, short_id
 from cablebot_gym.benchmark.scores import Column
 from cablebot_gym.benchmark.tables import heading
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
-from cards.card import Card, SeedRun, Summary, has_loops, summarize
+from cards.card import Card, Condition, SeedRun, Summary, has_loops, summarize
 from cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, scores
 
 _HEAD = """# Learned policies

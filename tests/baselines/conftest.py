@@ -1,4 +1,4 @@
-"""What the tests of the cards and of the script that makes them share, beside :mod:`shipping`."""
+"""Fixtures of the tests of training, and of the tests of cards and of the script that makes them."""
 
 from __future__ import annotations
 
@@ -7,30 +7,39 @@ from pathlib import Path
 import pytest
 
 import cablebot_gym.benchmark.engine
-from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.cells import Record
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """Limits torch to one thread: several threads wait for each other on busy cores."""
+    from cablebot_baselines.learned.runs import torch_threads
+
+    with torch_threads(1):
+        yield
 
 
 @pytest.fixture
 def runs(tmp_path):
-    from shipping import CARRIED, save_run  # needs torch, as most tests here do not
+    """Folder of finished runs of five seeds."""
+    from shipping import PAYLOADS, save_run  # needs torch
 
-    for seed in CARRIED:
+    for seed in PAYLOADS:
         save_run(tmp_path / "runs" / f"apg-circle-planar-{seed}", seed)
     return tmp_path / "runs"
 
 
 @pytest.fixture
 def computed(monkeypatch):
-    """Payloads that cost nothing: seeds carry :data:`~shipping.CARRIED`, the base alone 1.5 kg and every law 1.9 kg."""
-    from shipping import CARRIED
+    """Replaces evaluations: seeds carry ``PAYLOADS``, the base law 1.5 kg and other laws 1.9 kg. Returns the cells."""
+    from shipping import PAYLOADS
 
     cells = []
 
     def compute(cell):
-        assert isinstance(cell, PolicyCell)
         cells.append(cell)
         number = Path(cell.policy).parent.name.rpartition("-")[2]
-        payload = CARRIED[int(number)] if number.isdigit() else 1.5 if "base" in cell.policy else 1.9
+        payload = PAYLOADS[int(number)] if number.isdigit() else 1.5 if "base" in cell.policy else 1.9
         if not cell.payload_known and payload is not None:
             payload -= 1.0
         if "seed" in cell.trajectory:

@@ -1,4 +1,4 @@
-"""Wrappers that a learner trains through, their twins bit for bit, and that a policy does afterwards what it learnt."""
+"""Wrappers for training: limits, payload curriculum and steered law, single and in batches."""
 
 from __future__ import annotations
 
@@ -11,17 +11,21 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+
+from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_gym.evaluation import DLCCMonitor
+from cablebot_gym.robots import PLANAR, SPATIAL
+
+pytest.importorskip("stable_baselines3")
 from stable_baselines3 import PPO
 from stable_baselines3.common import env_checker
+from stable_baselines3.common.monitor import Monitor
 
-import cablebot_gym
-from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_baselines.learned.base import find_base
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.steering import Shift, Steering, find_action_mapping
+from cablebot_baselines.learned.steering import find_action_mapping
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
 from cablebot_baselines.learned.wrappers import (
     PayloadCurriculum,
@@ -32,18 +36,15 @@ from cablebot_baselines.learned.wrappers import (
     WithinLimitsVector,
     make_steered_vec,
 )
-from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
-from cablebot_gym.evaluation.constraints import Judge
-from cablebot_gym.robots import PLANAR, SPATIAL
-from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
-DISABLED = AutoresetMode.DISABLED
 
-SEEN = ("pose", "velocity", "error", "actions", "time_since_start", "rbf_time", "time_to_go_decays", "model_payload")
-SHIFTED = (*SEEN, "shift", "shift_velocity")
+OBSERVED = (
+    *("pose", "velocity", "error", "actions", "time_since_start", "rbf_time", "time_to_go_decays", "model_payload"),
+)
+SHIFTED = (*OBSERVED, "shift", "shift_velocity")
 
-# What a law does under random actions: some episodes fail, others last until a limit that falls within an action.
+# Under random actions some episodes fail, others last until a time limit that falls within an action.
 CASES: dict[str, dict[str, Any]] = {
     "shift": {
         "env_id": PLANAR_ID,
@@ -66,7 +67,7 @@ CASES: dict[str, dict[str, Any]] = {
     "residual": {
         "env_id": SPATIAL_ID,
         "heaviest": 4.0,
-        "steered": {"base": "fl", "steering": "residual", "features": SEEN},
+        "steered": {"base": "fl", "steering": "residual", "features": OBSERVED},
     },
 }
 LIMIT = 56
@@ -74,92 +75,91 @@ LIMIT = 56
 each_case = pytest.mark.parametrize("case", list(CASES))
 
 
-def stack(case):
+def wrappers_of(case):
     """Classes and arguments of the three wrappers."""
     chosen = CASES[case]
-    curriculum = {"heaviest": chosen["heaviest"]}
-    return [(WithinLimits, {}), (PayloadCurriculum, curriculum), (Steered, chosen["steered"])]
+    return [(WithinLimits, {}), (PayloadCurriculum, {"heaviest": chosen["heaviest"]}), (Steered, chosen["steered"])]
 
 
 def single(case, **keywords):
-    """Around one environment."""
     env = gym.make(CASES[case]["env_id"], **keywords)
-    for made, arguments in stack(case):
-        env = made(env, **arguments)
+    for wrapper, arguments in wrappers_of(case):
+        env = wrapper(env, **arguments)
     return env
 
 
-def many(case, count, **keywords) -> Any:
-    """Around a batch."""
-    return make_steered_vec(CASES[case]["env_id"], count, wrappers=stack(case), **keywords)
+def batch(case, count, **keywords) -> Any:
+    return make_steered_vec(CASES[case]["env_id"], count, wrappers=wrappers_of(case), **keywords)
 
 
-def actions_of(env, steps, seed=0, scale=1.0):
-    """Random ones."""
-    return np.random.default_rng(seed).uniform(-scale, scale, (steps, *env.action_space.shape)).astype(np.float32)
+def plain_batch(count, env_id=PLANAR_ID, **keywords) -> Any:
+    return gym.make_vec(env_id, num_envs=count, autoreset_mode=AutoresetMode.DISABLED, **keywords)
 
 
-def check_same_lane(many_info, lane, info):
-    """A lane's info is the single environment's to the last bit."""
-    assert {key for key in many_info if not key.startswith(("_", "final"))} == set(info)
+def random_actions(env, steps, seed=0):
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, *env.action_space.shape)).astype(np.float32)
+
+
+def check_same_info(batch_info, env_index, info):
+    """The row of a batch's info equals the single environment's, whose scalars are Python objects."""
+    assert batch_info.keys() == info.keys()
     for key, value in info.items():
-        np.testing.assert_array_equal(many_info[key][lane], value, err_msg=key)
+        assert isinstance(value, (float, bool, str, np.ndarray))
+        np.testing.assert_array_equal(batch_info[key][env_index], value, err_msg=key)
 
 
-# ------------------------------------------------------------------------------------------ singles and their twins
+# --- single and vector forms ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m.*imum value is -?infinity:UserWarning")
-@pytest.mark.parametrize("case", ["shift", "preview"])
-def test_checkers_find_nothing(case):
-    env = single(case)
+def test_single_form_passes_the_checkers_of_gymnasium_and_sb3():
+    env = single("shift")
     check_env(env)
     env_checker.check_env(env, warn=True)
     assert env.observation_space.dtype == env.action_space.dtype == np.float32
 
 
 @each_case
-def test_every_lane_is_the_single_environment_to_the_last_bit_through_several_episodes(case):
-    count, seed = 5, 3
-    env = many(case, count, seed=None, max_episode_steps=LIMIT)
-    singles = [single(case, max_episode_steps=LIMIT) for _ in range(count)]
+def test_each_row_of_a_batch_equals_the_single_environment_bit_for_bit(case):
+    """Over several episodes, with masked resets and ends within an action."""
+    count, seed, limit = 5, 3, {"max_episode_steps": LIMIT}
+    env, singles = batch(case, count, **limit), [single(case, **limit) for _ in range(count)]
     assert env.single_observation_space == singles[0].observation_space
     assert env.single_action_space == singles[0].action_space
-    periods, duration = env.steering.periods, env.unwrapped.settings.period
     observation, info = env.reset(seed=seed)
-    for lane, one in enumerate(singles):
-        own, own_info = one.reset(seed=seed + lane)
-        np.testing.assert_array_equal(observation[lane], own)
-        check_same_lane(info, lane, own_info)
-    ends: list[tuple[str, bool]] = []
-    for action in actions_of(env, 30):
+    for env_index, one in enumerate(singles):
+        own, own_info = one.reset(seed=seed + env_index)
+        np.testing.assert_array_equal(observation[env_index], own)
+        check_same_info(info, env_index, own_info)
+    ends = []
+    for action in random_actions(env, 30):
         observation, reward, terminated, truncated, info = env.step(action)
-        assert observation.dtype == np.float32
-        for lane, one in enumerate(singles):
-            own, own_reward, own_terminated, own_truncated, own_info = one.step(action[lane])
-            assert (reward[lane], terminated[lane], truncated[lane]) == (own_reward, own_terminated, own_truncated)
-            if own_terminated or own_truncated:
-                assert info["_final_obs"][lane]
-                assert info["_final_info"][lane]
-                np.testing.assert_array_equal(info["final_obs"][lane], own)
-                assert info["final_obs"][lane].dtype == np.float32
-                check_same_lane(info["final_info"], lane, own_info)
-                assert all(info["final_info"][f"_{key}"][lane] for key in own_info)
-                ends.append((own_info["termination_reason"], round(own_info["time"] / duration) % periods == 0))
-                own, own_info = one.reset()
-            elif "final_obs" in info:
-                assert not info["_final_obs"][lane]
-                assert info["final_obs"][lane] is None
-            np.testing.assert_array_equal(observation[lane], own)
-            check_same_lane(info, lane, own_info)
-    assert len(ends) > 2 * count  # else nothing is said of several episodes,
-    assert ("", False) in ends  # of the time limit within an action,
-    assert any(reason and not whole for reason, whole in ends)  # and of failures there
+        ended = terminated | truncated
+        for env_index, one in enumerate(singles):
+            own, own_reward, own_terminated, own_truncated, own_info = one.step(action[env_index])
+            assert observation.dtype == own.dtype == np.float32
+            assert (type(own_reward), type(own_terminated), type(own_truncated)) == (float, bool, bool)
+            assert reward[env_index] == own_reward
+            assert (terminated[env_index], truncated[env_index]) == (own_terminated, own_truncated)
+            np.testing.assert_array_equal(observation[env_index], own)
+            check_same_info(info, env_index, own_info)
+            if ended[env_index]:
+                periods = round(own_info["time"] / env.unwrapped.settings.period)
+                ends.append((own_info["termination_reason"], periods % env.steering.periods))
+        if ended.any():
+            observation, info = env.reset(options={"reset_mask": ended})
+            for env_index in np.flatnonzero(ended):
+                own, own_info = singles[env_index].reset()
+                np.testing.assert_array_equal(observation[env_index], own)
+                check_same_info(info, env_index, own_info)
+    assert len(ends) > 2 * count
+    assert any(not reason and rest for reason, rest in ends)  # the time limit, within an action
+    assert any(reason and rest for reason, rest in ends)  # a failure, within an action
 
 
-def test_an_actions_rewards_are_summed_up_to_the_end_of_the_episode():
-    class Noted(gym.Wrapper[Any, Any, Any, Any]):
+def test_rewards_of_an_action_are_summed_up_to_the_end_of_the_episode():
+    class Recorder(gym.Wrapper[Any, Any, Any, Any]):
         rewards: list[float]
 
         def step(self, action):
@@ -167,356 +167,241 @@ def test_an_actions_rewards_are_summed_up_to_the_end_of_the_episode():
             self.rewards.append(result[1])
             return result
 
-    noted = Noted(WithinLimits(gym.make(PLANAR_ID, payload=6.0)))
-    env = Steered(noted, **CASES["shift"]["steered"])
+    recorder = Recorder(WithinLimits(gym.make(PLANAR_ID, payload=6.0)))
+    env = Steered(recorder, **CASES["shift"]["steered"])
     env.reset(seed=0)
     terminated, lengths = False, []
     while not terminated:
-        noted.rewards = []
+        recorder.rewards = []
         _, reward, terminated, _, info = env.step(np.zeros(2))
-        assert reward == sum(noted.rewards)
-        lengths.append(len(noted.rewards))
+        assert reward == sum(recorder.rewards)
+        lengths.append(len(recorder.rewards))
     assert lengths[0] == env.steering.periods == 10
     assert lengths[-1] < 10
     assert info["time"] == pytest.approx(sum(lengths) / 500)
 
 
-def test_what_is_returned_of_an_ended_episode_is_its_last_and_not_what_the_plant_does_afterwards():
-    env = many("residual", 2, max_episode_steps=500)
+def test_result_of_an_ended_episode_is_its_last_control_period():
+    """The plant of an ended environment moves on until the action of the others ends."""
+    env = batch("residual", 2)
     plain = WithinLimits(gym.make(SPATIAL_ID))
     env.reset(seed=0, options={"payload": [30.0, 0.0]})
-    law, state, observation = env.steering.law, None, plain.reset(options={"payload": 30.0})[0]
-    terminated = truncated = False
-    while not (terminated or truncated):
-        command, state = law.predict(observation, state)
-        observation, _, terminated, truncated, last = plain.step(command)
-    for _ in range(round(last["time"] * 500) // env.steering.periods + 1):
-        _, _, ended, _, info = env.step(np.zeros((2, 6)))
-    assert ended.tolist() == [True, False]
-    check_same_lane(info["final_info"], 0, last | {"payload": 30.0})
-    np.testing.assert_array_equal(info["final_obs"][0][:6], observation[:6].astype(np.float32))
-    assert last["time"] * 500 % env.steering.periods != 0
-    assert info["time"][0] == 0  # of the next episode
+    law, observation = env.steering.law, plain.reset(options={"payload": 30.0})[0]
+    ended = False
+    while not ended:
+        observation, _, ended, _, last = plain.step(law.predict(observation)[0])
+    terminated = np.zeros(2, np.bool_)
+    while not terminated.any():
+        observed, _, terminated, _, info = env.step(np.zeros((2, 6)))
+    assert terminated.tolist() == [True, False]
+    check_same_info(info, 0, last)
+    np.testing.assert_array_equal(observed[0][:6], observation[:6].astype(np.float32))
+    assert round(last["time"] * 500) % env.steering.periods != 0
 
 
-def test_lanes_are_not_disturbed_by_one_that_has_ended():
-    env, twin = (many("shift", 4) for _ in range(2))
-    payloads = np.array([0.3, 0.6, 8.0, 0.9])
-    env.reset(seed=1, options={"payload": payloads})
-    twin.reset(seed=1, options={"payload": np.where(payloads > 1, 0.1, payloads)})
-    ended, others = 0, [0, 1, 3]
-    for action in actions_of(env, 40, scale=0.2):
-        one, other = env.step(action), twin.step(action)
-        ended += one[2][2]
-        for mine, its in zip(one[:4], other[:4], strict=True):
-            np.testing.assert_array_equal(mine[others], its[others])
-        for key, value in other[4].items():
-            if not key.startswith(("_", "final")):
-                np.testing.assert_array_equal(one[4][key][others], value[others], err_msg=key)
-    assert ended > 0
-
-
-def test_a_law_is_not_asked_about_a_plant_that_has_ended(monkeypatch):
-    """It may be anywhere by then, where a law that inverts a matrix raises, for all lanes."""
+def test_law_is_not_evaluated_at_an_ended_plant(monkeypatch):
+    """A law that inverts a matrix would raise there, for all environments."""
+    steered = {"base": "fl", "steering": "residual", "features": ("error",)}
     env = make_steered_vec(
-        SPATIAL_ID,
-        2,
-        wrappers=[(WithinLimits, {}), (Steered, {"base": "fl", "steering": "residual", "features": ("error",)})],
-        error_bounds={"position": 1e-4},
+        SPATIAL_ID, 2, wrappers=[(WithinLimits, {}), (Steered, steered)], error_bounds={"position": 1e-4}
     )
     respond, largest = env.steering.law.respond, []
 
-    def watched(blocks, *others):
+    def recorded(blocks, *others):
         largest.append(np.abs(blocks["pose"] - blocks["reference_pose"])[:, :3].max())
         return respond(blocks, *others)
 
-    monkeypatch.setattr(env.steering.law, "respond", watched)
+    monkeypatch.setattr(env.steering.law, "respond", recorded)
     env.reset(options={"payload": [25.0, 0.0]})
-    ended = env.step(np.zeros((2, 6)))[2]
-    assert ended.tolist() == [True, False]
+    assert env.step(np.zeros((2, 6)))[2].tolist() == [True, False]
     assert len(largest) == 10
-    assert max(largest[1:]) < 5e-4  # it falls by 2 mm
+    assert max(largest[1:]) < 5e-4  # the ended platform falls by 2 mm
 
 
-def test_all_arguments_are_plain_data_and_recorded_in_the_spec():
+def test_arguments_are_json_data_in_the_spec():
     env = single("shift")
     recorded = [wrapper.kwargs for wrapper in env.spec.additional_wrappers]
     assert json.loads(json.dumps(recorded))[-1]["base"] == {"law": "fl", "estimates_payload": True}
-    assert [made.vector for made, _ in stack("shift")] == [WithinLimitsVector, PayloadCurriculumVector, SteeredVector]
     assert isinstance(gym.make(env.spec), Steered)
 
 
-# --------------------------------------------------------------------------------------------------- with SB3
+def test_info_of_other_wrappers_inside_passes_through():
+    """RL-Zoo's make_vec_env puts Monitor inside the wrappers of its YAML files."""
+    env = Steered(WithinLimits(Monitor(gym.make(PLANAR_ID, max_episode_steps=15))), **CASES["shift"]["steered"])
+    env.reset(seed=0)
+    assert not env.step(np.zeros(2))[3]
+    *_, truncated, info = env.step(np.zeros(2))
+    assert truncated
+    assert info["episode"]["l"] == 15
 
 
-def test_sb3_trains_on_it_and_reads_how_episodes_ended():
-    env = CableBotVecEnv(many("shift", 4, seed=0, max_episode_steps=LIMIT))
+def test_sb3_trains_on_the_batch_and_reads_the_ends_of_episodes():
+    env = CableBotVecEnv(batch("shift", 4, seed=0, max_episode_steps=LIMIT))
     env.reset()
-    successes, failures = 0, 0
-    for action in actions_of(env, 12, seed=4)[:, None].repeat(4, axis=1):
+    successes = failures = 0
+    for action in random_actions(env, 12, seed=4)[:, None].repeat(4, axis=1):
         observation, _, dones, infos = env.step(action)
-        for lane in np.flatnonzero(dones):
-            info = infos[lane]
-            assert info["terminal_observation"].shape == observation[lane].shape
+        for env_index in np.flatnonzero(dones):
+            info = infos[env_index]
+            assert info["terminal_observation"].shape == observation[env_index].shape
             assert info["TimeLimit.truncated"] is info["is_success"] is (info["termination_reason"] == "")
             successes, failures = successes + info["is_success"], failures + (not info["is_success"])
     assert successes > 0
     assert failures > 0
     assert env.get_attr("ceiling") == [4.0] * 4
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=32, n_epochs=1, seed=0, device="cpu")
-    model.learn(32)
-    assert model.num_timesteps == 32
+    assert model.learn(32).num_timesteps == 32
 
 
-# ---------------------------------------------------------------------------------------------- payload curriculum
+# --- payload curriculum -----------------------------------------------------------------------------------------------
 
 
-def test_the_twin_draws_the_payloads_of_single_environments_seeded_upwards():
-    env = PayloadCurriculumVector(gym.make_vec(PLANAR_ID, num_envs=3, autoreset_mode=DISABLED), heaviest=2.0, power=0.5)
+def test_batch_draws_the_payloads_of_single_environments_with_increasing_seeds():
+    env = PayloadCurriculumVector(plain_batch(3), heaviest=2.0, power=0.5)
     singles = [PayloadCurriculum(gym.make(PLANAR_ID), heaviest=2.0, power=0.5) for _ in range(3)]
     first = env.reset(seed=5)[1]["payload"]
-    assert [one.reset(seed=5 + lane)[1]["payload"] for lane, one in enumerate(singles)] == first.tolist()
+    assert [one.reset(seed=5 + env_index)[1]["payload"] for env_index, one in enumerate(singles)] == first.tolist()
     masked = env.reset(options={"reset_mask": np.array([True, False, True])})[1]["payload"]
     assert masked.tolist() == [singles[0].reset()[1]["payload"], first[1], singles[2].reset()[1]["payload"]]
     second = env.reset()[1]["payload"]
     assert second.tolist() == [one.reset()[1]["payload"] for one in singles]
-    assert len({*first, *masked, *second}) == 8  # one lane went on once
+    assert len({*first, *masked, *second}) == 8
     np.testing.assert_array_equal(env.reset(seed=[9, 5, None])[1]["payload"][1], first[0])
 
 
-def test_payloads_follow_the_power_and_are_the_environments_own_draws_for_power_one():
+def test_payloads_follow_the_power_law():
+    """At power 1 they equal the environment's own uniform draws."""
     env = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0, power=1.0)
     plain, heavy = gym.make(PLANAR_ID, payload_range=(0.0, 3.0)), PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0)
-    draws = np.array([[one.reset(seed=seed)[1]["payload"] for one in (env, plain, heavy)] for seed in range(50)])
+    draws = np.array([[one.reset(seed=seed)[1]["payload"] for one in (env, plain, heavy)] for seed in range(20)])
     np.testing.assert_array_equal(draws[:, 0], draws[:, 1])
     np.testing.assert_allclose(draws[:, 2], 3.0 * (draws[:, 0] / 3.0) ** 0.6, rtol=1e-12)
 
 
-def test_a_payload_of_the_callers_counts_instead_and_the_draws_go_on():
+def test_given_payload_and_rejected_resets_leave_the_draws_unchanged():
     env, twin = (PayloadCurriculum(gym.make(PLANAR_ID), heaviest=2.0) for _ in range(2))
     assert env.reset(seed=0, options={"payload": 0.25})[1]["payload"] == 0.25
     twin.reset(seed=0)
-    for seed in (-1, 1.5):
-        with pytest.raises(ValueError, match="seed"):
-            env.reset(seed=seed)
-    with pytest.raises(ValueError, match="paylaod"):
-        env.reset(options={"paylaod": 1.0})
+    for bad in ({"seed": -1}, {"seed": 1.5}, {"options": {"paylaod": 1.0}}):
+        with pytest.raises(ValueError, match=r"seed|paylaod"):
+            env.reset(**bad)
     assert env.reset()[1]["payload"] == twin.reset()[1]["payload"]
-
-
-def test_a_refused_reset_of_the_twin_takes_no_draw():
-    env, twin = (
-        PayloadCurriculumVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=DISABLED), heaviest=2.0)
-        for _ in range(2)
-    )
-    for bad in ({"seed": [1]}, {"seed": "text"}, {"options": {"reset_mask": np.array([True])}}):
-        with pytest.raises((ValueError, ResetNeeded)):
-            env.reset(**bad)
-    for one in (env, twin):
-        one.reset(seed=4)
-    for bad in ({"seed": [1]}, {"seed": -1}, {"options": {"reset_mask": np.array([1, 0])}}, {"options": {"a": 1}}):
-        with pytest.raises(ValueError, match=r"seed|reset_mask|unknown option"):
-            env.reset(**bad)
-    np.testing.assert_array_equal(env.reset()[1]["payload"], twin.reset()[1]["payload"])
+    several = PayloadCurriculumVector(plain_batch(2), heaviest=2.0)
+    first = several.reset(seed=4)[1]["payload"]
+    for bad in ({"seed": [1]}, {"seed": "text"}, {"options": {"reset_mask": np.array([1, 0])}}):
+        with pytest.raises(ValueError, match=r"seed|reset_mask"):
+            several.reset(**bad)
+    np.testing.assert_array_equal(several.reset(seed=4)[1]["payload"], first)
 
 
 class Ended(gym.Wrapper[Any, Any, Any, Any]):
-    """Ends each episode after one step, as it is told."""
+    """Ends each episode after one step."""
 
-    carried = True
+    succeeds = True
 
     def step(self, action):
         observation, reward, _, _, info = super().step(action)
-        return observation, reward, not self.carried, self.carried, info
+        return observation, reward, not self.succeeds, self.succeeds, info
 
 
-def test_the_ceiling_rises_after_enough_heavy_payloads_were_carried_and_by_no_other():
+def test_ceiling_rises_after_enough_successes_with_heavy_payloads():
+    """Light payloads, given payloads, abandoned episodes and steps after the end do not count."""
     ended = Ended(gym.make(PLANAR_ID))
     env = PayloadCurriculum(ended, heaviest=2.0, start=1.0, step=0.25, success=0.75, window=4)
     env.reset(seed=0)
 
-    def play(carried, heavy, *, given=False):
-        """One episode, of a payload in the ceiling's upper third or below."""
-        ended.carried = carried
+    def play(succeeds, heavy, *, given=False):
+        ended.succeeds = succeeds
         payload = env.reset(options={"payload": env.ceiling} if given else None)[1]["payload"]
         while not given and (payload >= 2 / 3 * env.ceiling) is not heavy:
-            payload = env.reset()[1]["payload"]  # abandoned, which counts for nothing
+            payload = env.reset()[1]["payload"]
         env.step(np.full(3, 0.2))
-        env.step(np.full(3, 0.2))  # past its end, which counts once
+        env.step(np.full(3, 0.2))
+        return env.ceiling
 
     for _ in range(8):
-        play(True, False)
-        play(True, True, given=True)
-    assert env.ceiling == 1.0  # light ones and the caller's say nothing
-    for carried in (True, True, False, False, True, True):
-        play(carried, True)
-        assert env.ceiling == 1.0  # too few, then half of four
-    play(True, True)
-    assert env.ceiling == 1.5  # three of the last four
-    for _ in range(3):
-        play(True, True)
-        assert env.ceiling == 1.5  # a window of its own
-    play(True, True)
-    assert env.ceiling == 2.0
-    for _ in range(8):
-        play(True, True)
-    assert env.ceiling == 2.0  # never above the heaviest
+        assert play(True, False) == play(True, True, given=True) == 1.0
+    assert [play(succeeds, True) for succeeds in (True, True, False, False, True, True)] == [1.0] * 6
+    assert play(True, True) == 1.5  # three of the last four
+    assert [play(True, True) for _ in range(4)] == [1.5, 1.5, 1.5, 2.0]
+    assert [play(True, True) for _ in range(8)] == [2.0] * 8
 
 
-def test_the_ceiling_falls_where_too_few_heavy_payloads_are_carried_and_never_below_its_start():
+def test_ceiling_falls_after_too_few_successes_but_not_below_its_start():
     ended = Ended(gym.make(PLANAR_ID))
     env = PayloadCurriculum(ended, heaviest=2.0, start=1.5, step=0.25, success=0.75, window=4, setback=0.5, power=0.01)
     env.reset(seed=0)
 
-    def play(carried):
-        """Four episodes, all heavy at this power, of which so many are carried."""
+    def play(successes):
         for episode in range(4):
-            ended.carried = episode < carried
+            ended.succeeds = episode < successes
             env.reset()
             env.step(np.full(3, 0.2))
         return env.ceiling
 
-    assert play(4) == 2.0
-    assert play(2) == 2.0  # neither enough to rise nor too few
-    assert play(1) == 1.5
-    assert play(0) == 1.5
-    with pytest.raises(ValueError, match="setback"):
-        PayloadCurriculum(env.env, heaviest=2.0, success=0.5, setback=0.6)
+    assert [play(successes) for successes in (4, 2, 1, 0)] == [2.0, 2.0, 1.5, 1.5]
 
 
-def test_lanes_share_a_ceiling_that_does_not_rise_where_payloads_are_dropped():
-    """What the twin counts is what WithinLimits says, and once only for a lane that is stepped past its end."""
-
-    def run(error_bounds):
-        curriculum = {"heaviest": 2.0, "start": 0.4, "step": 0.02, "window": 8, "power": 0.01}
-        env = make_steered_vec(
-            PLANAR_ID,
-            16,
-            wrappers=[(WithinLimits, {}), (PayloadCurriculum, curriculum), (Steered, CASES["shift"]["steered"])],
-            seed=0,
-            max_episode_steps=45,
-            error_bounds=error_bounds,
-        )
-        ends = 0
-        for _ in range(10):
-            _, _, terminated, truncated, _ = env.step(np.zeros((16, 2)))
-            ends += (terminated | truncated).sum()
-        assert ends >= 32
-        return env.env.ceiling
-
-    assert run({"position": 1e-6}) == 0.4
-    assert run({"position": 0.01}) == pytest.approx(0.4 + 4 * 0.04)  # 32 ends in windows of 8
+@pytest.mark.parametrize(("bound", "ceiling"), [(1e-6, 0.4), (0.01, 0.4 + 4 * 0.04)])
+def test_environments_share_a_ceiling_that_depends_on_the_limits(bound, ceiling):
+    curriculum = {"heaviest": 2.0, "start": 0.4, "step": 0.02, "window": 8, "power": 0.01}
+    wrappers = [(WithinLimits, {}), (PayloadCurriculum, curriculum), (Steered, CASES["shift"]["steered"])]
+    keywords = {"max_episode_steps": 45, "error_bounds": {"position": bound}}
+    env = make_steered_vec(PLANAR_ID, 16, wrappers=wrappers, seed=0, **keywords)
+    for _ in range(10):
+        _, _, terminated, truncated, _ = env.step(np.zeros((16, 2)))
+        if (terminated | truncated).any():
+            env.reset(options={"reset_mask": terminated | truncated})
+    assert env.env.ceiling == pytest.approx(ceiling)  # of 32 episodes in windows of 8
 
 
-# ---------------------------------------------------------------------------------------------------- within limits
+# --- within limits ----------------------------------------------------------------------------------------------------
 
 
-def test_an_episode_ends_where_the_evaluator_says_that_the_payload_fails():
-    found = evaluate_dlcc("fl", SPATIAL_ID, resolution=0.01, payload_max=5.0)
-    heavier = found.payload + found.resolution
-    env = WithinLimits(gym.make(SPATIAL_ID))
-    law = FeedbackLinearization(SPATIAL)
-    for payload in (found.payload, heavier):
-        observation, info = env.reset(seed=0, options={"payload": payload})
+@pytest.mark.parametrize(
+    ("env_id", "payload", "action", "reason"),
+    [
+        (SPATIAL_ID, 3.5, None, ""),
+        (SPATIAL_ID, 4.5, None, "rotation_error"),
+        (PLANAR_ID, 2.5, None, "tracking_error"),
+        (PLANAR_ID, 0.0, -0.1, "slack"),
+    ],
+)
+def test_episode_ends_at_the_violation_of_the_dlcc_monitor(env_id, payload, action, reason):
+    monitor = DLCCMonitor(gym.make(env_id, payload=payload))
+    env, law = WithinLimits(monitor), FeedbackLinearization(SPATIAL if env_id == SPATIAL_ID else PLANAR)
+    observation, info = env.reset(seed=0)
+    terminated = truncated = False
+    while not (terminated or truncated):
         assert info["is_success"] is False
-        terminated = truncated = False
-        while not (terminated or truncated):
-            assert info["is_success"] is False
-            observation, _, terminated, truncated, info = env.step(law.predict(observation)[0])
-        assert terminated is (payload == heavier)
-        assert info["is_success"] is (not terminated)
-        assert info["termination_reason"] == ("rotation_error" if terminated else "")
-    assert found.violation.kind == "rotation"
-    assert info["time"] == found.violation.time
+        command = law.predict(observation)[0] if action is None else np.full(3, action)
+        observation, reward, terminated, truncated, info = env.step(command)
+        excess = np.maximum(np.abs(info["commanded_action"]) - 0.97, 0).mean()
+        assert reward == pytest.approx(0.02 - terminated - 0.02 * excess, abs=1e-15)
+    assert info["termination_reason"] == reason
+    assert info["is_success"] is info["dlcc_carried"] is (not reason)
+    if reason:
+        assert monitor.verdict.violation.kind == reason.removesuffix("_error").replace("tracking", "position")
+        assert monitor.verdict.violation.time == info["time"]
 
 
-@pytest.mark.parametrize("env_id", [PLANAR_ID, SPATIAL_ID])
-def test_every_kind_of_failure_is_the_judges_at_the_same_instant(env_id):
-    """Lanes of all payloads under a law, and lanes whose cables are let go."""
-    robot, count, steps = (PLANAR, 24, 300) if env_id == PLANAR_ID else (SPATIAL, 24, 300)
-    heaviest = 6.0 if robot.planar else 16.0
-    keywords = {
-        "num_envs": count,
-        "autoreset_mode": DISABLED,
-        "max_episode_steps": steps,
-        "error_bounds": {"rotation": 0.02},
-    }
-    plain, env = gym.make_vec(env_id, **keywords), WithinLimitsVector(gym.make_vec(env_id, **keywords))
-    law, judge = FeedbackLinearization(robot), Judge("task", ErrorBounds(rotation=0.02), robot.cables, count)
-    options = {"payload": np.linspace(0.0, heaviest, count)}
-    observation, info = plain.reset(seed=0, options=options)
-    judge.reset(info)
-    _, info = env.reset(seed=0, options=options)
-    assert not info["is_success"].any()
-    first: dict[int, tuple[str, float]] = {}
-    for step in range(steps):
-        command = law.predict(observation)[0]
-        command[::5] = -0.1 if step > 30 else command[::5]
-        observation, _, failed, _, plain_info = plain.step(command, past_end=True)
-        judge.observe(plain_info, failed)
-        _, reward, terminated, truncated, info = env.step(command, past_end=True)
-        saturated = np.maximum(np.abs(info["commanded_action"]) - 0.97, 0).mean(axis=1)
-        np.testing.assert_allclose(reward, 0.02 - terminated - 0.02 * saturated, atol=1e-15)
-        for lane in np.flatnonzero(terminated):
-            first.setdefault(int(lane), (str(info["termination_reason"][lane]), info["time"][lane]))
-    error_bounds = {lane: judge.verdict(lane, complete=True).violation for lane in range(count)}
-    kinds = {"position": "tracking_error", "rotation": "rotation_error", "slack": "slack"}
-    assert first == {
-        lane: (kinds[violation.kind], violation.time) for lane, violation in error_bounds.items() if violation
-    }
-    assert {reason for reason, _ in first.values()} >= {"slack", "tracking_error"} | (
-        set() if robot.planar else {"rotation_error"}
-    )
-    assert len(first) < count
-    assert truncated.all()
-    assert all(info["is_success"][lane] for lane in range(count) if lane not in first)
-
-
-@pytest.mark.parametrize(("name", "bound"), [("tracking_error", "position"), ("rotation_error", "rotation")])
-def test_an_error_between_two_control_instants_counts(name, bound):
-    law, keywords = FeedbackLinearization(SPATIAL), {"control_frequency": 50.0, "trajectory": "dwell-spatial"}
-    push = np.array([0.1, 0.02, 0.1, 0.0, 0.1, 0.0])  # once; it comes back
-
-    def run(error_bounds):
-        env = WithinLimits(
-            gym.make(SPATIAL_ID, error_bounds={"position": 9.0, "rotation": 9.0} | error_bounds, **keywords)
-        )
-        observation, _ = env.reset()
-        infos, terminated = [], False
-        while len(infos) < 60 and not terminated:
-            observation, _, terminated, _, info = env.step(law.predict(observation)[0] + push * (not infos))
-            infos.append(info)
-        return infos
-
-    infos = run({})
-    largest, at_instants = (max(info[key] for info in infos) for key in (f"{name}_peak", name))
-    assert largest > at_instants + 1e-6
-    assert run({bound: (largest + at_instants) / 2})[-1]["termination_reason"] == name
-
-
-def test_what_happens_after_the_motion_is_not_judged_as_the_monitor_does_not():
-    short = {"name": "dwell-planar", "duration": 0.1}
-    env = WithinLimits(DLCCMonitor(gym.make(PLANAR_ID, trajectory=short, slack_time=9.0, termination_radius=9.0)))
-    twin = WithinLimitsVector(
-        gym.make_vec(PLANAR_ID, num_envs=1, autoreset_mode=DISABLED, slack_time=9.0, termination_radius=9.0)
-    )
+def test_limits_are_not_checked_after_the_motion():
+    short, loose = {"name": "dwell-planar", "duration": 0.1}, {"slack_time": 9.0, "termination_radius": 9.0}
+    env = WithinLimits(gym.make(PLANAR_ID, trajectory=short, **loose))
+    twin = WithinLimitsVector(plain_batch(1, **loose))
     law = FeedbackLinearization(PLANAR)
     observation, _ = env.reset(seed=0)
     twin.reset(seed=0, options={"trajectory": short})
     for step in range(80):
         command = law.predict(observation)[0] if step < 50 else np.full(3, -0.5)
         observation, _, terminated, _, info = env.step(command)
-        its = twin.step(command[None])
         assert not terminated
-        assert not its[2].any()
+        assert not twin.step(command[None])[2].any()
     assert info["slack"].all()
-    assert its[4]["slack"].all()
-    assert info["dlcc_carried"]
 
 
-def test_limits_given_as_an_option_hold_for_the_episode():
-    env = WithinLimits(gym.make(PLANAR_ID))
-    twin = WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=DISABLED))
+def test_error_bounds_in_the_options_apply_to_one_episode():
+    env, twin = WithinLimits(gym.make(PLANAR_ID)), WithinLimitsVector(plain_batch(2))
     tight = {"error_bounds": {"position": 1e-9}}
     env.reset(seed=0, options=tight)
     assert env.step(np.full(3, 0.2))[4]["termination_reason"] == "tracking_error"
@@ -527,45 +412,31 @@ def test_limits_given_as_an_option_hold_for_the_episode():
     assert twin.step(np.full((2, 3), 0.2))[2].tolist() == [False, True]
 
 
-def test_the_environments_own_end_is_an_end_and_keeps_its_name():
+def test_termination_by_the_environment_keeps_its_reason():
     env = WithinLimits(gym.make(PLANAR_ID, termination_radius=9.0, slack_time=9.0, error_bounds={"position": 9.0}))
     env.reset(options={"initial_error": [0.3, 0.0]})
-    steps = [env.step([0.9, 0.1, 0.1]) for _ in range(300)]
-    ends = [(info["termination_reason"], reward) for _, reward, terminated, _, info in steps if terminated]
-    assert ends[0] == ("workspace", pytest.approx(-0.98))
+    terminated = False
+    while not terminated:
+        _, reward, terminated, _, info = env.step([0.9, 0.1, 0.1])
+    assert (info["termination_reason"], reward) == ("workspace", pytest.approx(-0.98))
 
 
-def test_an_ended_lane_of_the_twin_wants_a_reset_and_another_keeps_its_own_end():
-    env = WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=DISABLED))
-    env.reset(seed=0)
-    loose = np.full((2, 3), -0.5)
-    _, _, terminated, _, info = env.step(loose)
-    assert terminated.all()
-    with pytest.raises(ResetNeeded, match="reset_mask"):
-        env.step(loose)
-    _, info = env.reset(options={"reset_mask": np.array([True, False])})
-    assert info["termination_reason"].tolist() == ["", "slack"]
-    with pytest.raises(ResetNeeded, match="reset_mask"):
-        env.step(loose)
+# --- steered law ------------------------------------------------------------------------------------------------------
 
 
-# ------------------------------------------------------------------------------------------------------- steered law
-
-
-class Rounding(Network):
-    """Reads its inputs in single precision, as a learner does."""
+class SinglePrecision(Network):
+    """Rounds its inputs to single precision, as a learner does."""
 
     def __call__(self, values):
         return super().__call__(np.asarray(values, np.float32).astype(float))
 
 
-@pytest.mark.parametrize("case", ["shift", "preview", "residual"])
-def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training(case):
-    """To the last bit, with a network that reads what the learner reads, in single precision."""
+@each_case
+def test_policy_on_the_plain_environment_repeats_the_training_bit_for_bit(case):
     env = single(case)
     chosen, rng = CASES[case], np.random.default_rng(0)
     size, outputs = env.observation_space.shape[0], env.action_space.shape[0]
-    network = Rounding(
+    network = SinglePrecision(
         mean=np.zeros(size),
         scale=np.ones(size),
         weights=(rng.normal(0, 0.1, (8, size)), rng.normal(0, 0.2, (outputs, 8))),
@@ -581,75 +452,43 @@ def test_a_policy_does_on_the_plain_environment_what_its_network_did_in_training
     )
     plain = gym.make(chosen["env_id"])
     policy = LearnedPolicy(bundle, plain.unwrapped.settings.robot)
-    options = {"payload": 0.4}
-    seen, _ = env.reset(seed=0, options=options)
-    observation, _ = plain.reset(seed=0, options=options)
+    observed, _ = env.reset(seed=0, options={"payload": 0.4})
+    observation, _ = plain.reset(seed=0, options={"payload": 0.4})
     policy.reset([plain.unwrapped.task])
-    state, holds = None, 0
-    for _ in range(8):
-        seen, _, terminated, truncated, info = env.step(network(seen))
-        plain_info = {"time": 0.0}
-        while plain_info["time"] < info["time"]:
-            command, state = policy.predict(observation, state)
-            observation, _, _, _, plain_info = plain.step(command)
+    state = None
+    for _ in range(6):
+        observed, _, terminated, _, info = env.step(network(observed))
+        assert not terminated
+        for _ in range(env.steering.periods):
+            action, state = policy.predict(observation, state)
+            observation, _, _, _, plain_info = plain.step(action)
         np.testing.assert_array_equal(env.unwrapped.pose, plain.unwrapped.pose)
         for name in ("commanded_action", "tensions", "time"):
             np.testing.assert_array_equal(info[name], plain_info[name], err_msg=name)
-        if terminated or truncated:
-            break
-        holds += 1
-    assert holds >= 6
 
 
-@pytest.mark.parametrize("preview", [0.0, 0.05])
-def test_the_shift_that_is_seen_is_the_one_that_the_law_gets_then(preview):
-    steering = Steering(
-        PLANAR,
-        base=find_base("fl"),
-        action_mapping=Shift(action_period=0.02, preview=preview),
-        features=("shift", "shift_velocity", "error"),
-    )
-    env = gym.make(PLANAR_ID)
-    blocks = steering.split(env.reset()[0])
-    given: dict[str, Any] = {}
-
-    def law(moved, *others):
-        given.update(moved)
-        return type(steering.law).respond(steering.law, moved, *others)
-
-    steering.law.respond = law
-    memory, differences = steering.reset_memory(blocks, None, None), []
-    for step in range(60):
-        seen = steering.observe(blocks, memory)
-        action = actions_of(env, 6)[step // 10, :2]
-        command, memory = steering.respond(blocks, action, memory)
-        for order, bounds in (("pose", 0.0095), ("velocity", 0.0095 / 0.02)):
-            shift = given[f"reference_{order}"] - blocks[f"reference_{order}"]
-            differences.append(shift / bounds - seen[:2] if order == "pose" else shift / bounds - seen[2:4])
-        differences.append(given["reference_pose"] - blocks["pose"] - seen[4:])
-        blocks = steering.split(env.step(command)[0])
-    assert np.abs(differences).max() < 1e-9
-
-
-@pytest.mark.parametrize("made", ["single", "twin"])
-def test_the_hold_and_the_tube_are_those_of_the_environments_frequency_and_limits(made):
+def test_action_period_and_shift_follow_the_control_frequency_and_the_error_bounds():
     keywords = {"control_frequency": 100.0, "error_bounds": {"position": 0.02}, "trajectory": "dwell-planar"}
-    steered = CASES["shift"]["steered"]
-    if made == "single":
-        env = Steered(gym.make(PLANAR_ID, **keywords), **steered)
-    else:
-        env = make_steered_vec(PLANAR_ID, 1, wrappers=[(Steered, steered)], **keywords)
+    env = Steered(gym.make(PLANAR_ID, **keywords), **CASES["shift"]["steered"])
     env.reset(seed=0)
-    start, action = np.copy(env.unwrapped.pose), np.broadcast_to([1.0, 0.0], env.action_space.shape)
-    assert env.step(action)[4]["time"] == 0.02
+    start = env.unwrapped.pose.copy()
+    assert env.step([1.0, 0.0])[4]["time"] == 0.02
     for _ in range(200):
-        env.step(action)
-    np.testing.assert_allclose((env.unwrapped.pose - start).ravel(), [0.5 * 0.02, 0.0], atol=5e-4)
+        env.step([1.0, 0.0])
+    np.testing.assert_allclose(env.unwrapped.pose - start, [0.5 * 0.02, 0.0], atol=5e-4)
 
 
-def test_a_step_before_a_reset_and_after_an_end_says_what_to_do():
-    env, batch = single("shift", max_episode_steps=5), many("shift", 2)
-    for one, action in ((env, np.zeros(2)), (batch, np.zeros((2, 2)))):
+def test_effort_costs_the_mean_square_of_the_clipped_action():
+    arguments, action, rewards = CASES["shift"]["steered"], np.array([[0.5, 7.0], [0.0, 0.0]]), []
+    for effort in (0.0, 0.4):
+        env = make_steered_vec(PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3)
+        rewards.append(env.step(action)[1])
+    assert rewards[0] - rewards[1] == pytest.approx([0.4 * 0.625, 0.0])
+
+
+def test_step_before_a_reset_and_after_an_end_raises():
+    env, several = single("shift", max_episode_steps=5), batch("shift", 2)
+    for one, action in ((env, np.zeros(2)), (several, np.zeros((2, 2)))):
         one.unwrapped.reset(seed=0)
         with pytest.raises(ResetNeeded, match=r"reset\(\)"):
             one.step(action)
@@ -657,159 +496,65 @@ def test_a_step_before_a_reset_and_after_an_end_says_what_to_do():
     assert env.step(np.zeros(2))[3]
     with pytest.raises(ResetNeeded, match=r"reset\(\)"):
         env.step(np.zeros(2))
-    batch.reset()
-    with pytest.raises(ValueError, match=r"error_bounds.*when the environments are made"):
-        batch.reset(options={"error_bounds": {"position": 0.02}})
+    several.reset()
+    with pytest.raises(ValueError, match="give error_bounds when the environments are made"):
+        several.reset(options={"error_bounds": {"position": 0.02}})
 
 
-BAD_ACTIONS = {
-    "too short": (np.zeros(1), "shape"),
-    "too many": (np.zeros((3, 2)), "shape"),
-    "NaN": (np.array([0.0, np.nan]), "finite"),
-    "infinite": (np.array([0.0, np.inf]), "finite"),
-    "text": (["a", "b"], "numbers"),
-}
-
-
-@pytest.mark.parametrize("name", list(BAD_ACTIONS))
-def test_a_bad_action_is_refused_in_words_and_changes_nothing(name):
-    action, words = BAD_ACTIONS[name]
+@pytest.mark.parametrize("action", [np.zeros(1), np.zeros((3, 2)), np.array([0.0, np.nan]), ["a", "b"]])
+def test_invalid_action_raises_and_changes_nothing(action):
     env, twin = single("shift"), single("shift")
-    batch, other = many("shift", 1), many("shift", 1)
-    for one in (env, twin, batch, other):
+    for one in (env, twin):
         one.reset(seed=0)
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(ValueError, match="action must be"):
         env.step(action)
-    with pytest.raises(ValueError, match=words):
-        batch.step(np.array([action]) if np.ndim(action) == 1 and words != "numbers" else action)
-    good = np.array([0.5, -0.5])
-    np.testing.assert_array_equal(env.step(good)[0], twin.step(good)[0])
-    np.testing.assert_array_equal(batch.step(good[None])[0], other.step(good[None])[0])
+    np.testing.assert_array_equal(env.step([0.5, -0.5])[0], twin.step([0.5, -0.5])[0])
 
 
-# ------------------------------------------------------------------------------------------------- making, bad input
+# --- making and invalid input -----------------------------------------------------------------------------------------
 
 STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
 
-BAD_STACKS: dict[str, tuple[Any, str]] = {
-    "nothing": ([], "must be Steered, but wrappers is empty"),
-    "Steered within": (
-        [(Steered, STEERED), (WithinLimits, {})],
-        "must be Steered, but wrappers is Steered, WithinLimits",
-    ),
-    "steered twice": (
-        [(Steered, STEERED), (Steered, STEERED)],
-        r"order is WithinLimits \(innermost\), PayloadCurriculum, Steered",
-    ),
-    "limits around the curriculum": (
-        [(PayloadCurriculum, {"heaviest": 1.0}), (WithinLimits, {}), (Steered, STEERED)],
-        "counts the episodes that it ends. The order is WithinLimits",
-    ),
-    "unknown argument": (
-        [(Steered, STEERED | {"action_period": 1})],
-        "Steered has no argument 'action_period'; it takes base, steering",
-    ),
-    "missing argument": ([(PayloadCurriculum, {}), (Steered, STEERED)], "PayloadCurriculum requires heaviest"),
-    "no twin": (
-        [(DLCCMonitor, {}), (Steered, STEERED)],
-        "DLCCMonitor has no vector form.*WithinLimits, PayloadCurriculum",
-    ),
-    "negative reward": ([(WithinLimits, {"alive": -1.0}), (Steered, STEERED)], "alive must be a number of at least 0"),
-    "endless failure": ([(WithinLimits, {"failure": np.inf}), (Steered, STEERED)], "failure must be a number"),
-    "unknown law": ([(Steered, STEERED | {"base": "lqr"})], "unknown base law 'lqr'.*fl, composite"),
-    "law for springs": ([(Steered, STEERED | {"base": "composite"})], "spring"),
-    "unknown steering": ([(Steered, STEERED | {"steering": "wheel"})], "unknown kind 'wheel'.*shift, residual"),
-    "unknown feature": ([(Steered, STEERED | {"features": ["mass"]})], "unknown feature 'mass'.*pose"),
-    "a feature of the other way": (
-        [(Steered, STEERED | {"steering": "residual", "features": ["shift"]})],
-        "shift",
-    ),
-}
 
-
-@pytest.mark.parametrize("name", list(BAD_STACKS))
-def test_a_bad_stack_is_refused_in_words(name):
-    wrappers, words = BAD_STACKS[name]
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize(
+    ("wrappers", "message"),
+    [
+        ([], "must be Steered"),
+        ([(Steered, STEERED), (Steered, STEERED)], "order is WithinLimits"),
+        ([(PayloadCurriculum, {"heaviest": 1.0}), (WithinLimits, {}), (Steered, STEERED)], "order is WithinLimits"),
+        ([(Steered, STEERED | {"action_period": 1})], "Steered: .*unexpected keyword argument 'action_period'"),
+        ([(PayloadCurriculum, {}), (Steered, STEERED)], "PayloadCurriculum: missing .*'heaviest'"),
+        ([(DLCCMonitor, {}), (Steered, STEERED)], "DLCCMonitor has no vector form"),
+        ([(PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)], "start must be .*at most 1 kg"),
+        ([(PayloadCurriculum, {"heaviest": 1, "success": 0.5, "setback": 0.6}), (Steered, STEERED)], "setback"),
+        ([(Steered, STEERED | {"base": "lqr"})], "unknown base law 'lqr'"),
+        ([(Steered, STEERED | {"steering": "wheel"})], "unknown kind of steering 'wheel'"),
+        ([(Steered, STEERED | {"steering": "residual", "features": ["shift"]})], "requires steering of kind shift"),
+        (
+            [(Steered, STEERED | {"steering": "residual", "base": {"law": "fl", "estimates_payload": True}})],
+            "bias the payload estimate",
+        ),
+    ],
+)
+def test_invalid_wrappers_and_arguments_raise(wrappers, message):
+    with pytest.raises(ValueError, match=message):
         make_steered_vec(PLANAR_ID, 2, wrappers=wrappers)
 
 
-BAD_RULES: dict[str, tuple[dict[str, Any], str]] = {
-    "no payload": ({"heaviest": 0.0}, "heaviest must be a number greater than 0, not 0.0"),
-    "text": ({"heaviest": "4"}, "heaviest must be a number.*'4'"),
-    "no power": ({"heaviest": 1.0, "power": 0.0}, "power must be a number greater than 0"),
-    "start too heavy": ({"heaviest": 1.0, "start": 2.0}, "start must be a number of at least 0 and at most 1"),
-    "step too large": ({"heaviest": 1.0, "step": 2.0}, "step must be a number greater than 0 and at most 1"),
-    "success too large": ({"heaviest": 1.0, "success": 1.1}, "success must be a number of at least 0 and at most 1"),
-    "half an episode": ({"heaviest": 1.0, "window": 0.5}, "window must be a whole number"),
-}
+def test_seed_of_a_batch_repeats_its_draws():
+    envs = [batch("shift", 3, seed=seed, payload_known=False) for seed in (3, 3, 9)]
+    draws = [[*env.reset()[1]["payload"], *env.action_space.sample().ravel()] for env in envs]
+    assert draws[0] == draws[1]
+    assert not set(draws[0]) & set(draws[2])
+    assert not envs[0].unwrapped.tasks[0].payload_known
 
 
-@pytest.mark.parametrize("name", list(BAD_RULES))
-def test_a_bad_rule_is_refused_in_words(name):
-    arguments, words = BAD_RULES[name]
-    with pytest.raises(ValueError, match=words):
-        PayloadCurriculum(gym.make(PLANAR_ID), **arguments)
-    with pytest.raises(ValueError, match=words):
-        PayloadCurriculumVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=DISABLED), **arguments)
-
-
-def test_foreign_environments_and_those_that_restart_on_their_own_are_refused():
+def test_other_environments_and_autoreset_modes_raise():
     with pytest.raises(TypeError, match=r"gym\.make"):
         WithinLimits(gym.make("CartPole-v1"))
     with pytest.raises(TypeError, match=r"gym\.make_vec"):
         SteeredVector(gym.make(PLANAR_ID), **STEERED)
-    with pytest.raises(TypeError, match=r"gym\.make_vec"):
-        WithinLimitsVector(gym.make_vec("CartPole-v1", num_envs=2))
-    for mode in (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP):
-        with pytest.raises(ValueError, match=f"not {mode.name}.*DISABLED"):
-            WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=mode))
+    with pytest.raises(ValueError, match="DISABLED"):
+        WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2))
     with pytest.raises(ValueError, match="order is"):
         PayloadCurriculum(single("shift"), heaviest=1.0)
-
-
-def test_a_seed_repeats_a_batch_and_keywords_reach_the_environment():
-    def run(seed):
-        env = many("residual", 3, seed=seed, payload_known=False)
-        found = [env.action_space.sample(), env.reset()[1]["payload"]]
-        for action in actions_of(env, 3):
-            found += env.step(action)[:2]
-        assert not env.unwrapped.tasks[0].payload_known
-        return found
-
-    first, again, other = run(3), run(3), run(4)
-    assert all(np.array_equal(one, two) for one, two in zip(first, again, strict=True))
-    assert not any(np.array_equal(one, two) for one, two in zip(first[:2], other[:2], strict=True))
-    with pytest.raises(ValueError, match="unknown keyword 'paylaod'"):
-        many("shift", 2, paylaod=1.0)
-
-
-def test_twins_exist_for_every_id():
-    for env_id in cablebot_gym.ENV_IDS:
-        base = "composite" if "Flex" in env_id else "fl"
-        steered = {"base": base, "steering": "shift", "features": REFERENCE_FEATURES}
-        env = make_steered_vec(env_id, 2, wrappers=[(Steered, steered)], seed=0)
-        observation, *_ = env.step(np.zeros(env.action_space.shape))
-        assert env.observation_space.contains(observation)
-
-
-def test_a_law_that_would_weigh_the_residual_for_payload_is_refused():
-    with pytest.raises(ValueError, match="bias the payload estimate"):
-        Steered(gym.make(SPATIAL_ID), base={"law": "fl", "estimates_payload": True}, steering="residual", features=SEEN)
-
-
-def test_effort_costs_the_mean_square_of_what_counts_of_an_action_in_both_twins():
-    arguments = CASES["shift"]["steered"]
-    action = np.array([0.5, 7.0])  # cut to 1
-    rewards = []
-    for effort in (0.0, 0.4):
-        one = Steered(gym.make(PLANAR_ID), **arguments, effort=effort)
-        two = make_steered_vec(PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3)
-        one.reset(seed=3)
-        two.reset(seed=3)
-        rewards.append((one.step(action)[1], two.step(np.stack([action, 0 * action]))[1]))
-    (single, batch), (dear, dear_batch) = rewards
-    assert single - dear == pytest.approx(0.4 * 0.625)
-    assert batch - dear_batch == pytest.approx([0.4 * 0.625, 0.0])
-    with pytest.raises(ValueError, match="effort must be a number of at least 0"):
-        Steered(gym.make(PLANAR_ID), **arguments, effort=-1.0)

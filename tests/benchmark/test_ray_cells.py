@@ -1,4 +1,4 @@
-"""Cells on a Ray cluster of two nodes on this machine: the same numbers, and no cell lost with its worker."""
+"""Cells on a Ray cluster of two nodes on this machine: equal numbers, and no cell is lost with its worker."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import pytest
 
 from cablebot_gym.benchmark import ray_backend
 from cablebot_gym.benchmark.cells import PolicyCell, compute
-from cablebot_gym.benchmark.engine import run_cells
+from cablebot_gym.benchmark.engine import Job, run_cells, run_jobs
 from cablebot_gym.benchmark.ray_backend import on_ray
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
 
 CIRCLE = {"name": "paper-planar", "duration": 0.8}
 CELLS = [
-    PolicyCell(env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, **model)
+    PolicyCell(env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, resolution=0.1, **model)
     for policy in ("fl", "fl-tuned")
-    for model in ({}, {"payload_known": False}, {"model_payload_factor": 0.9})
+    for model in ({}, {"payload_known": False})
 ]
 
 
@@ -44,18 +44,22 @@ def address():
             cluster.shutdown()
 
 
-def killed_at_first(cell, marker):
+def killed_at_first(marker):
     if not Path(marker).exists():
         Path(marker).touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return compute(cell)
+    return "computed"
 
 
 def always_killed():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def where(seconds):
+def raises():
+    raise KeyError("no such gain")
+
+
+def node_of(seconds):
     import time
 
     import ray
@@ -64,53 +68,56 @@ def where(seconds):
     return ray.get_runtime_context().get_node_id()
 
 
-def test_cells_on_two_nodes_do_not_have_other_numbers_than_one_after_the_other(address, tmp_path):
+def run(address, computations, returned=(WorkerDied,)):
+    jobs = [Job(key=key, compute=compute, kind=None) for key, compute in computations.items()]
+    return dict(run_jobs(jobs, on_ray(address), say=print, returned=returned))
+
+
+@pytest.mark.slow
+def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
+    said = []
+    store = Store(tmp_path, say=said.append)
     cells = {cell.key: cell for cell in CELLS}
-    seen = []
-    store = Store(tmp_path, say=seen.append)
-    records = run_cells(cells, store, on_ray(address), progress=lambda *step: None, say=seen.append)
+    records = run_cells(cells, store, on_ray(address), progress=lambda *step: None, say=said.append)
     assert [record.result for record in records] == [compute(cell).result for cell in CELLS]
     assert len({record.result["payload"] for record in records}) > 2
-    assert seen == []
+    assert said == []
     assert len(list((tmp_path / "cells").iterdir())) == len(CELLS)
 
 
-def test_both_nodes_are_used(address):
-    tasks = {str(number): partial(where, 0.5) for number in range(4)}
-    assert len({node for _, node in on_ray(address)(tasks, print)}) == 2
+@pytest.mark.slow
+def test_jobs_use_both_nodes(address):
+    assert len(set(run(address, {str(number): partial(node_of, 0.5) for number in range(4)}).values())) == 2
 
 
-def test_cell_of_a_killed_worker_is_not_lost(address, tmp_path):
-    tasks = {
-        "killed": partial(killed_at_first, CELLS[0], str(tmp_path / "marker")),
-        "other": partial(compute, CELLS[1]),
-    }
-    records = dict(on_ray(address)(tasks, print))
-    assert (tmp_path / "marker").exists()
-    assert {key: record.result for key, record in records.items()} == {
-        "killed": compute(CELLS[0]).result,
-        "other": compute(CELLS[1]).result,
-    }
-
-
-def test_cell_that_kills_every_worker_does_not_end_the_others(address, monkeypatch):
+@pytest.mark.slow
+def test_job_of_a_killed_worker_is_repeated_and_a_deadly_one_given_up(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
-    outcomes = dict(on_ray(address)({"deadly": always_killed, "other": partial(compute, CELLS[1])}, print))
-    assert isinstance(outcomes["deadly"], WorkerDied)
-    assert "died" in str(outcomes["deadly"])
-    assert outcomes["other"].result == compute(CELLS[1]).result
+    jobs = {"killed": partial(killed_at_first, str(tmp_path / "marker")), "deadly": always_killed}
+    found = run(address, jobs)
+    assert found["killed"] == "computed"
+    assert isinstance(found["deadly"], WorkerDied)
+    assert "died" in str(found["deadly"])
 
 
-def test_what_a_worker_cannot_import_is_named(address, monkeypatch):
+@pytest.mark.slow
+def test_chosen_exceptions_are_results_and_others_are_raised(address):
+    assert isinstance(run(address, {"one": raises}, returned=(KeyError,))["one"], KeyError)
+    with pytest.raises(WorkerDied, match="no such gain"):
+        run(address, {"one": raises}, returned=())
+
+
+@pytest.mark.slow
+def test_error_names_the_module_that_a_worker_cannot_import(address, monkeypatch):
     module = type(os)("only_here")
     module.task = type("task", (), {"__module__": "only_here", "__qualname__": "task"})
     monkeypatch.setitem(sys.modules, "only_here", module)
-    outcome = dict(on_ray(address)({"one": module.task()}, print))["one"]
-    assert "No module named 'only_here'" in str(outcome)
+    assert "No module named 'only_here'" in str(run(address, {"one": module.task()})["one"])
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nonsense", "host:port"])
-def test_address_without_a_cluster_is_one_sentence_at_once(address):
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense", "host:port"])
+def test_address_without_cluster_raises_at_once(address):
+    pytest.importorskip("ray")
     with pytest.raises(ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"):
         on_ray(address)
 

@@ -1,4 +1,4 @@
-"""Suites: which cells they have, of which policies."""
+"""Suites: their cells and policies."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, canonical
-from cablebot_gym.benchmark.maps import AXES, varied_axes
+from cablebot_gym.benchmark.maps import AXES, varied_fields
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
@@ -26,53 +26,54 @@ def cells(name, names=()):
     return list(suite_cells(suite, find_policies(names, suite.env_ids)).values())
 
 
-@pytest.mark.parametrize("name", SUITES)
-def test_every_cell_can_be_asked_and_has_a_best_known_payload(name):
+def policy_cells(name, names=()):
+    return [cell for cell in cells(name, names) if isinstance(cell, PolicyCell)]
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "full")) for name in SUITES])
+def test_cells_of_a_suite_are_valid_and_have_a_best_known_payload(name):
     some = cells(name)
     best = {motion_key(cell) for cell in some if isinstance(cell, BestKnownCell)}
-    assert best == {motion_key(cell) for cell in some if isinstance(cell, PolicyCell)}
-    motions = {canonical([cell.env_id, dict(cell.trajectory)]): cell for cell in some}
-    for cell in motions.values():
-        find_trajectory(dict(cell.trajectory), find_robot(env_robot(cell.env_id)).coordinates)
-    for cell in some:
-        assert cell.stiffness is None or cell.env_id in FLEXIBLE_ENV_IDS
-    conditions = {(cell.env_id, cell.uncertainty, cell.draws) for cell in some if isinstance(cell, PolicyCell)}
-    for env_id, uncertainty, draws in conditions:
+    policies = [cell for cell in some if isinstance(cell, PolicyCell)]
+    assert best == ({motion_key(cell) for cell in policies} if find_suite(name).best_known else set())
+    for cell in {canonical([cell.env_id, cell.trajectory, cell.robot_changes]): cell for cell in some}.values():
+        find_trajectory(dict(cell.trajectory), cell.robot.coordinates)
+        springs = cell.robot_changes.get("transmission", {}).get("stiffness")
+        assert springs is None or cell.env_id in FLEXIBLE_ENV_IDS
+    for env_id, uncertainty, draws in {(cell.env_id, cell.uncertainty, cell.draws) for cell in policies}:
         assert find_uncertainty(uncertainty, find_robot(env_robot(env_id))).random == (draws > 1)
-    for env_id, policy in {(cell.env_id, cell.policy) for cell in some if isinstance(cell, PolicyCell)}:
+    for env_id, policy in {(cell.env_id, cell.policy) for cell in policies}:
         assert env_id in policy_entries()[policy].env_ids
 
 
-@pytest.mark.parametrize("name", ["standard", "full"])
-def test_no_policy_environment_or_condition_is_missing(name):
-    some = [cell for cell in cells(name) if isinstance(cell, PolicyCell)]
+@pytest.mark.parametrize("name", ["standard", pytest.param("full", marks=pytest.mark.slow)])
+def test_suite_has_every_policy_environment_and_condition(name):
+    some = policy_cells(name)
     assert {(cell.env_id, cell.policy) for cell in some} == {
         (env_id, entry.name) for entry in policy_entries().values() for env_id in entry.env_ids
     }
+    expected = {
+        ("payload unknown", "sensors", "task", True),
+        ("payload known", None, "paper", True),
+        ("payload model × 0.9", None, "task", True),
+        ("payload model × 1.1", None, "task", True),
+    }
+    for model in ("payload known", "payload unknown"):
+        expected |= {(model, None, "task", True), (model, None, "task", False), (model, "table6", "task", True)}
     for env_id in ENV_IDS:
-        asked = {
-            (cell.payload_model, cell.uncertainty, cell.criterion, str(cell.trajectory["name"]).startswith("paper-"))
-            for cell in some
-            if cell.env_id == env_id
-        }
-        for payload_model in ("payload known", "payload unknown"):
-            for uncertainty, circle in ((None, True), (None, False), ("table6", True)):
-                assert (payload_model, uncertainty, "task", circle) in asked
-        assert ("payload unknown", "sensors", "task", True) in asked
-        assert {
-            ("payload known", None, "paper", True),
-            ("payload model × 0.9", None, "task", True),
-            ("payload model × 1.1", None, "task", True),
-        } < asked
+        own = [cell for cell in some if cell.env_id == env_id]
+        circle = [str(cell.trajectory["name"]).startswith("paper-") for cell in own]
+        conditions = [(cell.payload_model, cell.uncertainty, cell.criterion) for cell in own]
+        assert expected <= {(*one, paper) for one, paper in zip(conditions, circle, strict=True)}
     seeds = {cell.trajectory["seed"] for cell in some if "seed" in cell.trajectory}
     assert seeds == set(held_out_seeds(len(seeds)))
     assert len(seeds) >= 2
 
 
-def test_policy_that_takes_minutes_a_cell_is_not_asked_everywhere(monkeypatch):
+def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     slow = {name: replace(entry, slow=name == "fl") for name, entry in policy_entries().items()}
     monkeypatch.setattr("cablebot_gym.benchmark.suites.policy_entries", lambda: slow)
-    fl = [cell for cell in cells("standard", ["fl"]) if isinstance(cell, PolicyCell)]
+    fl = policy_cells("standard", ["fl"])
     assert {(cell.payload_model, cell.uncertainty, cell.trajectory["name"][:5]) for cell in fl} == {
         ("payload known", None, "paper"),
         ("payload unknown", None, "paper"),
@@ -82,11 +83,11 @@ def test_policy_that_takes_minutes_a_cell_is_not_asked_everywhere(monkeypatch):
     assert [name for name, entry in policy_entries().items() if entry.slow] == ["nmpc"]
 
 
-def test_smoke_is_small():
+def test_smoke_suite_has_six_cells_for_one_policy():
     assert len(cells("smoke", ["fl"])) == 6
 
 
-def test_policies_that_are_asked_for_are_those_that_are_asked():
+def test_policies_are_assigned_to_the_environments_that_they_support():
     assert find_policies(["fl", "motor-pd", "fl"], ENV_IDS) == {
         PLANAR: ("fl",),
         SPATIAL: ("fl",),
@@ -95,7 +96,7 @@ def test_policies_that_are_asked_for_are_those_that_are_asked():
     }
 
 
-def test_factory_that_is_for_some_robots_takes_part_and_one_for_none_is_refused(tmp_path, monkeypatch):
+def test_factory_for_some_robots_is_accepted_and_for_none_rejected(tmp_path, monkeypatch):
     (tmp_path / "toy_suites.py").write_text(
         "def planar(robot):\n    assert robot.planar\n    return lambda observation: 0\n"
         "def none(robot):\n    raise RuntimeError('not today')\n"
@@ -110,35 +111,38 @@ def test_factory_that_is_for_some_robots_takes_part_and_one_for_none_is_refused(
 @pytest.mark.parametrize(
     ("names", "ids", "message"),
     [
-        (["nobody"], [], "unknown policy 'nobody'; choose one of"),
-        (["fl4"], [PLANAR], "policy 'fl4' supports CableBot-FlexSpatial-v0, not for CableBot-Planar-v0"),
-        ([], ["CableBot-Round-v0"], "unknown environment 'CableBot-Round-v0'"),
-        ([], [SPATIAL], "suite 'smoke' does not contain CableBot-Spatial-v0; it contains CableBot-Planar-v0"),
+        (["nobody"], [], "unknown policy 'nobody'"),
+        (["fl4"], [PLANAR], "policy 'fl4' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0"),
+        ([], [SPATIAL], "unknown environment of suite 'smoke' 'CableBot-Spatial-v0'; choose one of"),
     ],
 )
-def test_bad_choice_is_one_sentence(names, ids, message):
+def test_unknown_or_unsuitable_names_raise(names, ids, message):
     with pytest.raises(ValueError, match=message):
         find_policies(names, find_env_ids(find_suite("smoke"), ids))
 
 
-def test_maps_vary_one_number_at_a_time_around_the_usual_task():
-    some = [cell for cell in cells("maps") if isinstance(cell, PolicyCell)]
+def test_maps_vary_one_parameter_around_the_cells_of_the_standard_suite():
+    values = {block.axis: set(block.values) for block in find_suite("maps").blocks}
     for env_id in ENV_IDS:
-        own = [cell for cell in some if cell.env_id == env_id and cell.policy == "apg-loops"]
-        asked = {
-            axis.name: {axis.value(cell) for cell in own if varied_axes(cell) in ((), (name,))}
-            for name, axis in AXES.items()
-        }
-        springs = set(AXES["stiffness"].values) if "Flex" in env_id else {float("inf")}
-        assert asked == {name: set(axis.values) for name, axis in AXES.items()} | {"stiffness": springs}
-    assert all(len(varied_axes(cell)) <= 1 for cell in some)
-
-
-def test_usual_number_of_a_map_is_the_very_cell_of_the_other_suites():
+        own = [cell for cell in policy_cells("maps", ["apg-loops"]) if cell.env_id == env_id]
+        for name, expected in values.items():
+            found = {AXES[name].value(cell) for cell in own if set(varied_fields(cell)) <= set(AXES[name].fields)}
+            assert found == (expected if name != "stiffness" or env_id in FLEXIBLE_ENV_IDS else {None})
+        assert sorted(len(varied_fields(cell)) for cell in own)[:2] == [0, 1]  # the default cell is in all maps
+        assert all(len(varied_fields(cell)) <= 1 for cell in own)
     shared = {cell.key for cell in cells("maps")} & {cell.key for cell in cells("standard")}
-    assert len({cell_key for cell_key in shared if '"policy":"apg-loops"' in cell_key}) == len(ENV_IDS)
+    assert len([key for key in shared if '"best-known"' in key]) == len(ENV_IDS)
 
 
-def test_unknown_suite_names_the_known_ones():
-    with pytest.raises(ValueError, match="unknown suite 'huge'; choose one of smoke, standard, full"):
-        find_suite("huge")
+def test_paper_maps_vary_bounds_and_circle_in_si_units():
+    some = policy_cells("paper-maps")
+    assert {cell.resolution for cell in some} == {0.01}
+    scaled = {cell.error_bounds["position"] for cell in some if cell.error_bounds["rotation"] != 0.01}
+    assert scaled == {0.001, 0.002, 0.003, 0.005, 0.0075, 0.015, 0.02}
+    assert all(cell.error_bounds["rotation"] in (0.01, cell.error_bounds["position"]) for cell in some)
+    deep = [cell for cell in some if "center" in cell.trajectory and cell.policy == "adaptive"]
+    starts = {tuple(find_trajectory(dict(cell.trajectory), 6)(0.0).position) for cell in deep}
+    circles = {(radius, z) for radius in (0.05, 0.1, 0.15, 0.2) for z in (0.08, 0.1, 0.15, 0.25)} - {(0.1, 0.1)}
+    assert starts == {(radius, 0.0, z, 0.1, 0.1, 0.1) for radius, z in circles}
+    limit = [cell for cell in some if cell.robot_changes == {"transmission": {"damping": 0.0}}]
+    assert {(cell.env_id, cell.policy) for cell in limit} == {(SPATIAL, "fl"), (SPATIAL, "adaptive")}

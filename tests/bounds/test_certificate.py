@@ -33,27 +33,27 @@ def certificate(name: str = "paper-planar", position: float = 0.01, passes: int 
 
 @cache
 def proof() -> Multiplier:
-    found = certificate(passes=2).multiplier
+    found = certificate().multiplier
     assert found is not None
     return found
-
-
-def with_transmission(robot: Robot, **changes: Any) -> Robot:
-    return robot.replace(transmission=dataclasses.replace(robot.transmission, **changes))
 
 
 # --- above all that is carried ---------------------------------------------------------------------------------------
 
 
-def test_certificate_of_the_papers_circle_is_neither_below_the_best_motion_known_nor_far_above() -> None:
+@pytest.mark.slow
+def test_certificate_is_slightly_above_the_best_known_motion() -> None:
     found = certificate(passes=2)
     assert BEST_KNOWN < found.total_mass < 1.011 * BEST_KNOWN
     assert found.payload == pytest.approx(found.total_mass - 1.0)
-    assert certificate(passes=1).total_mass >= found.total_mass
+    coarse = certificate(passes=1)
+    assert coarse.total_mass >= found.total_mass > exact_payload(PLANAR, find_trajectory("paper-planar", 2)).total_mass
+    data = json.loads(json.dumps(coarse.to_dict(), allow_nan=False))
+    assert (data["payload"], data["error_bounds"]) == (coarse.payload, {"position": 0.01})
 
 
-@pytest.mark.parametrize("policy", ["fl", "fl-tuned", "robust-tuned", "adaptive"])
-@pytest.mark.parametrize("position", [0.005, 0.02])
+@pytest.mark.slow
+@pytest.mark.parametrize(("policy", "position"), [("fl", 0.005), ("robust-tuned", 0.02)])
 def test_no_policy_carries_more_than_the_certificate(policy: str, position: float) -> None:
     error_bounds = ErrorBounds(position=position)
     carried = evaluate_dlcc(
@@ -62,20 +62,11 @@ def test_no_policy_carries_more_than_the_certificate(policy: str, position: floa
     assert 0 < carried.payload < certificate(position=position).payload
 
 
-@pytest.mark.parametrize("name", ["paper-planar", "circle-planar", "line-planar", "lemniscate-planar"])
-def test_certificate_is_not_below_the_exact_payload(name: str) -> None:
-    assert certificate(name).total_mass > exact_payload(PLANAR, find_trajectory(name, 2)).total_mass
-
-
-def test_certificate_does_not_fall_with_a_wider_tube() -> None:
-    masses = [certificate(position=position).total_mass for position in (5e-3, 1e-2, 2e-2)]
+@pytest.mark.slow
+def test_wider_tube_raises_the_certificate() -> None:
+    exact = exact_payload(PLANAR, find_trajectory("paper-planar", 2)).total_mass
+    masses = [exact, *(certificate(position=position).total_mass for position in (5e-3, 1e-2, 2e-2))]
     assert np.all(np.diff(masses) > 0.1)
-
-
-def test_a_tube_of_no_width_does_not_leave_more_than_exact_tracking() -> None:
-    found = planar_certificate(PLANAR, find_trajectory("circle-planar", 2), ErrorBounds(position=1e-4), passes=2)
-    exact = exact_payload(PLANAR, find_trajectory("circle-planar", 2)).total_mass
-    assert exact < found.total_mass < 1.04 * exact
 
 
 # --- by hand ----------------------------------------------------------------------------------------------------------
@@ -115,11 +106,11 @@ def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("inertia", "free_speed", "damping"),
-    [(0.0, 1e9, 0.0), (0.02, 1e9, 0.0), (0.0, 100.0, 0.0), (0.0, 1e9, 0.05), (0.02, 100.0, 0.05)],
+    ("inertia", "free_speed", "damping"), [(0.02, 1e9, 0.0), (0.0, 100.0, 0.0), (0.0, 1e9, 0.05), (0.02, 100.0, 0.05)]
 )
-def test_one_dimension_is_not_off_from_the_hand_calculation(inertia: float, free_speed: float, damping: float) -> None:
+def test_one_dimension_matches_the_hand_calculation(inertia: float, free_speed: float, damping: float) -> None:
     """Full throttle: (M + 2μ) ẍ + 2k ẋ = 2s has to come as far as x_d(T) − R; every M that does is carried."""
     robot, motion = line_robot(inertia=inertia, free_speed=free_speed, damping=damping), SpeedingUp()
     tube, radius, end = 0.05, 0.05, motion.duration
@@ -160,7 +151,7 @@ def constants(robot: Robot) -> tuple[Array, Array, Array]:
     )
 
 
-def test_multiplier_does_not_understate_the_force_in_any_direction_of_the_tube() -> None:
+def test_multiplier_bounds_the_force_in_every_direction_of_the_tube() -> None:
     multiplier, rng = proof(), np.random.default_rng(0)
     times = rng.uniform(multiplier.start, multiplier.end, 20000)
     angle, part = rng.uniform(0, 2 * np.pi, times.shape), np.sqrt(rng.uniform(0, 1, times.shape))
@@ -169,15 +160,6 @@ def test_multiplier_does_not_understate_the_force_in_any_direction_of_the_tube()
     (w, _, _), (phi, _, _) = multiplier(times)
     assert np.all(phi >= np.maximum(np.einsum("tij,tj->ti", towards, w), 0.0))
     assert np.abs(phi - np.einsum("tij,tj->ti", towards, w)).min() < 1e-4 * phi.max()  # and it is used
-
-
-def test_multiplier_is_twice_differentiable_and_vanishes_at_its_ends() -> None:
-    multiplier = proof()
-    times, step = fine_times(multiplier)
-    for value, rate, second in multiplier(times):
-        assert np.abs(np.diff(value, axis=0) / step - (rate[1:] + rate[:-1]) / 2).max() < 1e-2 * np.abs(rate).max()
-        assert np.abs(np.cumsum(second, axis=0) * step - rate).max() < 1e-2 * np.abs(rate).max()
-        assert np.abs(value[-1]).max() < 1e-4 * np.abs(value).max()
 
 
 def left_side(robot: Robot, mass: float, multiplier: Multiplier, error: Any) -> float:
@@ -214,15 +196,15 @@ class Wander:
         return now, (after - before) / (2 * h), (after - 2 * now + before) / h**2
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_no_motion_in_the_tube_goes_below_what_was_proved(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(3))
+def test_proof_excludes_random_motions_in_the_tube(seed: int) -> None:
     """Above the certificate the left side is positive for every motion, so none obeys the limits."""
-    mass = certificate(passes=2).total_mass
+    mass = certificate().total_mass
     assert left_side(PLANAR, mass, proof(), Wander(seed, 0.01)) > 0
     assert left_side(PLANAR, 1.5 * mass, proof(), Wander(seed, 0.01)) > 0
 
 
-def test_the_proved_mass_is_not_off_from_the_zero_of_h_by_quadrature() -> None:
+def test_proved_mass_is_the_zero_of_h_by_quadrature() -> None:
     multiplier = proof()
     times, step = fine_times(multiplier)
     position = find_trajectory("paper-planar", 2)(times).position
@@ -239,30 +221,15 @@ def test_the_proved_mass_is_not_off_from_the_zero_of_h_by_quadrature() -> None:
         return left_side(PLANAR, mass, multiplier, lambda t: np.zeros((3, len(t), 2))) - tube
 
     zero = brentq(surplus, 1.0, 10.0)
-    assert zero * (1 - 1e-5) < certificate(passes=2).total_mass < zero * (1 + 2e-3)
+    assert zero * (1 - 1e-5) < certificate().total_mass < zero * (1 + 2e-3)
 
 
-def test_heavier_motors_do_not_prove_another_mass_than_in_proportion() -> None:
-    motors = Motors(stall_torque=15.0, free_speed=PLANAR.motors.free_speed)
-    stronger = with_transmission(PLANAR.replace(motors=motors), pulley_inertia=3 * 8e-4)
-    error_bounds, motion = ErrorBounds(position=0.01), find_trajectory("paper-planar", 2)
-    tripled = proved_mass(stronger, motion, error_bounds, proof())
-    assert tripled == pytest.approx(3 * certificate(passes=2).total_mass, rel=1e-9)
-
-
-def test_friction_does_not_count_otherwise_than_a_steeper_line() -> None:
-    error_bounds, motion = ErrorBounds(position=0.01), find_trajectory("paper-planar", 2)
-    damped = with_transmission(PLANAR, damping=0.01)
-    slope = float(PLANAR.speed_slope[0]) + 0.01
-    steeper = PLANAR.replace(motors=Motors(stall_torque=5.0, free_speed=5.0 / slope))
-    masses = [proved_mass(robot, motion, error_bounds, proof()) for robot in (damped, steeper)]
-    assert masses[0] == pytest.approx(masses[1], rel=1e-9)
-    assert masses[0] != pytest.approx(certificate(passes=2).total_mass, rel=1e-3)
-
-
-@pytest.mark.parametrize("breach", ["too little", "negative", "at the end", "at the start"])
-def test_a_multiplier_that_proves_nothing_is_not_taken_for_a_proof(breach: str) -> None:
-    multiplier = proof()
+@pytest.mark.parametrize(
+    "breach", ["too little", "negative", "at the end", pytest.param("at the start", marks=pytest.mark.slow)]
+)
+def test_invalid_multiplier_proves_nothing(breach: str) -> None:
+    multiplier = proof() if breach != "at the start" else certificate(passes=2).multiplier
+    assert multiplier is not None
     force, tension = multiplier.force.copy(), multiplier.tension.copy()
     if breach == "too little":
         tension *= 0.99
@@ -277,41 +244,26 @@ def test_a_multiplier_that_proves_nothing_is_not_taken_for_a_proof(breach: str) 
 # --- what it says, and bad input --------------------------------------------------------------------------------------
 
 
-def test_standing_still_is_not_given_a_bound() -> None:
+def test_reference_at_rest_has_no_bound() -> None:
     found = certificate("dwell-planar")
     assert (found.total_mass, found.multiplier) == (math.inf, None)
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["payload"] is None
 
 
-def test_dict_does_not_lose_mass_limits_or_conditions() -> None:
-    data = json.loads(json.dumps(certificate().to_dict(), allow_nan=False))
-    assert data["payload"] == certificate().payload
-    assert data["error_bounds"] == {"position": 0.01}
-    assert "nominal" in data["conditions"]
-    assert "duality" in data["method"]
-
-
 @pytest.mark.parametrize(
     ("robot", "arguments", "message"),
     [
-        (SPATIAL, {}, "is spatial: a certificate"),
-        (FLEX_PLANAR, {}, "is flexible: a certificate"),
+        (SPATIAL, {}, "only available for planar rigid robots"),
+        (FLEX_PLANAR, {}, "only available for planar rigid robots"),
         (PLANAR, {"trajectory": find_trajectory("paper-spatial", 6)}, "has 6 coordinates"),
-        (PLANAR, {"error_bounds": {"position": 0.0}}, "position must be a number greater than 0"),
-        (PLANAR, {"error_bounds": {"speed": 1.0}}, "with the keys position, rotation"),
         (PLANAR, {"error_bounds": {"position": 0.5}}, "reaches the anchor of cable"),
         (PLANAR, {"passes": 0}, "passes must be an integer of at least 1"),
-        (PLANAR, {"passes": 1.5}, "passes must be an integer of at least 1"),
     ],
 )
-def test_bad_input_is_not_answered_with_a_number(robot: Robot, arguments: dict[str, Any], message: str) -> None:
+def test_bad_argument_is_rejected(robot: Robot, arguments: dict[str, Any], message: str) -> None:
     trajectory = find_trajectory("paper-planar", 2)
     with pytest.raises(ValueError, match=message):
         planar_certificate(robot, **({"trajectory": trajectory} | arguments))
-
-
-@pytest.mark.parametrize(("start", "end"), [(-0.1, 0.5), (0.5, 1.1), (0.5, 0.5), (math.nan, 1.0)])
-def test_knots_outside_the_motion_are_not_taken(start: float, end: float) -> None:
-    outside = dataclasses.replace(proof(), start=start, end=end)
+    outside = dataclasses.replace(proof(), start=-0.1)
     with pytest.raises(ValueError, match="knots of the multiplier must lie within the motion"):
-        proved_mass(PLANAR, find_trajectory("paper-planar", 2), None, outside)
+        proved_mass(PLANAR, trajectory, None, outside)

@@ -9,14 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from cablebot_gym.bounds.closed_form import ExactPayload, exact_payload
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
 from cablebot_gym.trajectories import (
-    TRAJECTORIES,
     Dwell,
     Lemniscate,
     PaperCircle,
@@ -42,7 +39,7 @@ def with_motors(robot: Robot, **changes: Any) -> Robot:
 # --- by hand ------------------------------------------------------------------------------------------------------
 
 
-def test_static_hang_does_not_differ_from_the_vertical_capacity_of_six_cables() -> None:
+def test_static_hang_is_the_vertical_capacity_of_six_cables() -> None:
     result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6))
     assert result.payload == pytest.approx(6 * (10 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
     assert result.total_mass == pytest.approx(result.payload + 10)
@@ -50,37 +47,34 @@ def test_static_hang_does_not_differ_from_the_vertical_capacity_of_six_cables() 
     assert result.lowest == pytest.approx(-10)
 
 
-@pytest.mark.parametrize("motor", range(1, 7))
-def test_motor_is_not_counted_from_zero_and_its_own_limit_is_used(motor: int) -> None:
+@pytest.mark.parametrize("motor", [1, 4])
+def test_weakest_motor_limits_the_hang(motor: int) -> None:
     torques = tuple(3.0 if i + 1 == motor else 10.0 for i in range(6))
     result = exact_payload(with_motors(SPATIAL, stall_torque=torques), find_trajectory("dwell-spatial", 6))
     assert result.motor == motor
     assert result.payload == pytest.approx(6 * (3 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
 
 
-@pytest.mark.parametrize("minimum", [5.0, 40.0, 70.0])
-def test_ballast_that_a_minimum_tension_needs_is_not_ignored(minimum: float) -> None:
+@pytest.mark.parametrize("minimum", [5.0, 70.0])
+def test_minimum_tension_needs_ballast(minimum: float) -> None:
     result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6), minimum_tension=minimum)
     assert result.lowest == pytest.approx(6 * minimum * HOME_RISE / 9.81 - 10, rel=1e-12)
 
 
-def test_conflict_of_ballast_and_torque_is_not_reported_as_a_payload() -> None:
-    result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6), minimum_tension=200.1)  # τ_s / r is 200 N
+@pytest.mark.parametrize(("robot", "minimum"), [(SPATIAL, 200.1), (PLANAR, 100.1)])  # τ_s / r is 200 and 100 N
+def test_minimum_tension_beyond_the_motors_is_infeasible(robot: Robot, minimum: float) -> None:
+    trajectory = find_trajectory(f"dwell-{robot.name}", robot.coordinates)
+    result = exact_payload(robot, trajectory, minimum_tension=minimum)
     assert (result.payload, result.lowest) == (-math.inf, math.inf)
     assert (result.kind, result.line) == ("torque", "upper")
 
 
-@pytest.mark.parametrize("minimum", [0.0, 5.0, 40.0])
-def test_planar_hold_has_no_invented_limit(minimum: float) -> None:
+@pytest.mark.parametrize("minimum", [0.0, 40.0])
+def test_planar_dwell_is_unlimited(minimum: float) -> None:
     result = exact_payload(PLANAR, find_trajectory("dwell-planar", 2), minimum_tension=minimum)
     assert result.payload == result.total_mass == math.inf
     assert (result.motor, result.time, result.kind, result.line) == (None, None, None, None)
     assert result.lowest == -1
-
-
-def test_planar_hold_with_a_minimum_tension_beyond_the_motors_is_not_unlimited() -> None:
-    result = exact_payload(PLANAR, find_trajectory("dwell-planar", 2), minimum_tension=100.1)  # τ_s / r is 100 N
-    assert (result.payload, result.kind, result.line) == (-math.inf, "torque", "upper")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,8 +97,8 @@ class Jolted:
         return reference
 
 
-@pytest.mark.parametrize("at", [0.0, 0.7, 0.998])
-def test_pull_along_two_cables_is_not_off_from_the_triangle_of_forces(at: float) -> None:
+@pytest.mark.parametrize("at", [0.0, 0.998])
+def test_acceleration_along_two_cables_matches_the_triangle_of_forces(at: float) -> None:
     # Towards −x cables 1 (210°) and 3 (90°) pull: T_1 cos 30° = M a and T_3 = T_1 / 2. The pulley of cable 1 needs
     # J a cos 30° / r too.
     robot, a = PLANAR, 20.0
@@ -114,7 +108,7 @@ def test_pull_along_two_cables_is_not_off_from_the_triangle_of_forces(at: float)
     assert (result.motor, result.time, result.line) == (1, pytest.approx(at), "upper")
 
 
-def test_lower_line_is_not_forgotten() -> None:
+def test_lower_torque_limit_counts() -> None:
     # Towards +x pulley 1 runs out with −J a cos 30° / r, against which its slack cable does nothing.
     robot = PLANAR.replace(transmission=dataclasses.replace(PLANAR.transmission, pulley_inertia=(0.1, 1e-9, 1e-9)))
     result = exact_payload(robot, Jolted(at=0.5, acceleration=3.0))
@@ -122,8 +116,8 @@ def test_lower_line_is_not_forgotten() -> None:
     assert (result.payload, result.motor, result.time, result.line) == (-math.inf, 1, 0.5, "lower")
 
 
-@pytest.mark.parametrize(("mass", "below"), [(1.0, True), (2.2, True), (3.0, False), (5.0, False)])
-def test_payloads_beyond_a_gap_are_not_counted(mass: float, below: bool) -> None:
+@pytest.mark.parametrize(("mass", "below"), [(1.0, True), (3.0, False)])
+def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> None:
     # Seven cables, at 150°, 90°, 30° and about -50°. The force left over from 10 N in each points to the left; a
     # growing mass turns it over cable 2, whose tension has a peak on the way that its weak motor cannot hold.
     angles = np.radians([150, 90, 30, -40, -45, -50, -60])
@@ -145,11 +139,6 @@ def test_payloads_beyond_a_gap_are_not_counted(mass: float, below: bool) -> None
         assert result.payload > result.lowest
 
 
-def test_end_of_the_motion_is_not_an_instant_at_which_motors_are_commanded() -> None:
-    assert exact_payload(PLANAR, Jolted(at=1.0, acceleration=20.0)).payload == math.inf
-    assert exact_payload(PLANAR, Jolted(at=0.5, acceleration=20.0), frequency=1.0).payload == math.inf
-
-
 # --- independent runs ---------------------------------------------------------------------------------------------
 
 
@@ -162,7 +151,7 @@ def test_end_of_the_motion_is_not_an_instant_at_which_motors_are_commanded() -> 
         (UNDAMPED, 1.0, -1.11, 2, 0.522),
     ],
 )
-def test_payload_on_the_smooth_circle_does_not_differ_from_independent_runs(
+def test_payload_on_the_smooth_circle_matches_independent_runs(
     robot: Robot, duration: float, payload: float, motor: int, time: float
 ) -> None:
     result = exact_payload(robot, find_trajectory({"name": "circle-spatial", "duration": duration}, 6))
@@ -184,9 +173,7 @@ def test_payload_on_the_smooth_circle_does_not_differ_from_independent_runs(
         (PLANAR, 5.0, 2.07),
     ],
 )
-def test_total_mass_on_the_papers_circle_does_not_differ_from_independent_runs(
-    robot: Robot, minimum: float, total: float
-) -> None:
+def test_total_mass_on_the_papers_circle_matches_independent_runs(robot: Robot, minimum: float, total: float) -> None:
     # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial: control instants alone
     # would miss one of them.
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
@@ -197,7 +184,7 @@ def test_total_mass_on_the_papers_circle_does_not_differ_from_independent_runs(
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: str(robot.name))
-def test_more_instants_never_raise_the_payload(robot: Robot) -> None:
+def test_more_instants_lower_the_payload(robot: Robot) -> None:
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
     frequencies = (500.0, 1000.0, 5000.0, None)
     coarse, fine, finest, infimum = (exact_payload(robot, trajectory, frequency=f).payload for f in frequencies)
@@ -205,8 +192,8 @@ def test_more_instants_never_raise_the_payload(robot: Robot) -> None:
     assert coarse == pytest.approx(finest, abs=0.05)
 
 
-@pytest.mark.parametrize("duration", [0.97, 0.6, 0.3])
-def test_cable_that_has_to_push_whatever_the_mass_is_not_overlooked(duration: float) -> None:
+@pytest.mark.parametrize("duration", [0.97, 0.3])
+def test_motion_that_needs_a_pushing_cable_is_infeasible(duration: float) -> None:
     # The platform does not turn, so all tensions are proportional to the mass.
     result = exact_payload(SPATIAL, find_trajectory({"name": "circle-spatial", "duration": duration}, 6))
     assert (result.payload, result.total_mass, result.lowest) == (-math.inf, -math.inf, math.inf)
@@ -216,35 +203,6 @@ def test_cable_that_has_to_push_whatever_the_mass_is_not_overlooked(duration: fl
 
 
 # --- properties ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", [name for name in TRAJECTORIES if name.endswith("-spatial")])
-def test_spatial_torque_has_no_kink_in_the_payload(name: str) -> None:
-    reference = TRAJECTORIES[name]()(np.linspace(0, 1, 50))
-    motion = (reference.position, reference.velocity, reference.acceleration)
-
-    def torque(mass: float) -> np.ndarray:
-        return textbook.required_torques(SPATIAL, textbook.required_tensions(SPATIAL, mass, *motion), *motion)
-
-    np.testing.assert_allclose(torque(17.0), 0.3 * torque(10.0) + 0.7 * torque(20.0), rtol=0, atol=1e-11)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    name=st.sampled_from([name for name in TRAJECTORIES if not name.startswith("dwell-planar")]),
-    minimum=st.sampled_from([0.0, 5.0]),
-    factor=st.floats(1.0, 4.0),
-)
-def test_stronger_motors_never_lower_the_payload(name: str, minimum: float, factor: float) -> None:
-    robot, trajectory = robot_for(name), TRAJECTORIES[name]()
-    stall = robot.motors.stall_torque
-    assert isinstance(stall, float)
-    weak = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=100.0)
-    strong = exact_payload(
-        with_motors(robot, stall_torque=factor * stall), trajectory, minimum_tension=minimum, frequency=100.0
-    )
-    assert strong.payload >= weak.payload - 1e-9
-    assert strong.lowest <= weak.lowest + 1e-9
 
 
 # --- bisection ----------------------------------------------------------------------------------------------------
@@ -304,7 +262,7 @@ DRAWS: dict[str, Callable[[np.random.Generator], tuple[Robot, Trajectory, float]
     "planar-4": random_planar(4),
     "planar-5": random_planar(5),
 }
-SEEDS = range(12)
+SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))]
 
 
 def feasible(robot: Robot, trajectory: Trajectory, minimum: float, total_masses: np.ndarray) -> np.ndarray:
@@ -346,14 +304,14 @@ def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[floa
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind", DRAWS)
-def test_closed_form_does_not_differ_from_bisection(kind: str, seed: int) -> None:
+def test_closed_form_matches_bisection(kind: str, seed: int) -> None:
     robot, trajectory, minimum = DRAWS[kind](np.random.default_rng(seed))
     result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
     assert (result.lowest, result.payload) == pytest.approx(bisected(robot, trajectory, minimum), abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", DRAWS)
-def test_named_motor_is_not_another_than_the_one_that_gives_way(kind: str) -> None:
+def test_named_motor_is_the_only_one_that_raises_the_payload(kind: str) -> None:
     robot, trajectory, minimum = DRAWS[kind](np.random.default_rng(1))
     result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
     assert result.kind == "torque"
@@ -376,26 +334,13 @@ def test_named_motor_is_not_another_than_the_one_that_gives_way(kind: str) -> No
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ({"minimum_tension": -1.0}, "minimum_tension"),
         ({"minimum_tension": math.nan}, "minimum_tension"),
         ({"minimum_tension": math.inf}, "minimum_tension"),
-        ({"frequency": 0.0}, "frequency"),
-        ({"frequency": math.nan}, "frequency"),
         ({"frequency": 0.2}, "frequency"),
     ],
 )
-def test_invalid_argument_is_not_accepted(arguments: dict[str, float], named: str) -> None:
+def test_bad_argument_is_rejected(arguments: dict[str, float], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         exact_payload(PLANAR, find_trajectory("paper-planar", 2), **arguments)
-
-
-def test_motion_of_another_kind_of_robot_is_not_accepted() -> None:
     with pytest.raises(ValueError, match="6 coordinates"):
         exact_payload(PLANAR, find_trajectory("paper-spatial", 6))
-
-
-def test_result_cannot_be_changed() -> None:
-    result = exact_payload(PLANAR, find_trajectory("paper-planar", 2))
-    assert isinstance(result, ExactPayload)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        result.payload = 99.0  # type: ignore[misc]

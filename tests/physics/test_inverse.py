@@ -6,38 +6,20 @@ import dataclasses
 
 import numpy as np
 import pytest
+from oracles.plants import (
+    FLEX_UNEQUAL,
+    NINE,
+    QUAD,
+    UNEQUAL,
+    each_of,
+    rigid_robots,
+)
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.plant import Plant
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Transmission
+from cablebot_gym.robots import PLANAR, SPATIAL
 
-# Every motor and axis different, one pulley without inertia; springs change nothing.
-UNEQUAL = SPATIAL.replace(
-    name="unequal",
-    inertia=(0.9, 0.3, 0.7),
-    transmission=Transmission(
-        pulley_radius=(0.03, 0.04, 0.05, 0.06, 0.07, 0.08),
-        pulley_inertia=(4e-4, 6e-4, 8e-4, 1e-3, 1.2e-3, 0.0),
-        damping=(0.0, 0.01, 0.02, 0.03, 0.04, 0.05),
-    ),
-)
-QUAD = PLANAR.replace(
-    name="quad",
-    base_anchors=((-0.6, -0.3), (0.5, -0.4), (0.4, 0.5), (-0.5, 0.6)),
-    transmission=Transmission(
-        pulley_radius=(0.03, 0.04, 0.05, 0.06), pulley_inertia=(4e-4, 0.0, 8e-4, 1e-3), damping=(0.0, 0.01, 0.02, 0.03)
-    ),
-    home_pose=(0.05, 0.1),
-)
-NINE = PLANAR.replace(
-    name="nine", base_anchors=tuple((np.cos(k * np.pi / 4.5), np.sin(k * np.pi / 4.5)) for k in range(9))
-)
-
-every_robot = pytest.mark.parametrize(
-    "robot", [PLANAR, QUAD, NINE, FLEX_PLANAR, SPATIAL, UNEQUAL, FLEX_SPATIAL], ids=lambda robot: robot.name
-)
-both_spaces = pytest.mark.parametrize("robot", [QUAD, UNEQUAL], ids=lambda robot: robot.name)
+every_robot = each_of(PLANAR, QUAD, NINE, SPATIAL, UNEQUAL, FLEX_UNEQUAL)
 
 
 def random_motion(robot, shape, seed=1):
@@ -60,9 +42,9 @@ def worst_errors(found, expected):
 
 @pytest.mark.parametrize("minimum", [0.0, 4.0])
 @every_robot
-def test_the_textbook_excludes_a_wrong_tension_torque_speed_or_winding(robot, minimum):
+def test_results_are_those_of_the_textbook(robot, minimum):
     """Reached: 2e-16 times the condition of S, up to 1e-12; planar 1e-12, where two cables are nearly in line."""
-    motion = random_motion(robot, (5000,))
+    motion = random_motion(robot, (2000,))
     expected = textbook.inverse_dynamics(robot, *motion, minimum=minimum, strict=False)
     if robot.planar:
         impossible = np.all(expected.tensions == minimum, axis=-1)
@@ -70,12 +52,12 @@ def test_the_textbook_excludes_a_wrong_tension_torque_speed_or_winding(robot, mi
     errors = worst_errors(inverse_dynamics(robot, *motion, minimum=minimum), expected)
     if not robot.planar:
         condition = np.linalg.cond(textbook.jacobian(robot, motion[1]))
-        assert condition.max() > 1e4
+        assert condition.max() > 1e3
         assert np.max(errors / condition) <= 2e-15
     assert errors.max() <= 2e-11
 
 
-def test_a_second_pass_excludes_the_squared_condition_near_a_singular_pose():
+def test_error_near_a_singular_pose_does_not_grow_with_the_squared_condition():
     """Turned by nearly a quarter, where no moment is left: condition 50 to 5e5. Reached: 3e-17 of it, else 3e-12."""
     turn = np.pi / 2 - np.geomspace(1e-1, 1e-5, 64)
     pose = np.zeros((64, 6))
@@ -88,10 +70,9 @@ def test_a_second_pass_excludes_the_squared_condition_near_a_singular_pose():
     assert np.max(errors / condition) <= 2e-15
 
 
-@pytest.mark.parametrize("shape", [(), (0,), (1,), (31,), (32,), (33,), (2, 0), (3, 1, 23)])
-@both_spaces
-def test_a_batch_excludes_results_of_another_member_or_shape(robot, shape):
-    """Whatever the batch, each member has the very bits it has alone."""
+@pytest.mark.parametrize("shape", [(), (0,), (33,), (3, 1, 23)])
+@rigid_robots
+def test_member_of_a_batch_has_the_bits_it_has_alone(robot, shape):
     mass, *motion = random_motion(robot, shape, seed=2)
     found = inverse_dynamics(robot, mass, *motion, minimum=2.0)
     for field in dataclasses.fields(found):
@@ -102,8 +83,8 @@ def test_a_batch_excludes_results_of_another_member_or_shape(robot, shape):
             np.testing.assert_array_equal(value[index], getattr(alone, field.name))
 
 
-@both_spaces
-def test_broadcasting_excludes_arguments_of_one_member_taken_for_the_batch(robot):
+@rigid_robots
+def test_arguments_are_broadcast(robot):
     """One mass, one acceleration, an integer, a read-only and a reversed array are all right."""
     _, pose, velocity, _ = random_motion(robot, (40,), seed=3)
     velocity.flags.writeable = False
@@ -113,8 +94,8 @@ def test_broadcasting_excludes_arguments_of_one_member_taken_for_the_batch(robot
     np.testing.assert_array_equal(worst_errors(found, inverse_dynamics(robot, *full)), 0)
 
 
-@both_spaces
-def test_an_error_excludes_reading_beyond_arrays_of_the_wrong_shape(robot):
+@rigid_robots
+def test_wrong_shape_raises(robot):
     mass, *motion = random_motion(robot, (4,))
     other = PLANAR if robot is UNEQUAL else SPATIAL
     with pytest.raises(ValueError, match="coordinates"):
@@ -123,13 +104,12 @@ def test_an_error_excludes_reading_beyond_arrays_of_the_wrong_shape(robot):
         inverse_dynamics(robot, mass[:3], *motion)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize("part", range(4))
-@both_spaces
-def test_a_number_that_is_none_excludes_damage_to_the_neighbours(robot, part, bad):
+@rigid_robots
+def test_number_that_is_not_finite_spares_the_neighbours(robot, part):
     motion = random_motion(robot, (70,), seed=4)
     healthy = inverse_dynamics(robot, *motion, minimum=1.0)
-    motion[part][41] = bad
+    motion[part][41] = np.nan
     found = inverse_dynamics(robot, *motion, minimum=1.0)
     others = np.arange(70) != 41
     for field in dataclasses.fields(found):
@@ -138,24 +118,8 @@ def test_a_number_that_is_none_excludes_damage_to_the_neighbours(robot, part, ba
         assert not np.any(np.isfinite(found.tensions[41]))
 
 
-@pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
-def test_the_plant_excludes_torques_that_do_not_give_the_motion(cable):
-    """Forward dynamics of the same kernel give the acceleration back, where the cables pull."""
-    rng = np.random.default_rng(5)
-    pose = UNEQUAL.home + np.array([0, 0, 0.3, 0, 0, 0]) + rng.uniform(-0.05, 0.05, (64, 6))
-    velocity, acceleration = rng.uniform(-1, 1, (2, 64, 6))
-    needed = inverse_dynamics(UNEQUAL, UNEQUAL.mass, pose, velocity, acceleration)
-    taut = np.all(needed.tensions > 0, axis=-1) | (cable == "bilateral")
-    assert taut.sum() > 20
-    plant = Plant(UNEQUAL, 64, cable=cable)
-    plant.set_state(np.arange(64), pose, velocity)
-    found, tensions = plant.evaluate(needed.torques)
-    np.testing.assert_allclose(found[taut], acceleration[taut], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(tensions[taut], needed.tensions[taut], rtol=0, atol=1e-9)
-
-
 @every_robot
-def test_eq_6_excludes_windings_other_than_the_pulley_accelerations(robot):
+def test_pulley_accelerations_are_those_of_eq_6(robot):
     motion = random_motion(robot, (20,))
     found = textbook.inverse_dynamics(robot, *motion, strict=False).pulley_accelerations
     np.testing.assert_allclose(found, textbook.pulley_acceleration(robot, *motion[1:]), rtol=1e-13, atol=1e-11)

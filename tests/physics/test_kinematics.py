@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import sympy
+from oracles.plants import QUAD, differentiated, each_of
 from scipy.spatial.transform import Rotation
 
 from cablebot_gym import kinematics
@@ -35,26 +36,13 @@ GENERIC_SPATIAL = SPATIAL.replace(
     ),
     home_pose=(0.02, -0.01, 0.4, 0.03, -0.02, 0.05),
 )
-GENERIC_PLANAR = PLANAR.replace(
-    name="generic planar",
-    base_anchors=((-0.6, -0.3), (0.5, -0.4), (0.4, 0.5), (-0.5, 0.6)),
-    home_pose=(0.05, 0.1),
-)
-each_robot = pytest.mark.parametrize(
-    "robot", [PLANAR, SPATIAL, GENERIC_PLANAR, GENERIC_SPATIAL], ids=lambda robot: robot.name
-)
+each_robot = each_of(PLANAR, SPATIAL, QUAD, GENERIC_SPATIAL)
 
 
 def random_motion(robot, count, seed=3):
     rng = np.random.default_rng(seed)
     pose = rng.uniform(*robot.pose_bounds, (count, robot.coordinates))
     return pose, rng.uniform(-2, 2, pose.shape), rng.uniform(-5, 5, pose.shape)
-
-
-def along(function, time_step):
-    """d/dt at 0 by central differences of fourth order."""
-    one, two = (function(k * time_step) - function(-k * time_step) for k in (1, 2))
-    return (8 * one - two) / (12 * time_step)
 
 
 @cache
@@ -80,7 +68,7 @@ def symbolic_length_and_gradient(planar):
 
 
 @each_robot
-def test_symbolic_differentiation_excludes_a_wrong_length_or_entry_of_the_jacobian(robot):
+def test_lengths_and_jacobian_are_those_of_sympy(robot):
     symbolic = symbolic_length_and_gradient(robot.planar)
     poses, _, _ = random_motion(robot, 50)
     lengths = kinematics.cable_lengths(robot.base, robot.platform, poses)
@@ -92,7 +80,7 @@ def test_symbolic_differentiation_excludes_a_wrong_length_or_entry_of_the_jacobi
 
 
 @each_robot
-def test_differences_of_the_jacobian_exclude_a_wrong_term_in_its_rate(robot):
+def test_rate_of_the_jacobian_is_its_slope(robot):
     """Reached: 2e-11 of entries up to about 20."""
     pose, velocity, acceleration = random_motion(robot, 200)
     near = kinematics.cable_lengths(robot.base, robot.platform, pose).min(axis=1) < 0.05
@@ -106,41 +94,41 @@ def test_differences_of_the_jacobian_exclude_a_wrong_term_in_its_rate(robot):
     np.testing.assert_allclose(both, jacobian(0), rtol=0, atol=1e-14)
     np.testing.assert_array_equal(found, kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity))
     assert np.abs(found).max() > 1
-    np.testing.assert_allclose(found, along(jacobian, 1e-4), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found, differentiated(jacobian, 1e-4), rtol=1e-9, atol=1e-9)
 
 
 @each_robot
-def test_differences_of_the_lengths_exclude_a_pulley_speed_or_acceleration_of_the_wrong_sign(robot):
+def test_pulley_speed_and_acceleration_are_slopes_of_the_angle(robot):
     pose, velocity, acceleration = random_motion(robot, 50)
     near = kinematics.cable_lengths(robot.base, robot.platform, pose).min(axis=1) < 0.05
     pose, velocity, acceleration = pose[~near], velocity[~near], acceleration[~near]
 
     def angle(time):
-        moved = pose + time * velocity + time**2 / 2 * acceleration
-        at_home = kinematics.cable_lengths(robot.base, robot.platform, robot.home)
-        return -(kinematics.cable_lengths(robot.base, robot.platform, moved) - at_home) / robot.pulley_radius
+        return textbook.pulley_angle(robot, pose + time * velocity + time**2 / 2 * acceleration)
 
     def speed(time):
         moved = pose + time * velocity + time**2 / 2 * acceleration
         return textbook.pulley_speed(robot, moved, velocity + time * acceleration)
 
-    np.testing.assert_allclose(textbook.pulley_speed(robot, pose, velocity), along(angle, 1e-4), rtol=1e-9, atol=1e-9)
+    found = textbook.pulley_speed(robot, pose, velocity)
+    np.testing.assert_allclose(found, differentiated(angle, 1e-4), rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(textbook.pulley_angle(robot, robot.home), 0)
     found = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    np.testing.assert_allclose(found, along(speed, 1e-4), rtol=1e-8, atol=1e-7)
+    np.testing.assert_allclose(found, differentiated(speed, 1e-4), rtol=1e-8, atol=1e-7)
 
 
-def test_scipy_excludes_rotations_in_another_order():
+def test_rotation_is_that_of_scipy():
     euler = np.random.default_rng(4).uniform(-3, 3, (50, 3))
     expected = Rotation.from_euler("ZYX", euler[:, ::-1]).as_matrix()  # capitals: about the turned axes
     np.testing.assert_allclose(kinematics.rotation_matrix(euler), expected, rtol=0, atol=1e-15)
 
 
-def test_the_rotations_rate_excludes_an_omega_in_the_base_frame():
+def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
     """RᵀṘ is ω_body = P Θ̇ as a matrix, and ṘRᵀ is Rω."""
     rng = np.random.default_rng(5)
     euler, rates = rng.uniform(-1.5, 1.5, (100, 3)), rng.uniform(-3, 3, (100, 3))
     rotation = kinematics.rotation_matrix(euler)
-    rate = along(lambda time: kinematics.rotation_matrix(euler + time * rates), 1e-4)
+    rate = differentiated(lambda time: kinematics.rotation_matrix(euler + time * rates), 1e-4)
     omega = np.einsum("nij,nj->ni", kinematics.euler_rate_matrix(euler), rates)
     body = np.swapaxes(rotation, 1, 2) @ rate
     base = rate @ np.swapaxes(rotation, 1, 2)
@@ -151,14 +139,14 @@ def test_the_rotations_rate_excludes_an_omega_in_the_base_frame():
         )
 
 
-def test_differences_exclude_a_wrong_rate_of_the_euler_rate_matrix():
+def test_rate_of_the_euler_rate_matrix_is_its_slope():
     rng = np.random.default_rng(6)
     euler, rates = rng.uniform(-1.5, 1.5, (100, 3)), rng.uniform(-3, 3, (100, 3))
-    expected = along(lambda time: kinematics.euler_rate_matrix(euler + time * rates), 1e-4)
+    expected = differentiated(lambda time: kinematics.euler_rate_matrix(euler + time * rates), 1e-4)
     np.testing.assert_allclose(kinematics.euler_rate_matrix_rate(euler, rates), expected, rtol=0, atol=1e-10)
 
 
-def test_a_platform_that_sinks_excludes_a_z_axis_that_points_up():
+def test_z_points_down():
     """+z is down: sinking lengthens every cable and unwinds every pulley, and gravity is what makes it sink."""
     sinking = np.array([0, 0, 0.1, 0, 0, 0])
     home = SPATIAL.home
@@ -169,11 +157,9 @@ def test_a_platform_that_sinks_excludes_a_z_axis_that_points_up():
     assert 0 < fall[2] < SPATIAL.gravity
 
 
-@pytest.mark.parametrize("cable", [0, 1, 2])
-def test_a_motor_that_winds_excludes_a_cable_that_pushes(cable):
-    """Positive torque on one motor alone pulls the point mass towards that anchor and shortens that cable."""
-    torques = np.zeros(3)
-    torques[cable] = 1.0
+def test_positive_torque_pulls_towards_the_anchor():
+    """And shortens that cable."""
+    cable, torques = 1, np.array([0.0, 1.0, 0.0])
     acceleration, tension = textbook.forward_dynamics(PLANAR, 1.0, PLANAR.home, np.zeros(2), torques)
     towards = PLANAR.base[cable] / np.linalg.norm(PLANAR.base[cable])
     assert acceleration @ towards == pytest.approx(np.linalg.norm(acceleration))
@@ -182,7 +168,7 @@ def test_a_motor_that_winds_excludes_a_cable_that_pushes(cable):
     assert textbook.pulley_speed(PLANAR, PLANAR.home, acceleration)[cable] > 0
 
 
-def test_leading_axes_exclude_a_batch_that_mixes_its_members():
+def test_batch_keeps_its_leading_axes():
     pose, velocity, _ = random_motion(GENERIC_SPATIAL, 6)
     ends = GENERIC_SPATIAL.base, GENERIC_SPATIAL.platform
     batched = kinematics.structure_jacobian_rate(*ends, pose.reshape(2, 3, 6), velocity.reshape(2, 3, 6))
@@ -192,7 +178,7 @@ def test_leading_axes_exclude_a_batch_that_mixes_its_members():
         np.testing.assert_allclose(batched[k // 3, k % 3], single, rtol=0, atol=1e-14)
 
 
-def test_tables_2_and_4_exclude_a_home_pose_with_cables_of_another_length():
+def test_lengths_at_home_are_those_of_tables_2_and_4():
     """By hand: planar 1/√3; spatial √(a² + ((a − 2b)/√3)² + 0.1²) with a = 0.47, b = 0.148."""
     planar = kinematics.cable_lengths(PLANAR.base, PLANAR.platform, PLANAR.home)
     np.testing.assert_allclose(planar, 1 / math.sqrt(3), rtol=1e-14)

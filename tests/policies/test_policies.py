@@ -1,4 +1,4 @@
-"""How a name, a file or ``package.module:factory`` becomes a policy, and what is said when it does not."""
+"""Policies from names, files and ``package.module:factory``, and calls of a policy."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ from cablebot_gym.policies import (
     loading,
     policy_entries,
 )
-from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, reset_policy
+from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, OpenLoop, reset_policy
 from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.task import Task
 
+PLANAR_ID = "CableBot-Planar-v0"
+
 
 class Constant:
-    """A third party's policy, which remembers the robot that it was made for."""
+    """A third party's policy, made for a robot."""
 
     def __init__(self, robot):
         self.robot = robot
@@ -49,85 +51,63 @@ class Point:
         self.load = lambda: entry
 
 
-def entry(name):
-    return PolicyEntry(name=name, kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="third party")
-
-
 @pytest.fixture
-def third_party(monkeypatch):
-    """Two more policies beside the installed ones; asserts that the group is the promised one."""
-    installed = loading.entry_points
+def points(monkeypatch):
+    """Entry points of other packages by group, in addition to the installed ones of policies."""
+    installed, added = loading.entry_points, {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
 
-    def with_more(*, group):
-        assert group == ENTRY_POINT_GROUP == "cablebot_gym.policies"
-        return [Point(entry("zzz")), *installed(group=group), Point(entry("constant"))]
+    def entry_points(*, group, name=None):
+        own = [*installed(group=group)] if group == ENTRY_POINT_GROUP else []
+        return [point for point in (*added[group], *own) if name in (None, point.name)]
 
-    monkeypatch.setattr(loading, "entry_points", with_more)
+    assert set(added) == {"cablebot_gym.policies", "cablebot_gym.policy_files"}
+    monkeypatch.setattr(loading, "entry_points", entry_points)
+    return added
 
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """Makes an importable module of some source."""
+    """Makes an importable module."""
     monkeypatch.syspath_prepend(tmp_path)
-    made = []
 
-    def make(source, name="toy_policy_module"):
-        (tmp_path / f"{name}.py").write_text(source, encoding="utf-8")
-        made.append(name)
-        return name
+    def make(source):
+        (tmp_path / "toy_policy_module.py").write_text(source, encoding="utf-8")
+        return "toy_policy_module"
 
     yield make
-    for name in made:
-        sys.modules.pop(name, None)
-
-
-def one_sentence(error):
-    text = str(error)
-    assert "\n" not in text
-    assert len(text) < 400
-    return text
+    sys.modules.pop("toy_policy_module", None)
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
-def test_name_does_not_make_a_policy_for_another_robot(robot):
+def test_installed_policy_is_made_for_the_robot(robot):
     policy = load_policy("fl", robot)
     assert isinstance(policy, FeedbackLinearization)
     assert policy.robot is robot
-
-
-def test_installed_baseline_is_not_missing_from_the_entries():
     assert policy_entries()["fl"] is FL
 
 
-@pytest.mark.usefixtures("third_party")
-def test_policy_of_another_package_is_not_overlooked():
+def test_policies_of_other_packages_are_found_by_name(points):
+    for name in ("zzz", "constant"):
+        entry = PolicyEntry(name=name, kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="third party")
+        points[ENTRY_POINT_GROUP].append(Point(entry))
     assert list(policy_entries()) == sorted(policy_entries())
     assert {"constant", "fl", "zzz"} <= set(policy_entries())
     policy = load_policy("constant", SPATIAL)
     assert isinstance(policy, Constant)
     assert policy.robot is SPATIAL
+    for name in ("FL", "constant.py", "lqr"):
+        with pytest.raises(ValueError, match=r"choose one of .*apg-circle, .*, constant, .*zzz, or|a learned bundle"):
+            load_policy(name, PLANAR)
 
 
-@pytest.mark.usefixtures("third_party")
-@pytest.mark.parametrize("name", ["FL", "", "lqr", "fl ", "constant.py"])
-def test_unknown_name_is_not_refused_without_the_valid_ones(name):
-    with pytest.raises(ValueError, match=r"apg-circle, .*, constant, ") as caught:
-        load_policy(name, PLANAR)
-    text = one_sentence(caught.value)
-    assert text.startswith(f"unknown policy {name!r}; choose one of ")
-    assert "zzz" in text
-    assert "a learned bundle or an SB3 file ending in .zip, or package.module:factory" in text
-
-
-@pytest.mark.parametrize(("name", "meant"), [("FL", "'fl'"), ("adaptve", "'adaptive'"), ("lqr", None)])
-def test_misspelt_name_is_not_left_without_the_one_that_was_meant(name, meant):
+@pytest.mark.parametrize(("name", "meant"), [("FL", "; did you mean 'fl'?"), ("lqr", "package.module:factory")])
+def test_unknown_name_gets_a_suggestion(name, meant):
     with pytest.raises(ValueError, match="unknown policy") as caught:
         load_policy(name, PLANAR)
-    end = "package.module:factory"
-    assert str(caught.value).endswith(end if meant is None else f"{end}; did you mean {meant}?")
+    assert str(caught.value).endswith(meant)
 
 
 # --- package.module:factory -------------------------------------------------------------------------------------------
@@ -140,87 +120,53 @@ class Made:
         return observation, state
 
 def function(robot):
-    def policy(observation):
-        return [robot.cables]
-    return policy
+    return lambda observation: [robot.cables]
 
 def nothing(robot):
     return None
+
+def raising(robot):
+    raise KeyError("weights")
 
 number = 3
 """
 
 
-def test_factory_of_a_module_is_not_called_without_the_robot(module):
-    made = load_policy(f"{module(SOURCE)}:Made", SPATIAL)
+def test_factory_of_a_module_makes_a_policy(module):
+    name = module(SOURCE)
+    made = load_policy(f"{name}:Made", SPATIAL)
     assert isinstance(made, Policy)
     assert made.robot is SPATIAL
-
-
-def test_factory_may_return_a_callable(module):
-    policy = load_policy(f"{module(SOURCE)}:function", SPATIAL)
+    policy = load_policy(f"{name}:function", SPATIAL)
     assert isinstance(policy, CallablePolicy)
     np.testing.assert_array_equal(policy.predict(np.zeros((3, 2)))[0], [[6], [6], [6]])
-
-
-def test_entry_of_a_module_is_not_taken_for_no_factory():
-    policy = load_policy("cablebot_baselines.classical:FL", PLANAR)
-    assert isinstance(policy, FeedbackLinearization)
-
-
-def test_factory_that_makes_no_policy_is_not_accepted(module):
-    with pytest.raises(ValueError, match=r"the factory must return a policy; .*; NoneType is neither"):
-        load_policy(f"{module(SOURCE)}:nothing", PLANAR)
+    assert isinstance(load_policy("cablebot_baselines.classical:FL", PLANAR), FeedbackLinearization)
 
 
 @pytest.mark.parametrize(
     ("attribute", "message"),
     [
-        ("missing", "'toy_policy_module' has no attribute 'missing'"),
-        ("", "'toy_policy_module' has no attribute ''"),
+        ("nothing", r"the factory must return a policy; .*; NoneType is neither"),
+        ("raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
+        ("missing", "has no attribute 'missing'"),
         ("number", "'number' must be a function that takes a robot and returns a policy"),
     ],
 )
-def test_attribute_that_is_no_factory_is_not_an_obscure_error(module, attribute, message):
-    name = f"{module(SOURCE)}:{attribute}"
+def test_attribute_that_makes_no_policy_is_rejected(module, attribute, message):
     with pytest.raises(ValueError, match=message) as caught:
-        load_policy(name, PLANAR)
-    assert one_sentence(caught.value).startswith(f"policy {name!r}: ")
+        load_policy(f"{module(SOURCE)}:{attribute}", PLANAR)
+    assert str(caught.value).startswith(f"policy 'toy_policy_module:{attribute}': ")
 
 
-@pytest.mark.parametrize("name", ["no_such_package:make", "no_such_package.sub:make", "json.unknown_name_error:make"])
-def test_module_that_does_not_exist_is_not_an_obscure_error(name):
-    with pytest.raises(ValueError, match=f"cannot import '{name.partition(':')[0]}'") as caught:
-        load_policy(name, PLANAR)
-    one_sentence(caught.value)
-
-
-def test_missing_dependency_of_a_module_is_not_hidden(module):
+def test_module_that_cannot_be_imported_is_named_with_the_reason(module):
+    with pytest.raises(ValueError, match="cannot import 'make' of 'no_such_package'"):
+        load_policy("no_such_package:make", PLANAR)
     name = module("import no_such_dependency\ndef make(robot): ...\n")
     with pytest.raises(ValueError, match=r"cannot import .*No module named 'no_such_dependency'"):
         load_policy(f"{name}:make", PLANAR)
 
 
-def test_attribute_error_inside_a_module_is_not_blamed_on_the_factory(module):
-    name = module("import json\njson.no_such_function()\ndef make(robot): ...\n")
-    with pytest.raises(Exception, match="no_such_function"):
-        load_policy(f"{name}:make", PLANAR)
-
-
 # --- files ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def loaders(monkeypatch):
-    """Sets what other packages load policy files with, in place of what is installed."""
-    installed, chosen = loading.entry_points, []
-
-    def with_chosen(*, group):
-        return [Point(item) for item in chosen] if group == FILE_ENTRY_POINT_GROUP else installed(group=group)
-
-    assert FILE_ENTRY_POINT_GROUP == "cablebot_gym.policy_files"
-    monkeypatch.setattr(loading, "entry_points", with_chosen)
-    return chosen
 
 
 @pytest.fixture
@@ -232,88 +178,62 @@ def archive(tmp_path):
     return path
 
 
-def test_file_of_another_package_is_offered_to_its_loader_with_the_robot(loaders, archive):
-    asked = []
+def test_file_goes_to_the_loaders_of_other_packages_in_turn(points, archive, caplog):
+    class Broken(Point):
+        def __init__(self):
+            self.load = lambda: __import__("no_such_dependency")
 
-    def other(path, robot):
-        asked.append((path, robot))
-
-    loaders += [other, lambda path, robot: Constant(robot), lambda path, robot: pytest.fail("not its turn")]
+    calls = []
+    loaders = (
+        lambda path, robot: calls.append((path, robot)),
+        lambda path, robot: Constant(robot),
+        lambda path, robot: pytest.fail("not its turn"),
+    )
+    points[FILE_ENTRY_POINT_GROUP] += [Broken(), *map(Point, loaders)]
     policy = load_policy(str(archive), SPATIAL)
     assert isinstance(policy, Constant)
-    assert policy.robot is SPATIAL
-    assert asked == [(archive, SPATIAL)]
+    assert (policy.robot, calls) == (SPATIAL, [(archive, SPATIAL)])
+    assert "policy files of kind 'other' are skipped: other:load raised No module named" in caplog.text
 
 
-def test_loader_is_not_asked_for_what_is_no_whole_file(loaders, archive):
-    loaders.append(lambda path, robot: pytest.fail("asked"))
-    load_policy("fl", PLANAR)
+def test_damaged_or_missing_file_is_not_loaded(points, archive):
+    points[FILE_ENTRY_POINT_GROUP].append(Point(lambda path, robot: pytest.fail("loaded")))
     archive.write_bytes(archive.read_bytes()[:-10])
-    for name in (str(archive), str(archive.with_name("missing.zip"))):
-        with pytest.raises(ValueError, match=r"does not exist|is not a zip file, or it is damaged"):
-            load_policy(name, PLANAR)
+    for name, message in ((archive, "is not a zip file, or it is damaged"), ("missing.zip", "does not exist")):
+        with pytest.raises(ValueError, match=message):
+            load_policy(str(name), PLANAR)
 
 
-def test_refusal_of_a_loader_is_passed_on_and_its_failure_named(loaders, archive):
-    def refuses(path, robot):
+def test_error_of_a_loader_is_passed_on(points, archive):
+    def rejects(path, robot):
         raise ValueError("made for another robot")
 
     def fails(path, robot):
         raise KeyError("weights")
 
-    loaders.append(refuses)
-    with pytest.raises(ValueError, match=r"^made for another robot$"):
-        load_policy(str(archive), PLANAR)
-    loaders[:] = [fails]
-    message = r"^policy file '.*mine\.zip' cannot be loaded: other:load raised KeyError: 'weights'$"
-    with pytest.raises(ValueError, match=message):
-        load_policy(str(archive), PLANAR)
-
-
-def test_loader_that_cannot_be_imported_does_not_stop_the_others(monkeypatch, archive, caplog):
-    class Broken(Point):
-        def __init__(self):
-            self.load = lambda: __import__("no_such_dependency")
-
-    points = [Broken(), Point(lambda path, robot: Constant(robot))]
-    monkeypatch.setattr(loading, "entry_points", lambda *, group: points if group == FILE_ENTRY_POINT_GROUP else [])
-    assert isinstance(load_policy(str(archive), PLANAR), Constant)
-    assert "policy files of kind 'other' are skipped: other:load raised No module named" in caplog.text
-
-
-def test_file_that_does_not_exist_is_not_an_obscure_error(tmp_path):
-    with pytest.raises(ValueError, match=r"policy file '.*missing\.zip' does not exist") as caught:
-        load_policy(str(tmp_path / "missing.zip"), PLANAR)
-    one_sentence(caught.value)
+    for loader, message in (
+        (rejects, r"^made for another robot$"),
+        (fails, r"^policy file '.*mine\.zip' cannot be loaded: other:load raised KeyError: 'weights'$"),
+    ):
+        points[FILE_ENTRY_POINT_GROUP][:] = [Point(loader)]
+        with pytest.raises(ValueError, match=message):
+            load_policy(str(archive), PLANAR)
 
 
 # --- SB3 files --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("content", ["empty zip", "other zip", "data of another kind"])
-def test_other_file_is_not_an_obscure_error(tmp_path, content):
+def test_file_that_is_no_model_is_rejected(archive, monkeypatch):
     pytest.importorskip("stable_baselines3")
-    path = tmp_path / "broken.zip"
-    with zipfile.ZipFile(path, "w") as file:
-        if content == "other zip":
-            file.writestr("readme.txt", "holds no model")
-        elif content == "data of another kind":
-            file.writestr("data", "[1, 2]")
-    with pytest.raises(
-        ValueError, match=r"policy file '.*broken\.zip' is neither a bundle .* nor an SB3 model \("
-    ) as caught:
-        load_policy(str(path), PLANAR)
-    one_sentence(caught.value)
-
-
-def test_missing_extra_is_not_named_without_its_command(archive, monkeypatch):
+    with pytest.raises(ValueError, match=r"policy file '.*mine\.zip' is neither a bundle .* nor an SB3 model \("):
+        load_policy(str(archive), PLANAR)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(ValueError, match=r"pip install 'cablebot-gym\[sb3\]'"):
         load_policy(str(archive), PLANAR)
 
 
 class Spaces(gym.Env):
-    """Nothing but spaces."""
+    """An environment that has only spaces."""
 
     def __init__(self, observation, action):
         self.observation_space, self.action_space = observation, action
@@ -330,37 +250,37 @@ def spaces_of(env_id):
     return env.observation_space, env.action_space
 
 
-def saved(path, observation, action, algorithm="PPO", package="stable_baselines3", **keywords):
-    """A file of an untrained model."""
-    few = {"PPO": {"n_steps": 8, "batch_size": 8}, "RecurrentPPO": {"n_steps": 8, "batch_size": 8}}
-    few |= {"A2C": {}, "ARS": {"n_delta": 1}, "TRPO": {"n_steps": 8, "batch_size": 8}}
-    made = getattr(pytest.importorskip(package), algorithm)
-    small = {"net_arch": [4]} | ({"lstm_hidden_size": 4} if algorithm == "RecurrentPPO" else {})
-    model = made(
-        "MlpLstmPolicy" if algorithm == "RecurrentPPO" else "MlpPolicy",
+def saved(path, observation, action, algorithm="PPO", package="stable_baselines3"):
+    """Saves an untrained model."""
+    on_policy = {"n_steps": 8, "batch_size": 8}
+    few = {"PPO": on_policy, "RecurrentPPO": on_policy, "TRPO": on_policy, "A2C": {}, "ARS": {"n_delta": 1}}
+    recurrent = algorithm == "RecurrentPPO"
+    model = getattr(pytest.importorskip(package), algorithm)(
+        "MlpLstmPolicy" if recurrent else "MlpPolicy",
         Spaces(observation, action),
-        policy_kwargs=small,
+        policy_kwargs={"net_arch": [4]} | ({"lstm_hidden_size": 4} if recurrent else {}),
         seed=1,
         **few.get(algorithm, {"buffer_size": 10}),
-        **keywords,
     )
     model.save(path)
     return model
 
 
-CASES = [("stable_baselines3", name) for name in SB3_ALGORITHMS] + [
-    ("sb3_contrib", name) for name in CONTRIB_ALGORITHMS
+CASES = [
+    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.slow)
+    for package, names in (("stable_baselines3", SB3_ALGORITHMS), ("sb3_contrib", CONTRIB_ALGORITHMS))
+    for name in names
 ]
 
 
 @pytest.mark.parametrize(("package", "algorithm"), CASES)
-def test_model_of_another_algorithm_is_not_refused(tmp_path, package, algorithm):
+def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
     path = tmp_path / "model.zip"
-    model = saved(path, *spaces_of("CableBot-Planar-v0"), algorithm, package)
+    model = saved(path, *spaces_of(PLANAR_ID), algorithm, package)
     loaded = load_policy(str(path), PLANAR)
     if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):  # others' files look the same
         assert type(loaded).__name__ == algorithm
-    observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
+    observation, _ = gym.make(PLANAR_ID).reset(seed=0)
     batch, state, expected_state = np.stack([observation, observation / 2]), None, None
     for step in range(3):
         start = np.array([step == 0, True])
@@ -369,52 +289,37 @@ def test_model_of_another_algorithm_is_not_refused(tmp_path, package, algorithm)
         np.testing.assert_array_equal(action, expected)
 
 
-def test_model_of_a_missing_package_is_not_refused_without_its_command(tmp_path, monkeypatch):
+def test_model_of_a_missing_package_names_its_extra(tmp_path, monkeypatch):
     path = tmp_path / "model.zip"
-    saved(path, *spaces_of("CableBot-Planar-v0"), "TQC", "sb3_contrib")
+    saved(path, *spaces_of(PLANAR_ID), "TQC", "sb3_contrib")
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    with pytest.raises(ValueError, match=r"was saved by sb3-contrib: pip install 'cablebot-gym\[sb3\]'") as caught:
+    with pytest.raises(ValueError, match=r"was saved by sb3-contrib: pip install 'cablebot-gym\[sb3\]'"):
         load_policy(str(path), PLANAR)
-    one_sentence(caught.value)
-    saved(path, *spaces_of("CableBot-Planar-v0"))
-    assert type(load_policy(str(path), PLANAR)).__name__ == "PPO"
-
-
-REMEDY = "Export a model trained inside wrappers as a bundle by `cablebot train`"
-GIVES = (
-    r"\. The robot has 21 observed numbers \(pose 2, velocity 2, time_to_go 1, .*\) and 3 actions within \[-1, 1\]\. "
-)
 
 
 @pytest.mark.parametrize(
     ("observation", "action", "message"),
     [
         (57, 6, "the model reads 57 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
-        (31, 3, "the model reads 31 numbers and returns 3 numbers, which fits CableBot-FlexPlanar-v0"),
-        (40, 3, "the model reads 40 numbers and returns 3 numbers"),
         (21, 2, "the model reads 21 numbers and returns 2 numbers"),
-        (Box(-1.0, 1.0, (4, 21)), 3, "the model reads 4×21 numbers and returns 3 numbers"),
         (21, MultiBinary(3), r"the model reads 21 numbers and returns MultiBinary\(3\)"),
         (Box(-10.0, 10.0, (21,)), 3, r"the model reads a normalised observation within \[-10, 10\]"),
-        (Box(-np.inf, np.inf, (21,)), 3, r"the model reads a normalised observation within \[-inf, inf\]"),
         (21, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
     ],
 )
-def test_model_of_other_spaces_does_not_reach_an_evaluation(tmp_path, observation, action, message):
-    own, path = spaces_of("CableBot-Planar-v0"), tmp_path / "model.zip"
+def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, message):
+    own, path = spaces_of(PLANAR_ID), tmp_path / "model.zip"
     if isinstance(observation, int):
         observation = own[0] if observation == 21 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
     saved(path, observation, Box(-1.0, 1.0, (action,)) if isinstance(action, int) else action)
-    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}{GIVES}.*{REMEDY}$"
-    with pytest.raises(ValueError, match=match) as caught:
+    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}\. The robot has 21 observed numbers"
+    with pytest.raises(ValueError, match=match):
         load_policy(str(path), PLANAR)
-    assert "\n" not in str(caught.value)
 
 
-def test_model_for_another_workspace_is_not_refused(tmp_path):
-    wide = PLANAR.replace(name="wide", base_anchors=1.5 * PLANAR.base)
-    env = gym.make("CableBot-Planar-v0", robot=wide)
-    assert env.observation_space != spaces_of("CableBot-Planar-v0")[0]
+def test_model_for_another_workspace_is_accepted(tmp_path):
+    env = gym.make(PLANAR_ID, robot=PLANAR.replace(name="wide", base_anchors=1.5 * PLANAR.base))
+    assert env.observation_space != spaces_of(PLANAR_ID)[0]
     saved(tmp_path / "model.zip", env.observation_space, env.action_space)
     assert load_policy(str(tmp_path / "model.zip"), PLANAR) is not None
 
@@ -422,138 +327,94 @@ def test_model_for_another_workspace_is_not_refused(tmp_path):
 # --- as_policy --------------------------------------------------------------------------------------------------------
 
 
-def test_policy_is_not_wrapped_a_second_time():
+def test_only_policies_and_callables_are_accepted():
     policy = Constant(PLANAR)
     assert as_policy(policy) is policy
-
-
-def test_class_in_place_of_a_policy_is_not_called_for_commands():
     with pytest.raises(TypeError, match=r"not the class Constant: pass Constant\(…\)"):
         as_policy(Constant)
+    for thing in (None, "fl", np.zeros(3)):
+        with pytest.raises(TypeError, match=rf"{type(thing).__name__} is neither"):
+            as_policy(thing)
 
 
-@pytest.mark.parametrize("thing", [None, 3, "fl", np.zeros(3)])
-def test_what_is_neither_policy_nor_callable_is_not_accepted(thing):
-    with pytest.raises(TypeError, match=rf"{type(thing).__name__} is neither"):
-        as_policy(thing)
-
-
-def test_callable_is_called_for_one_observation_at_a_time_and_keeps_the_state():
-    shapes = []
-
-    def function(observation):
-        shapes.append(observation.shape)
-        return observation[:2] * 2
-
-    policy = as_policy(function)
-    state = object()
-    action, after = policy.predict(np.arange(12.0).reshape(3, 4), state=state)
-    np.testing.assert_array_equal(action, [[0, 2], [8, 10], [16, 18]])
-    assert (shapes, after) == ([(4,)] * 3, state)
-    single, _ = policy.predict(np.arange(4.0))
-    np.testing.assert_array_equal(single, [0, 2])
-
-
-def test_callable_does_not_lose_what_it_declares():
-    class Declared:
+def test_callable_gets_one_observation_at_a_time_and_keeps_its_declarations():
+    class Function:
         unsaturated_actions = True
 
         def __init__(self):
-            self.begun = []
+            self.tasks, self.shapes = [], []
 
         def reset(self, tasks):
-            self.begun.append(tasks)
+            self.tasks.append(tasks)
 
         def __call__(self, observation):
-            return observation
+            self.shapes.append(observation.shape)
+            return observation[:2] * 2
 
-    function = Declared()
+    function, state = Function(), object()
     policy = as_policy(function)
+    action, after = policy.predict(np.arange(12.0).reshape(3, 4), state=state)
+    np.testing.assert_array_equal(action, [[0, 2], [8, 10], [16, 18]])
+    assert (function.shapes, after) == ([(4,)] * 3, state)
+    np.testing.assert_array_equal(policy.predict(np.arange(4.0))[0], [0, 2])
     policy.reset(("task",))
-    assert policy.unsaturated_actions is True
-    assert function.begun == [("task",)]
+    assert (policy.unsaturated_actions, function.tasks) == (True, [("task",)])
     plain = as_policy(lambda observation: observation)
-    assert plain.unsaturated_actions is False
-    assert not hasattr(plain, "reset")
+    assert (plain.unsaturated_actions, hasattr(plain, "reset")) == (False, False)
 
 
 @pytest.mark.parametrize(
-    ("returns", "message"),
+    ("wrong", "message"),
     [
-        (lambda index: [1.0, 2.0] if index != 2 else [1.0], r"shape \(1,\) after \(2,\)"),
-        (lambda index: [1.0, 2.0] if index != 2 else "x", "returned str instead of real numbers"),
-        (lambda index: [1.0, 2.0] if index != 2 else None, "returned NoneType instead of real numbers"),
-        (lambda index: [1.0, 2.0] if index != 2 else [][1], "raised IndexError"),
+        (lambda: [1.0], r"shape \(1,\) after \(2,\)"),
+        (lambda: None, "NoneType of type object instead of real numbers"),
+        (lambda: [][1], "IndexError"),
     ],
 )
-def test_failure_for_one_observation_does_not_hide_which(returns, message):
+def test_error_of_a_callable_names_its_observation(wrong, message):
+    policy = as_policy(lambda observation: wrong() if observation[0] == 2 else [1.0, 2.0])
     with pytest.raises(BatchItemError, match=message) as caught:
-        as_policy(lambda observation: returns(int(observation[0]))).predict(np.arange(4.0)[:, None])
+        policy.predict(np.arange(4.0)[:, None])
     assert caught.value.index == 2
+
+
+def test_open_loop_returns_one_action_after_the_other():
+    policy, state = OpenLoop(np.arange(6.0).reshape(3, 2)), None
+    for step in range(3):
+        action, state = policy.predict(np.zeros((4, 7)), state=state)
+        np.testing.assert_array_equal(action, [[2 * step, 2 * step + 1]] * 4)
 
 
 # --- reset ------------------------------------------------------------------------------------------------------------
 
 
-class Resettable(Constant):
-    """Records the arguments of every reset."""
-
-    def __init__(self):
-        super().__init__(PLANAR)
-        self.calls = []
+def with_reset(reset):
+    policy = Constant(PLANAR)
+    policy.reset = reset
+    return policy
 
 
-class TakesTasks(Resettable):
-    def reset(self, tasks):
-        self.calls.append(tasks)
+def test_reset_gets_one_task_per_observation_if_it_takes_any():
+    calls = []
 
+    def other(batch, /):
+        calls.append(batch)
 
-class TakesOther(Resettable):
-    def reset(self, batch, /):
-        self.calls.append(batch)
-
-
-class TakesNothing(Resettable):
-    def reset(self):
-        self.calls.append(None)
-
-
-class TakesSeed(Resettable):
-    def reset(self, seed=None):
-        self.calls.append(seed)
-
-
-@pytest.mark.parametrize("kind", [TakesTasks, TakesOther])
-def test_reset_gets_one_task_per_observation(kind):
-    policy = kind()
-    with closing(gym.make_vec("CableBot-Planar-v0", num_envs=3)) as envs:
+    with closing(gym.make_vec(PLANAR_ID, num_envs=3)) as envs:
         envs.reset(seed=0)
-        reset_policy(policy, "mine", lambda: envs.unwrapped.tasks)
-    assert len(policy.calls) == 1
-    assert len(policy.calls[0]) == 3
-    assert all(isinstance(task, Task) for task in policy.calls[0])
-
-
-@pytest.mark.parametrize("kind", [TakesNothing, TakesSeed])
-def test_reset_without_tasks_is_called_without_arguments(kind):
-    policy = kind()
-    reset_policy(policy, "mine", lambda: pytest.fail("the tasks are not needed"))
-    assert policy.calls == [None]
-
-
-def test_policy_without_reset_is_accepted():
+        for reset in (lambda tasks: calls.append(tasks), other):
+            reset_policy(with_reset(reset), "mine", lambda: envs.unwrapped.tasks)
+    assert [len(tasks) for tasks in calls] == [3, 3]
+    assert all(isinstance(task, Task) for tasks in calls for task in tasks)
+    for reset in (lambda: calls.append(None), lambda seed=None: calls.append(seed)):
+        reset_policy(with_reset(reset), "mine", lambda: pytest.fail("the tasks are not needed"))
+    assert calls[2:] == [None, None]
     reset_policy(Constant(PLANAR), "mine", lambda: pytest.fail("the tasks are not needed"))
 
 
-@pytest.mark.parametrize("takes_tasks", [True, False])
-def test_raising_reset_gives_a_policy_error(takes_tasks):
-    def with_tasks(tasks):
+def test_raising_reset_gives_a_policy_error():
+    def reset(tasks):
         raise RuntimeError("no plan")
 
-    def without_tasks():
-        raise RuntimeError("no plan")
-
-    policy = Constant(PLANAR)
-    policy.reset = with_tasks if takes_tasks else without_tasks
-    with pytest.raises(PolicyError, match=r"policy 'mine' raised RuntimeError in reset\(\): no plan \(test_policies"):
-        reset_policy(policy, "mine", tuple)
+    with pytest.raises(PolicyError, match=r"policy 'mine': .*RuntimeError in reset\(\): no plan \(test_policies"):
+        reset_policy(with_reset(reset), "mine", tuple)

@@ -1,4 +1,4 @@
-"""Windows, on SDL's driver for no display at all."""
+"""Windows with SDL's dummy driver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def picture(colour):
     return surface
 
 
-def test_what_is_shown_is_on_the_screen(window):
+def test_window_shows_the_picture(window):
     for colour in ("#102030", "#D0A000"):
         window.show(picture(colour), 1000)
         assert pygame.display.get_surface().get_at((30, 20)) == pygame.Color(colour)
@@ -33,7 +33,7 @@ def test_what_is_shown_is_on_the_screen(window):
     assert pygame.display.get_caption()[0] == "a test"
 
 
-def test_keys_come_by_name_and_once(window):
+def test_pressed_keys_are_returned_once(window):
     window.show(picture("black"), 1000)
     for key in (pygame.K_SPACE, pygame.K_LEFT):
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
@@ -41,7 +41,7 @@ def test_keys_come_by_name_and_once(window):
     assert window.show(picture("black"), 1000) == []
 
 
-def test_window_that_the_user_closed_stays_closed(window):
+def test_closed_window_stays_closed(window):
     window.show(picture("black"), 1000)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     assert window.show(picture("black"), 1000) == []
@@ -51,7 +51,7 @@ def test_window_that_the_user_closed_stays_closed(window):
     assert not pygame.display.get_init()
 
 
-def test_without_a_display_the_error_says_what_to_do_instead(monkeypatch):
+def test_window_without_display_raises(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)

@@ -1,15 +1,18 @@
-"""What a page shows of an episode is the episode."""
+"""Episodes of the report page: compressed, in batches, and stored."""
 
 from __future__ import annotations
 
-import gymnasium as gym
+import base64
+import zlib
+
 import numpy as np
 import pytest
 
 from cablebot_gym.benchmark.cells import PolicyCell
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.kinematics import cable_lengths
-from cablebot_gym.policies import load_policy
-from cablebot_gym.report.replay import RATE, frame_times, platform_points, replays, unpack_channels
+from cablebot_gym.report.recording import record_all
+from cablebot_gym.report.replay import LEVELS, RATE, batch_key, platform_points, replays
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
@@ -18,69 +21,123 @@ PLANAR, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 
 def cell(env_id=SPATIAL_ID, policy="fl", **more):
     kind = "planar" if "Planar" in env_id else "spatial"
-    return PolicyCell(env_id=env_id, trajectory={"name": f"paper-{kind}"}, policy=policy, **more)
+    return PolicyCell(**({"env_id": env_id, "trajectory": {"name": f"paper-{kind}"}, "policy": policy} | more))
+
+
+def unpack_channels(replay):
+    """The channels of a replay as arrays (frames, components)."""
+    steps = np.frombuffer(zlib.decompress(base64.b64decode(replay.data)), "<i2").reshape(-1, replay.frames)
+    low, high = np.array(replay.low), np.array(replay.high)
+    values = low + np.cumsum(steps.astype(np.int64), axis=1).T / LEVELS * (high - low)
+    return dict(
+        zip(replay.channels, np.split(values, np.cumsum([*replay.channels.values()])[:-1], axis=1), strict=True)
+    )
 
 
 @pytest.fixture(scope="module")
-def four():
-    return replays(cell(), 4.0)
+def episodes():
+    """Two episodes of each cell, from one batch; the motions differ in length."""
+    loop = {"name": "loop-spatial", "seed": 10000}
+    cells = [cell(), cell(trajectory=loop), cell(payload_known=False), cell(uncertainty="table6", draws=3)]
+    return dict(zip(("known", "loop", "unknown", "drawn"), replays([(one, 4.0) for one in cells]), strict=True))
 
 
-def test_frames_are_not_those_of_another_episode(four):
-    env = gym.make(SPATIAL_ID, payload=4.0, max_episode_steps=-1)
-    observation, info = env.reset(seed=0)
-    policy, layout = load_policy("fl", SPATIAL), env.get_wrapper_attr("layout")
-    peaks, actions, poses = [], [], [layout.split(observation)["pose"].copy()]
-    for _ in range(500):
-        observation, _, _, _, info = env.step(policy.predict(observation)[0])
-        peaks.append(info["tracking_error_peak"])
-        actions.append(info["commanded_action"])
-        poses.append(layout.split(observation)["pose"].copy())
-    env.close()
-    seen, every = unpack_channels(four[0]), 500 // RATE
-    assert frame_times(four[0]) == pytest.approx(np.arange(101) / RATE)
-    assert seen["position"] == pytest.approx(np.array(poses)[::every, :3], abs=1e-5)
-    assert seen["position_error"][1:, 0] == pytest.approx(np.array(peaks).reshape(-1, every).max(1), abs=1e-6)
-    windows = np.array(actions).reshape(-1, every, 6)
-    assert np.abs(seen["action"][1:]) == pytest.approx(np.abs(windows).max(1), abs=1e-3)
+def test_frames_are_those_of_the_rollout(episodes):
+    rollout, every = record_rollout("fl", SPATIAL_ID, payload=4.0), 500 // RATE
+    frames = unpack_channels(episodes["known"][0])
+    assert (episodes["known"][0].frames, episodes["known"][0].end) == (101, pytest.approx(1.0))
+    positions = np.array([rollout.moment(index).pose[:3] for index in range(0, 501, every)])
+    assert frames["position"] == pytest.approx(positions, abs=1e-5)
+    peaks = rollout.arrays["tracking_error_peak"].reshape(-1, every).max(axis=1)
+    assert frames["position_error"][1:, 0] == pytest.approx(peaks, abs=1e-6)
+    actions = np.abs(rollout.arrays["commanded_action"].reshape(-1, every, 6)).max(axis=1)
+    assert np.abs(frames["action"][1:]) == pytest.approx(actions, abs=1e-3)
 
 
-def test_cables_do_not_end_beside_the_platform(four):
-    seen, (points, places) = unpack_channels(four[0]), platform_points(SPATIAL)
-    anchors = seen["anchors"].reshape(-1, len(points), 3)[:, places]
-    drawn = np.linalg.norm(anchors - SPATIAL.base, axis=-1)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("loop", {"trajectory": {"name": "loop-spatial", "seed": 10000}}),
+        ("unknown", {"payload_known": False}),
+        ("drawn", {"uncertainty": "table6"}),
+    ],
+)
+def test_batch_gives_each_cell_its_own_conditions(episodes, name, options):
+    seed = 0 if name != "drawn" else int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11
+    rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, seed=seed, **options)
+    replay = episodes[name][0]
+    assert (replay.carried, replay.payload) == (rollout.verdict.carried, rollout.payload)
+    assert replay.end == rollout.arrays["time"][-1]
+    assert unpack_channels(replay)["position"][-1] == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
+
+
+def test_drawn_cables_end_at_the_platform(episodes):
+    frames, (points, indices) = unpack_channels(episodes["known"][0]), platform_points(SPATIAL)
+    anchors = frames["anchors"].reshape(-1, len(points), 3)[:, indices]
     start = find_trajectory("paper-spatial", 6)(np.zeros(1)).position[0]
-    assert drawn[0] == pytest.approx(cable_lengths(SPATIAL.base, SPATIAL.platform, start), abs=1e-4)
-    across = [np.linalg.norm(anchors[:, one] - anchors[:, other], axis=-1) for one, other in ((0, 2), (1, 4))]
-    for distances in across:  # a rigid body
-        assert np.ptp(distances) < 1e-4
+    lengths = cable_lengths(SPATIAL.base, SPATIAL.platform, start)
+    assert np.linalg.norm(anchors[0] - SPATIAL.base, axis=-1) == pytest.approx(lengths, abs=1e-4)
+    assert np.ptp(np.linalg.norm(anchors[:, 0] - anchors[:, 2], axis=-1)) < 1e-4  # a rigid body
 
 
-def test_second_episode_shows_the_limiting_violation(four):
-    carried, beyond = four
-    assert (carried.payload, carried.carried, carried.violation) == (4.0, True, "")
-    assert beyond.payload == pytest.approx(4.2)
-    assert not beyond.carried
-    assert beyond.violation.startswith("rotation")
+def test_second_episode_states_how_the_margin_shrinks(episodes):
+    carried, beyond = episodes["known"]
+    assert (carried.payload, carried.carried, carried.violation, carried.violation_time) == (4.0, True, "", None)
+    assert (beyond.payload, beyond.carried) == (pytest.approx(4.2), False)
+    rollout = record_rollout("fl", SPATIAL_ID, payload=4.2)
+    time, error = rollout.verdict.violation.time, rollout.arrays["rotation_error_peak"]
+    steps = [round((time - before) * 500) - 1 for before in (0.1, 0.05, 0.02)]
+    percent = ", ".join(f"{value:.0f}" for value in 100 * error[steps] / 0.01)
+    assert beyond.violation_time == pytest.approx(time)
+    expected = f"rotation error reaches its bound of 10 mrad at t = {time:.3f} s. "
+    assert beyond.violation == f"{expected}The error is {percent} % of its bound, 100, 50, 20 ms before."
 
 
-def test_payload_that_is_told_wrong_is_not_the_one_on_the_platform():
-    one = replays(cell(policy="adaptive", model_payload_factor=1.1), 2.0)[0]
-    assert one.payload == pytest.approx(2.0)
-
-
-def test_nothing_carried_is_shown_empty_and_once():
-    (only,) = replays(cell(PLANAR), None)
+def test_cell_without_dlcc_has_one_unloaded_episode():
+    ((only,),) = replays([(cell(PLANAR), None)])
     assert (only.payload, only.radius) == (0.0, 0.0)
 
 
-def test_springs_of_a_map_are_not_forgotten():
-    stiff = replays(cell("CableBot-FlexPlanar-v0", "motor-pd", stiffness=100.0), 1.0)[0]
-    soft = replays(cell("CableBot-FlexPlanar-v0", "motor-pd", stiffness=1.0), 1.0)[0]
-    assert unpack_channels(stiff)["position_error"].max() < 0.5 * unpack_channels(soft)["position_error"].max()
+def test_robot_of_a_cell_reaches_the_environment():
+    def largest_error(stiffness):
+        changed = cell("CableBot-FlexPlanar-v0", "motor-pd", robot_changes={"transmission": {"stiffness": stiffness}})
+        return unpack_channels(replays([(changed, 1.0)])[0][0])["position_error"].max()
+
+    assert largest_error(100.0) < 0.5 * largest_error(1.0)
 
 
-def test_channels_without_motion_are_not_a_division_by_zero():
-    still = PolicyCell(env_id=PLANAR, trajectory={"name": "dwell-planar", "duration": 0.1}, policy="fl")
-    seen = unpack_channels(replays(still, 0.0)[0])
-    assert all(np.isfinite(values).all() for values in seen.values())
+def test_constant_channels_are_finite():
+    still = cell(PLANAR, trajectory={"name": "dwell-planar", "duration": 0.1})
+    assert all(np.isfinite(values).all() for values in unpack_channels(replays([(still, 0.0)])[0][0]).values())
+
+
+def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch):
+    still = {"name": "dwell-planar", "duration": 0.1}
+    cells = [cell(PLANAR, trajectory=still), cell(PLANAR, trajectory=still, payload_known=False)]
+    assert batch_key(cells[0]) == batch_key(cells[1])
+    wrong = cell(PLANAR, "nobody", trajectory=still)
+    queries = {str(index): (one, 1.0) for index, one in enumerate([*cells, wrong])}
+    first = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
+    assert first["2"].startswith("No episode: unknown policy 'nobody'")
+    assert len(list(tmp_path.iterdir())) == 2
+    broken = min(tmp_path.iterdir())
+    broken.write_text("{", encoding="utf-8")
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == first
+    monkeypatch.setattr("cablebot_gym.report.recording.replays", None)
+    del queries["2"]
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {key: first[key] for key in queries}
+
+
+def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
+    """All cells of a policy run in one batch."""
+    source = "def make(robot):\n    return lambda observation: 1 / (abs(observation[0]) < 9) * 0 * observation[:3]\n"
+    (tmp_path / "fragile.py").write_text(source.replace("observation[0]", "observation[-1]"), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    still = {"name": "dwell-planar", "duration": 0.1}
+    queries = {
+        "good": (cell(PLANAR, "fragile:make", trajectory=still), 1.0),
+        "bad": (cell(PLANAR, "fragile:make", trajectory=still, uncertainty="nothing"), 1.0),
+    }
+    found = dict(record_all(queries, tmp_path / "episodes", workers=1, say=pytest.fail))
+    assert found["bad"].startswith("No episode: unknown uncertainty 'nothing'")
+    assert found["good"][0].frames == 11

@@ -1,4 +1,4 @@
-"""Computations in processes: what comes back, what is tried again, and what is left behind."""
+"""Computations in worker processes: results, errors, lost processes and interrupts."""
 
 from __future__ import annotations
 
@@ -14,27 +14,23 @@ from pathlib import Path
 import pytest
 
 from cablebot_gym.policies.protocol import BatchItemError
-from cablebot_gym.utils.workers import WorkerDied, check_workers, cores, run
+from cablebot_gym.utils.workers import WorkerDied, check_workers, cores, leaders_first, run
 
 
-def square(number, env_id=None):
-    return number**2
-
-
-def says(number):
+def square(number):
     logging.getLogger("cablebot_gym").warning("compiling %s", "once")
-    return number
+    return number**2
 
 
 def raises(error):
     raise error
 
 
-def raises_what_cannot_be_unpickled():
+def raises_unpicklable():
     raise BatchItemError(3, "a lost lane")
 
 
-def returns_a_lambda():
+def returns_unpicklable():
     return lambda: None
 
 
@@ -57,84 +53,60 @@ def waits_for(marker):
     return Path(marker).exists()
 
 
-def done(tasks, *, workers=2, say=print, **keywords):
-    return dict(run(tasks, workers=workers, kind=lambda task: task.func, say=say, **keywords))
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_no_computation_is_left_out_or_mistaken_for_another(workers):
-    tasks = {f"{number} squared": partial(square, number) for number in range(7)}
-    assert done(tasks, workers=workers) == {f"{number} squared": number**2 for number in range(7)}
-    assert done({}, workers=workers) == {}
-
-
-def test_message_of_two_workers_is_not_said_twice():
-    said = []
-    done({str(number): partial(says, number) for number in range(4)}, say=said.append)
-    assert said == ["compiling once"]
+def started(tasks, *, workers=2, say=print, **keywords):
+    return run(tasks, workers=workers, kind=lambda task: task.func, say=say, **keywords)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_error_is_not_taken_for_a_result_unless_it_is_asked_for(workers):
-    tasks = {"bad": partial(raises, KeyError("lost")), "good": partial(square, 2)}
-    with pytest.raises(KeyError, match="lost"):
-        done(tasks, workers=workers)
-    found = done(tasks, workers=workers, returned=(KeyError,))
-    assert isinstance(found["bad"], KeyError)
+def test_results_belong_to_their_keys_and_messages_appear_once(workers):
+    said = []
+    tasks = {f"{number} squared": partial(square, number) for number in range(7)}
+    assert dict(started(tasks, workers=workers, say=said.append)) == {
+        f"{number} squared": number**2 for number in range(7)
+    }
+    assert said == (["compiling once"] if workers > 1 else [])
+    assert dict(started({}, workers=workers)) == {}
+
+
+@pytest.mark.parametrize(("workers", "error"), [(1, KeyError("lost")), (2, EOFError("lost"))])
+def test_exceptions_are_raised_or_returned(workers, error):
+    tasks = {"bad": partial(raises, error), "good": partial(square, 2)}
+    with pytest.raises(type(error), match="lost") as caught:
+        dict(started(tasks, workers=workers))
+    assert workers == 1 or "in raises" in caught.value.__notes__[0]
+    found = dict(started(tasks, workers=workers, returned=(type(error),)))
+    assert isinstance(found["bad"], type(error))
     assert found["good"] == 4
 
 
-def test_error_of_a_worker_does_not_lack_its_traceback():
-    with pytest.raises(KeyError) as caught:
-        done({"bad": partial(raises, KeyError("lost"))})
-    assert "in raises" in caught.value.__notes__[0]
-
-
-@pytest.mark.parametrize("function", [raises_what_cannot_be_unpickled, returns_a_lambda])
-def test_what_cannot_be_sent_does_not_hang(function):
+@pytest.mark.parametrize("function", [raises_unpicklable, returns_unpicklable])
+def test_unpicklable_outcome_raises(function):
     with pytest.raises(Exception, match=r"a lost lane|lambda"):
-        list(run({"a": partial(function), "b": partial(function)}, workers=2, kind=id, say=print))
+        list(started({"a": partial(function), "b": partial(function)}))
 
 
-def test_end_of_a_file_in_a_computation_is_not_taken_for_the_end_of_the_worker():
-    found = done({"bad": partial(raises, EOFError("short")), "good": partial(square, 3)}, returned=(EOFError,))
-    assert str(found["bad"]) == "short"
-    assert found["good"] == 9
-
-
-def test_computation_is_not_lost_with_its_process(tmp_path):
+def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     tasks = {str(number): partial(square, number) for number in range(5)}
-    found = done({"killed": partial(dies, tmp_path / "marker"), **tasks})
+    tasks |= {"killed": partial(dies, tmp_path / "marker"), "deadly": partial(dies)}
+    found = dict(started(tasks, returned=(WorkerDied,)))
+    assert "died 2 times" in str(found["deadly"])
+    assert "-9" in str(found.pop("deadly"))
     assert found == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
-
-
-def test_computation_that_kills_every_process_is_not_tried_for_ever_and_does_not_stop_the_others():
-    tasks = {str(number): partial(square, number) for number in range(5)}
-    found = done({"deadly": partial(dies), **tasks}, returned=(WorkerDied,))
-    assert "died 2 times" in str(found.pop("deadly"))
-    assert "-9" in str(done({"deadly": partial(dies)}, returned=(WorkerDied,))["deadly"])
-    assert found == {str(number): number**2 for number in range(5)}
     with pytest.raises(WorkerDied):
-        done({"deadly": partial(dies), **tasks})
+        dict(started({"deadly": partial(dies), "good": partial(square, 2)}))
 
 
-def test_no_worker_is_idle_while_a_result_is_looked_at(tmp_path):
+def test_workers_continue_while_the_caller_uses_a_result(tmp_path):
     tasks = {"first": partial(square, 1), "second": partial(waits_for, tmp_path / "go")}
-    tasks["third"] = partial(touches, tmp_path / "third")
-    results = run(tasks, workers=2, kind=lambda task: task, say=print)
+    results = started(tasks | {"third": partial(touches, tmp_path / "third")})
     assert next(results)[0] == "first"
     assert waits_for(tmp_path / "third")
     (tmp_path / "go").touch()
     assert dict(results)["second"]
 
 
-def test_no_process_is_left_behind_by_an_interrupt(tmp_path):
-    results = run(
-        {"quick": partial(square, 1), "slow": partial(waits_for, tmp_path / "never")},
-        workers=2,
-        kind=lambda task: task.func,
-        say=print,
-    )
+def test_interrupt_ends_all_processes(tmp_path):
+    results = started({"quick": partial(square, 1), "slow": partial(waits_for, tmp_path / "never")})
     assert next(results) == ("quick", 1)
     assert len(multiprocessing.active_children()) == 2
     with pytest.raises(KeyboardInterrupt):
@@ -142,16 +114,16 @@ def test_no_process_is_left_behind_by_an_interrupt(tmp_path):
     assert multiprocessing.active_children() == []
 
 
-def test_interrupt_does_not_cut_the_start_of_a_process_off_when_another_thread_gets_it(monkeypatch):
-    """Whatever thread gets it, Python raises it in the main one: between a process and what it is told to do."""
-    go, gone, started = threading.Event(), threading.Event(), []
+def test_interrupt_of_another_thread_is_deferred_while_a_process_starts(monkeypatch):
+    """Python raises it in the main thread, which would lose the process between its start and its registration."""
+    go, gone, processes = threading.Event(), threading.Event(), []
 
     def interrupt():
         go.wait()
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         gone.set()
 
-    thread = threading.Thread(target=interrupt)  # begun before any interrupt is held: threads inherit what is blocked
+    thread = threading.Thread(target=interrupt)  # started before interrupts are blocked, which threads inherit
     thread.start()
     start = multiprocessing.context.SpawnProcess.start
 
@@ -159,18 +131,24 @@ def test_interrupt_does_not_cut_the_start_of_a_process_off_when_another_thread_g
         go.set()
         gone.wait()
         start(process)
-        started.append(process)
+        processes.append(process)
 
     monkeypatch.setattr(multiprocessing.context.SpawnProcess, "start", slow_start)
     with pytest.raises(KeyboardInterrupt):
-        done({"a": partial(square, 1), "b": partial(square, 2)})
+        dict(started({"a": partial(square, 1), "b": partial(square, 2)}))
     thread.join()
-    assert len(started) == 1
+    assert len(processes) == 1
     assert multiprocessing.active_children() == []
 
 
-def test_number_of_workers_that_is_none_is_refused():
+def test_one_computation_of_each_kind_starts_first():
+    tasks = {f"{kind}{number}": partial(square, number) for kind in "ab" for number in range(3)}
+    kinds = {id(task): key[0] for key, task in tasks.items()}
+    assert leaders_first(tasks, lambda task: kinds[id(task)]) == ["a0", "b0", "a1", "a2", "b1", "b2"]
+
+
+def test_number_of_workers_is_positive():
     assert check_workers(None) == cores() >= 1
     assert check_workers(3) == 3
-    with pytest.raises(ValueError, match="workers must be at least 1, not 0"):
+    with pytest.raises(ValueError, match="workers must be"):
         check_workers(0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +18,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import STANDARD_GRAVITY, Robot
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import number
 
 ADAPTIVE_GAINS = {"planar": (2000.0, 90.0), "spatial": (400.0, 40.0)}
 """(K_P, K_D) of ``adaptive`` [1/s², 1/s], critically damped.
@@ -79,10 +79,9 @@ class Adaptive(ClassicalLaw):
     """
 
     def __init__(self, law: ClassicalLaw, *, estimator_prior_weight: float = 0.01, allocation: bool = True) -> None:
-        if not 0 < estimator_prior_weight < math.inf:
-            raise ValueError(f"estimator_prior_weight must be a time greater than 0 s, not {estimator_prior_weight}")
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
-        self.law, self._prior_weight = law, estimator_prior_weight * STANDARD_GRAVITY**2
+        weight = number("estimator_prior_weight", estimator_prior_weight, above=0.0, unit="s")
+        self.law, self._prior_weight = law, weight * STANDARD_GRAVITY**2
         self._allocates = allocation and law.robot.cables == law.robot.coordinates
         self.unsaturated_actions = law.unsaturated_actions and not self._allocates
 
@@ -165,25 +164,21 @@ class Adaptive(ClassicalLaw):
         change = (now.velocity - before.velocity)[..., :3]
         if not robot.planar:
             change[..., 2] -= robot.gravity * h[..., 0]
-        weighted_impulse, weighted_change = (
-            np.sum(weight * value, axis=-1, keepdims=True) for value in (impulse, change)
-        )
-        return weighted_impulse, weighted_change
+        return np.sum(weight * impulse, axis=-1, keepdims=True), np.sum(weight * change, axis=-1, keepdims=True)
 
 
-def _adaptive(robot: Robot) -> Adaptive:
+def make_adaptive(robot: Robot) -> Adaptive:
+    """Makes the policy ``adaptive`` or, for a flexible robot, ``adaptive-composite``."""
+    if robot.flexible:
+        return Adaptive(composite_tuned(robot))
     return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
-
-
-def _adaptive_composite(robot: Robot) -> Adaptive:
-    return Adaptive(composite_tuned(robot))
 
 
 ADAPTIVE = PolicyEntry(
     name="adaptive",
     kind="classical",
     env_ids=RIGID_ENV_IDS,
-    factory=_adaptive,
+    factory=make_adaptive,
     summary="feedback linearization that estimates the payload and allocates torque",
 )
 
@@ -191,6 +186,6 @@ ADAPTIVE_COMPOSITE = PolicyEntry(
     name="adaptive-composite",
     kind="classical",
     env_ids=FLEXIBLE_ENV_IDS,
-    factory=_adaptive_composite,
+    factory=make_adaptive,
     summary="composite-tuned that estimates the payload and allocates torque",
 )

@@ -6,12 +6,9 @@ leaves its direction of motion. Allocation adjusts all motors together.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from cablebot_gym.kinematics import Array
 
 _JOINT_ITERATIONS, _MAX_ITERATIONS = 6, 1000
 """Iterations that change all wrong constraints at once, which nearly always suffices, and maximum number of iterations.

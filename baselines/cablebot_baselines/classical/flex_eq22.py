@@ -16,6 +16,7 @@ from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
+from cablebot_gym.utils.checks import choice
 
 MotorAcceleration = Literal["commanded", "measured"]
 
@@ -52,9 +53,7 @@ class PaperFlexible(FlexibleLaw):
         gains: tuple[float, float] | None = None,
         minimum_tension: float = MINIMUM_TENSION,
     ) -> None:
-        if motor_acceleration not in get_args(MotorAcceleration):
-            choices = " or ".join(get_args(MotorAcceleration))
-            raise ValueError(f"motor_acceleration must be {choices}, not {motor_acceleration!r}")
+        choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))
         super().__init__(_undamped(robot) if as_printed else robot, minimum_tension=minimum_tension)
         self.motor_acceleration = motor_acceleration
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,25 +19,15 @@ from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.trajectories import Reference
+from cablebot_gym.utils.checks import number
 
 DIFFERENCE_STEP = 2e-4
 """Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below 1e-6."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class Motion(Reference):
     """Pose and its first four time derivatives at one instant; each array is (..., n)."""
-
-    position: Array
-    """X [m, rad]."""
-    velocity: Array
-    """First derivative, Ẋ [m/s, rad/s]."""
-    acceleration: Array
-    """Second derivative, Ẍ [m/s², rad/s²]."""
-    jerk: Array
-    """Third derivative [m/s³, rad/s³]."""
-    snap: Array
-    """Fourth derivative [m/s⁴, rad/s⁴]."""
 
     def after(self, time: float) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration after ``time`` [s], by Taylor series."""
@@ -131,9 +120,8 @@ class Composite(FlexibleLaw):
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         self.outer: PD | RobustPD = PD(gains=checked_gains(gains, robot))
-        if not 0 <= spring_damping < math.inf:
-            raise ValueError(f"spring_damping must be at least 0, not {spring_damping}")
-        self._max_damping = self._damping = spring_damping * np.sqrt(robot.stiffness * robot.motor_inertia)
+        factor = number("spring_damping", spring_damping, least=0.0)
+        self._max_damping = self._damping = factor * np.sqrt(robot.stiffness * robot.motor_inertia)
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Checks the robots of the tasks and adapts the damping to the control period.
@@ -185,12 +173,9 @@ class MotorPD(FlexibleLaw):
         minimum_tension: float = MINIMUM_TENSION,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        if not (0 < frequency < math.inf and 0 < damping_ratio < math.inf):
-            raise ValueError(
-                f"frequency and damping_ratio must be finite and greater than 0, not {frequency} and {damping_ratio}"
-            )
+        frequency = number("frequency", frequency, above=0.0, unit="rad/s")
         self._stiffness = robot.motor_inertia * frequency**2
-        self._damping = 2 * damping_ratio * robot.motor_inertia * frequency
+        self._damping = 2 * number("damping_ratio", damping_ratio, above=0.0) * robot.motor_inertia * frequency
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         robot, names = self.robot, ("pose", "velocity", "acceleration", "jerk", "snap")

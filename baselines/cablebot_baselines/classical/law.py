@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +13,7 @@ from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics, normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import number
 
 Array = NDArray[Any]
 
@@ -34,9 +34,7 @@ class ClassicalLaw:
     unsaturated_actions = True
 
     def __init__(self, robot: Robot, *, minimum_tension: float = MINIMUM_TENSION) -> None:
-        if not 0 <= minimum_tension < math.inf:
-            raise ValueError(f"minimum_tension must be at least 0 N, not {minimum_tension}")
-        self.robot, self.minimum_tension = robot, minimum_tension
+        self.robot, self.minimum_tension = robot, number("minimum_tension", minimum_tension, least=0.0, unit="N")
         self._layout = observation_layout(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -45,11 +43,14 @@ class ClassicalLaw:
         Raises:
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
+        own = self.robot
+        home = ["home"] if own.flexible else []  # the zero of the motor angles
+        names = ["flexible", "base", "platform", *home]
         for robot in {task.robot for task in tasks}:
-            if difference := _difference(self.robot, robot):
+            if not all(np.array_equal(getattr(robot, name), getattr(own, name)) for name in names):
                 raise ValueError(
-                    f"{type(self).__name__} was built for robot {self.robot.name!r}, but the task's robot "
-                    f"{robot.name!r} has {difference}. Build the law from the task's robot."
+                    f"{type(self).__name__} was built for robot {own.name!r}, but the task's robot {robot.name!r} "
+                    "differs in kind or anchors. Build the law from the task's robot."
                 )
 
     def predict(
@@ -142,16 +143,3 @@ def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArr
     elif start.shape != shape:
         raise ValueError(f"episode_start must be one boolean or have shape {shape}, not shape {start.shape}")
     return np.broadcast_to(start if state is not None else np.True_, shape)
-
-
-def _difference(robot: Robot, other: Robot) -> str | None:
-    """Property of ``other`` that a law for ``robot`` does not support, or None."""
-    if other.flexible != robot.flexible:
-        return "joint springs" if other.flexible else "no joint springs"
-    if other.cables != robot.cables or other.planar != robot.planar:
-        return f"{other.cables} cables {'in the plane' if other.planar else 'in space'}"
-    if not (np.array_equal(other.base, robot.base) and np.array_equal(other.platform, robot.platform)):
-        return "other anchors"
-    if robot.flexible and not np.array_equal(other.home, robot.home):
-        return "another home pose, which is the zero of its motor angles"
-    return None

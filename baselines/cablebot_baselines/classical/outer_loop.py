@@ -5,18 +5,16 @@ Errors are e = z_d − z, reference minus state.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_continuous_lyapunov
+from numpy.typing import ArrayLike
 
+from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
-
-Array = NDArray[Any]
+from cablebot_gym.utils.checks import number, numbers
 
 PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 """(K_P, K_D) of Tables 2 and 4 [1/s², 1/s]."""
@@ -30,10 +28,8 @@ def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[floa
     """
     if gains is None:
         return PAPER_GAINS["planar" if robot.planar else "spatial"]
-    checked = np.asarray(gains)
-    if checked.shape != (2,) or checked.dtype.kind not in "iuf" or not np.all((checked > 0) & (checked < np.inf)):
-        raise ValueError(f"gains must be two positive numbers (K_P, K_D), not {gains!r}")
-    return float(checked[0]), float(checked[1])
+    stiffness, damping = numbers("gains", gains, shapes=[(2,)], form="two numbers (K_P, K_D)", above=0.0).tolist()
+    return stiffness, damping
 
 
 class OuterLoop(Protocol):
@@ -93,13 +89,9 @@ class RobustPD:
     def __post_init__(self) -> None:
         if not self.boundary_layer > 0:
             raise ValueError(f"boundary_layer must be greater than 0, not {self.boundary_layer}")
-        if not 0 <= self.zeta < 1:
-            raise ValueError(f"zeta must be at least 0 and below 1, not {self.zeta}")
-        if not 0 <= self.phi < math.inf:
-            raise ValueError(f"phi must be a finite acceleration of at least 0, not {self.phi}")
-        q = np.asarray(self.q)
-        if q.dtype.kind not in "iuf" or q.shape not in ((), (2, 2)) or not np.all(np.isfinite(q)):
-            raise ValueError(f"q must be a positive number or a 2×2 matrix, not {self.q!r}")
+        number("zeta", self.zeta, least=0.0, below=1.0)
+        number("phi", self.phi, least=0.0)
+        numbers("q", self.q, shapes=[(), (2, 2)], form="a positive number or a 2×2 matrix")
         if not np.array_equal(self.weight, self.weight.T) or np.linalg.eigvalsh(self.weight)[0] <= 0:
             raise ValueError(f"q must be symmetric and positive definite, not {self.q!r}")
 
@@ -117,6 +109,8 @@ class RobustPD:
     @cached_property
     def lyapunov(self) -> Array:
         """P of one coordinate (Eq. 35), shape (2, 2), positive definite."""
+        from scipy.linalg import solve_continuous_lyapunov  # slow to import
+
         solution: Array = solve_continuous_lyapunov(self.system.T, -self.weight)
         return solution
 

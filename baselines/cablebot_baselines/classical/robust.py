@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
+from typing import Any
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import SPATIAL_ENV_IDS, Composite
@@ -19,13 +19,9 @@ class Robust(FeedbackLinearization):
     Args:
         robot: nominal robot.
         gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
-        boundary_layer: ε, bound of ‖BᵀPe‖ in the boundary layer; > 0. The accuracy depends on it. The paper gives no
-            value.
-        zeta: ζ, bound of the relative error of the inertia; 0 ≤ ζ < 1. The paper gives no values for ζ and φ; the
-            defaults are our choice.
-        phi: φ, bound of the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥ 0.
-        q: Q of the Lyapunov equation, a positive number or a symmetric positive definite 2×2 matrix.
         minimum_tension: T_min of a planar robot [N].
+        robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop. The accuracy depends on the
+            boundary layer. The paper gives no values; the defaults are our choice.
 
     Raises:
         ValueError: if an argument is out of its range.
@@ -36,14 +32,11 @@ class Robust(FeedbackLinearization):
         robot: Robot,
         *,
         gains: tuple[float, float] | None = None,
-        boundary_layer: float = RobustPD.boundary_layer,
-        zeta: float = RobustPD.zeta,
-        phi: float = RobustPD.phi,
-        q: ArrayLike = RobustPD.q,
         minimum_tension: float = MINIMUM_TENSION,
+        **robustness: Any,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        self.outer = RobustPD(gains=checked_gains(gains, robot), boundary_layer=boundary_layer, zeta=zeta, phi=phi, q=q)
+        self.outer = RobustPD(gains=checked_gains(gains, robot), **robustness)
 
 
 class RobustComposite(Composite):
@@ -52,12 +45,9 @@ class RobustComposite(Composite):
     Args:
         robot: nominal robot.
         gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
-        boundary_layer: ε, bound of ‖BᵀPe‖ in the boundary layer; > 0.
-        zeta: ζ, bound of the relative error of the inertia; 0 ≤ ζ < 1.
-        phi: φ, bound of the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥ 0.
-        q: Q of the Lyapunov equation, a positive number or a symmetric positive definite 2×2 matrix.
         spring_damping: largest K_v in units of √(K J′); ≥ 0.
         minimum_tension: T_min of a planar robot [N].
+        robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop.
 
     Raises:
         ValueError: if an argument is out of its range.
@@ -68,15 +58,12 @@ class RobustComposite(Composite):
         robot: Robot,
         *,
         gains: tuple[float, float] | None = None,
-        boundary_layer: float = RobustPD.boundary_layer,
-        zeta: float = RobustPD.zeta,
-        phi: float = RobustPD.phi,
-        q: ArrayLike = RobustPD.q,
         spring_damping: float = 1.0,
         minimum_tension: float = MINIMUM_TENSION,
+        **robustness: Any,
     ) -> None:
         super().__init__(robot, spring_damping=spring_damping, minimum_tension=minimum_tension)
-        self.outer = RobustPD(gains=checked_gains(gains, robot), boundary_layer=boundary_layer, zeta=zeta, phi=phi, q=q)
+        self.outer = RobustPD(gains=checked_gains(gains, robot), **robustness)
 
 
 def _tuned(robot: Robot) -> Robust:

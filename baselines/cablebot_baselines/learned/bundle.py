@@ -6,7 +6,6 @@ import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from cablebot_baselines.learned.steering import (
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.files import atomic_write
 
 FORMAT = 1
@@ -57,17 +57,10 @@ class Bundle:
 
     def __post_init__(self) -> None:
         steering = self.steering(_trained_on(self.env_id))
-        if self.network.inputs != steering.inputs:
-            raise ValueError(f"the network has {self.network.inputs} inputs, but its features have {steering.inputs}")
-        if self.network.outputs != steering.actions:
-            outputs = f"the network has {self.network.outputs} outputs"
-            raise ValueError(f"{outputs}, but an action on {self.env_id} has {steering.actions}")
-        if not isinstance(self.card, Mapping):
-            raise ValueError(f"the card must be a dict, not {self.card!r}")
-        try:
-            json.dumps(dict(self.card))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"the card must be JSON-able: {error}") from error
+        object.__setattr__(self, "features", steering.features)
+        sizes, needed = (self.network.inputs, self.network.outputs), (steering.inputs, steering.actions)
+        if sizes != needed:
+            raise ValueError(f"the network has inputs and outputs {sizes}, but features and actions have {needed}")
 
     def steering(self, robot: Robot) -> Steering:
         """The steered base law for a nominal robot.
@@ -75,7 +68,7 @@ class Bundle:
         Raises:
             ValueError: if the robot's observation differs from the one that the policy was trained on.
         """
-        check_layout(self.env_id, _trained_on(self.env_id), robot)
+        _compare(self.env_id, _layout(_trained_on(self.env_id)), f"robot {robot.name!r}", _layout(robot))
         return Steering(robot, base=self.base, action_mapping=self.action_mapping, features=self.features)
 
     def save(self, path: Path) -> None:
@@ -93,12 +86,11 @@ class Bundle:
             "features": list(self.features),
             "card": dict(self.card),
         }
-        buffer = BytesIO()
         arrays: dict[str, Any] = {_MEMBER: np.array(json.dumps(data, ensure_ascii=False)), **self.network.to_arrays()}
-        np.savez_compressed(buffer, **arrays)
 
         def write(temporary: Path) -> None:
-            temporary.write_bytes(buffer.getvalue())
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, **arrays)
 
         atomic_write(path, write)
 
@@ -116,17 +108,18 @@ class Bundle:
             data, arrays = _read(path)
             env_id = data["env_id"]
             _compare(env_id, data["observation"], "its environment", _layout(_trained_on(env_id)))
-            features = data["features"]
             return cls(
                 env_id=env_id,
                 base=find_base(data["base"]),
                 action_mapping=find_action_mapping(data["steering"]),
-                features=tuple(features) if isinstance(features, list) else features,
+                features=data["features"],
                 network=Network.from_arrays(arrays),
                 card=data["card"],
             )
+        except KeyError as error:
+            raise ValueError(f"policy bundle {str(path)!r} cannot be used: {error} is missing") from error
         except Exception as error:  # damaged files raise errors of zipfile, its decompressors, numpy and json
-            raise ValueError(f"policy bundle {str(path)!r} cannot be used: {_reason(error)}") from error
+            raise ValueError(f"policy bundle {str(path)!r} cannot be used: {' '.join(str(error).split())}") from error
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -140,25 +133,10 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
             raise ValueError(f"its member {broken!r} is damaged")
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiubU":
-            raise ValueError(f"its member {name!r} is not an array of numbers or text")
     data = json.loads(str(arrays.pop(_MEMBER)))
-    if not isinstance(data, dict):
-        raise ValueError(f"its member {_MEMBER!r} is not a JSON object")
-    if not isinstance(data["format"], int) or data["format"] < 1:
-        raise ValueError(f"its format must be a whole number from 1 to {FORMAT}, not {data['format']!r}")
-    if data["format"] > FORMAT:
+    if whole("its format", data["format"], least=1) > FORMAT:
         raise ValueError(f"its format {data['format']} is newer than {FORMAT}: upgrade cablebot-gym")
     return data, arrays
-
-
-def _reason(error: Exception) -> str:
-    """The text of an error in one line."""
-    words = " ".join(str(error).split())
-    if isinstance(error, KeyError):
-        return f"{words} is missing"
-    return words if isinstance(error, ValueError) else f"it is damaged ({type(error).__name__}: {words})"
 
 
 def is_bundle(path: Path) -> bool:
@@ -170,18 +148,7 @@ def is_bundle(path: Path) -> bool:
         return False
 
 
-def check_layout(env_id: str, trained: Robot, robot: Robot) -> None:
-    """Checks that a robot has the same observation layout as the robot of the training.
-
-    Raises:
-        ValueError: if the layouts differ; the message names both.
-    """
-    _compare(env_id, _layout(trained), f"robot {robot.name!r}", _layout(robot))
-
-
 def _trained_on(env_id: str) -> Robot:
-    if not isinstance(env_id, str):
-        raise ValueError(f"env_id must be the id of an environment, not {env_id!r}")
     return find_robot(env_robot(env_id))
 
 
@@ -192,10 +159,7 @@ def _layout(robot: Robot) -> list[list[Any]]:
 def _compare(env_id: str, read: Any, other: str, present: list[list[Any]]) -> None:
     if read == present:
         return
-    if not isinstance(read, list) or not all(isinstance(block, list) and len(block) == 2 for block in read):
-        raise ValueError(f"its observation must be a list of pairs [name, size], not {read!r}")
-    texts = [", ".join(f"{name} {size}" for name, size in layout) for layout in (read, present)]
     raise ValueError(
-        f"the policy was trained on {env_id} with observation ({texts[0]}), but {other} has ({texts[1]}): "
-        "evaluate it on the environment that it was trained on"
+        f"the policy was trained on {env_id} with observation {read}, but {other} has {present}: evaluate it on the "
+        "environment that it was trained on"
     )

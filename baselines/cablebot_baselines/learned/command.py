@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.utils.console import counting, notes_console
-from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.checks import choice
+from cablebot_gym.utils.console import notes_console, progress
 
 
 def train(
@@ -29,7 +29,7 @@ def train(
         typer.Option(help="Number of actions over all environments. Default: n_timesteps of the configuration."),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Resume the run in --out with the settings it was started with.")
+        bool, typer.Option("--resume", help="Continue the run in --out from its checkpoint, with its settings.")
     ] = False,
     eval_every: Annotated[
         int | None, typer.Option(help="Timesteps between two evaluations. Default: 1/20 of all timesteps.")
@@ -48,8 +48,8 @@ def train(
 ) -> None:
     """Train a learned policy and write the one with the largest DLCC to best.zip.
 
-    The same seed on the same machine gives the same policy. Ctrl-C writes a checkpoint; --resume continues from the
-    checkpoint and gives the same policy as an uninterrupted run.
+    The same seed on the same machine gives the same policy. Ctrl-C writes a checkpoint and stops. --resume continues
+    from the last checkpoint with new episodes, so that the result is not exactly that of an uninterrupted run.
 
     Examples:
 
@@ -61,47 +61,30 @@ def train(
     """
     from cablebot_baselines.learned import gradient_run, training
     from cablebot_baselines.learned.config import ALGORITHMS
-    from cablebot_baselines.learned.runs import Interrupted
+    from cablebot_baselines.learned.runs import Interrupted, TrainingResult
 
-    if algo not in (None, *ALGORITHMS, gradient_run.ALGORITHM):
-        raise unknown_name_error("algorithm", algo, (*ALGORITHMS, gradient_run.ALGORITHM))
-    console = notes_console()
-    with counting(console, "timesteps") as bar:
-        task = bar.add_task("starting", total=1)
-
-        def step(text: str, done: int, total: int) -> None:
-            bar.update(task, description=text, completed=done, total=total)
-
+    if algo is None:
+        algo = TrainingResult.load(out).settings["algorithm"] if resume else "ppo"
+    choice("algorithm", algo, (*ALGORITHMS, gradient_run.ALGORITHM))
+    try:
+        conditions = None if evaluation is None else dict(json.loads(evaluation))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'--evaluation must be a JSON object, {{"keyword": value}}: {error}') from error
+    with progress("training", "timesteps") as step:
         common: dict[str, Any] = {"out": out, "config": config, "seed": seed, "resume": resume, "threads": threads}
-        options: dict[str, Any] = {
-            "timesteps": timesteps,
-            "eval_every": eval_every,
-            "checkpoint_every": checkpoint_every,
-            "evaluation": _mapping(evaluation),
-        }
+        common |= {"progress": step, "say": notes_console().print}
+        options: dict[str, Any] = {"timesteps": timesteps, "evaluation": conditions}
+        options |= {"eval_every": eval_every, "checkpoint_every": checkpoint_every}
         try:
             if algo == gradient_run.ALGORITHM:
                 if given := [name for name, value in options.items() if value is not None]:
                     option = f"--{given[0].replace('_', '-')}"
                     raise ValueError(f"{option} is for ppo, sac and tqc: for gradient, set it in the --config file")
-                result = gradient_run.train_gradient(env_id, progress=step, **common)
+                result = gradient_run.train_gradient(env_id, **common)
             else:
-                result = training.train(env_id, algorithm=algo, progress=step, say=console.print, **common, **options)
+                result = training.train(env_id, algorithm=algo, **common, **options)
         except Interrupted as stop:
-            words = ["cablebot", "train", env_id, *([] if algo is None else ["--algo", algo]), "--out", str(out)]
-            console.print(f"stopped after {stop.timesteps} timesteps; to resume: {shlex.join([*words, '--resume'])}")
+            again = shlex.join(["cablebot", "train", env_id, "--out", str(out), "--resume"])
+            notes_console().print(f"stopped after {stop.timesteps} timesteps; to resume: {again}")
             raise
-    if as_json:
-        print(json.dumps(result.to_dict(), indent=2))
-        return
-    print(result)
-
-
-def _mapping(text: str | None) -> dict[str, Any] | None:
-    try:
-        data = None if text is None else json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"--evaluation is not valid JSON: {error}") from error
-    if data is not None and not isinstance(data, dict):
-        raise ValueError(f'--evaluation must be a JSON object, {{"keyword": value}}, not {text}')
-    return data
+    print(json.dumps(result.to_dict(), indent=2) if as_json else result)

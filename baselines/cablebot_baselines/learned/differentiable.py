@@ -12,12 +12,8 @@ from functools import partial
 from typing import Any, cast
 
 import numpy as np
-
-try:
-    import torch
-    from torch import Tensor
-except ImportError as error:
-    raise ImportError("gradients need torch: pip install 'cablebot-gym[sb3]'", name=error.name) from error
+import torch
+from torch import Tensor
 
 from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
 from cablebot_baselines.classical.law import Array

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot
+from cablebot_gym.utils.checks import choice
 
 TIME_CONSTANTS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Time constants τ of the decays exp(−t/τ) [s]."""
@@ -66,13 +67,10 @@ def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
     Raises:
         ValueError: if there is none, or one is unknown for this robot; the message lists the known ones.
     """
-    known = [*observation_layout(robot).slices(), *_DERIVED]
     if not isinstance(names, Sequence) or isinstance(names, str) or not names:
-        raise ValueError(f"features must be a list of names from {', '.join(known)}, not {names!r}")
-    for name in names:
-        if name not in known:
-            raise ValueError(f"unknown feature {name!r}; choose from {', '.join(known)}")
-    return tuple(names)
+        raise ValueError(f"features must be a list of names, not {names!r}")
+    known = (*observation_layout(robot).slices(), *_DERIVED)
+    return tuple(choice("feature", name, known) for name in names)
 
 
 def feature_values(names: Sequence[str], blocks: Mapping[str, Array], derived: Mapping[str, Array]) -> Array:

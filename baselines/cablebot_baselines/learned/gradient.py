@@ -37,6 +37,7 @@ from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.utils.checks import number, numbers, whole
 
 PAYLOAD_SCALE = 10.0
 """Scale of the payloads in the objective [kg]."""
@@ -91,31 +92,15 @@ class GradientSettings:
     """Standard deviation of the last layer's initial weights."""
 
     def __post_init__(self) -> None:
-        if min(self.iterations, self.instants - 1, *self.hidden) < 1 or not self.rounds:
-            raise ValueError("hidden and iterations must be at least 1, instants at least 2, and rounds not empty")
-        if self.softness and len(self.softness) != len(self.rounds):
-            raise ValueError(f"softness must be empty or have one number for each of the {len(self.rounds)} rounds")
-        if not all(0 <= value < math.inf for value in self.softness):
-            raise ValueError(f"softness must be at least 0, not {self.softness}")
+        whole("iterations", self.iterations, least=1)
+        whole("instants", self.instants, least=2)
+        numbers("rounds", self.rounds, above=0.0)
+        numbers("softness", self.softness or (0.0,), least=0.0)
+        if not self.rounds or len(self.softness) not in (0, len(self.rounds)):
+            raise ValueError("rounds must not be empty, and softness must be empty or have one number for each round")
         for name in ("action_limit", "spread", "tension_scale"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be greater than 0, not {getattr(self, name)!r}")
-        if not 0 <= self.lighter < 1:
-            raise ValueError(f"lighter must be at least 0 and below 1, not {self.lighter!r}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Progress of the training."""
-
-    round: int
-    """Number of the round, from 1."""
-    evaluations: int
-    """Evaluations of the objective in this round."""
-    payload: float
-    """Mean of the motions' payloads [kg]."""
-    violation: float
-    """Largest violation."""
+            number(name, getattr(self, name), above=0.0)
+        number("lighter", self.lighter, least=0.0, below=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,12 +137,8 @@ class GradientTraining:
     seed: int = 0
     """Seed of the network's initial weights."""
     settings: GradientSettings = field(default_factory=GradientSettings)
-    error_bounds: ErrorBounds = field(default_factory=ErrorBounds)
-    """Bounds of the shift."""
     minimum_tension: float = 5.0
     """Minimum tension T_min of the base law of a planar robot [N]."""
-    payload: float = 1.0
-    """Initial payload of each motion [kg]."""
 
     def __post_init__(self) -> None:
         own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
@@ -168,7 +149,7 @@ class GradientTraining:
         torch.manual_seed(self.seed)
         n = self.robot.coordinates
         self._order = 4 if self.robot.flexible else 2
-        self._bounds = torch.tensor(self.action_mapping.bounds(self.error_bounds, n))
+        self._bounds = torch.tensor(self.action_mapping.bounds(ErrorBounds(), n))
         within = self.action_mapping.action_period * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
         self._within = within
         self._weights = torch.tensor(
@@ -186,7 +167,7 @@ class GradientTraining:
             last.weight.normal_(std=self.settings.spread)
             last.bias.zero_()
         self._variables = [parameter for layer in self._layers.layers for parameter in layer.parameters()]
-        self._payloads = torch.full((len(self.trajectories),), self.payload, dtype=torch.float64, requires_grad=True)
+        self._payloads = torch.ones(len(self.trajectories), dtype=torch.float64, requires_grad=True)
         self.evaluations = 0
         """Evaluations of the objective in the current round."""
         self._softness = 0.0
@@ -260,19 +241,15 @@ class GradientTraining:
             violations.append(torch.relu(error[:, 3:].abs() - self.action_mapping.fraction))
         return [value.flatten() for value in violations]
 
-    def run(self, report: Callable[[Progress], None] = lambda _: None) -> None:
-        """Runs all rounds. After an interrupt the network has the weights of the last evaluation."""
-        for number in range(len(self.settings.rounds)):
-            self.round(number, report)
+    def round(self, index: int, report: Callable[[], None] = lambda: None) -> None:
+        """Runs round ``index``, counted from 0, and calls ``report`` after each evaluation of the objective.
 
-    def round(self, number: int, report: Callable[[Progress], None] = lambda _: None) -> None:
-        """Runs round ``number``, counted from 0, and reports its progress.
-
-        A round depends on weights and payloads alone, so that a run can be resumed between two rounds.
+        A round depends on weights and payloads alone, so that a run can be resumed between two rounds. After an
+        interrupt the network has the weights of the last evaluation.
         """
-        variables, weight = [*self._variables, self._payloads], self.settings.rounds[number]
+        variables, weight = [*self._variables, self._payloads], self.settings.rounds[index]
         self.evaluations = 0
-        self._softness = self.settings.softness[number] if self.settings.softness else 0.0
+        self._softness = self.settings.softness[index] if self.settings.softness else 0.0
 
         def objective() -> Tensor:
             for variable in variables:
@@ -282,14 +259,7 @@ class GradientTraining:
             loss = loss + self.settings.decay * sum(value.square().sum() for value in self._variables)
             torch.autograd.backward(loss)
             self.evaluations += 1
-            report(
-                Progress(
-                    round=number + 1,
-                    evaluations=self.evaluations,
-                    payload=float(self._payloads.detach().mean()),
-                    violation=float(violations.detach().max()),
-                )
-            )
+            report()
             return loss
 
         while self.evaluations < self.settings.iterations:
@@ -313,14 +283,7 @@ class GradientTraining:
         return values | {"payloads": self.payloads}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
-        """Restores a state.
-
-        Raises:
-            ValueError: if the state belongs to another configuration.
-        """
-        shapes = {name: value.shape for name, value in self.state().items()}
-        if shapes != {name: np.shape(arrays[name]) for name in arrays}:
-            raise ValueError("the checkpoint belongs to another configuration: start a new run with another --out")
+        """Restores a state of the same configuration."""
         with torch.no_grad():
             for index, value in enumerate(self._variables):
                 value.copy_(torch.tensor(arrays[f"variable{index}"]))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cablebot_baselines.classical.law import Array
+from cablebot_gym.utils.checks import choice
 
 
 def _ball(values: Array) -> Array:
@@ -52,8 +53,7 @@ class Network:
 
     def __post_init__(self) -> None:
         for name, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} must be one of {', '.join(known)}, not {getattr(self, name)!r}")
+            choice(name, getattr(self, name), known)
         size = len(self.mean)
         fits = self.scale.shape == self.mean.shape == (size,) and len(self.weights) == len(self.biases) > 0
         for weight, bias in zip(self.weights, self.biases, strict=False):
@@ -104,14 +104,20 @@ class Network:
         if count == 0:
             raise KeyError("weight0")
 
-        def layers(kind: str) -> Sequence[Array]:
-            return [np.asarray(arrays[f"{kind}{index}"], float) for index in range(count)]
+        def layers(kind: str) -> tuple[Array, ...]:
+            return tuple(np.asarray(arrays[f"{kind}{index}"], float) for index in range(count))
 
         return cls(
             mean=np.asarray(arrays["mean"], float),
             scale=np.asarray(arrays["scale"], float),
-            weights=tuple(layers("weight")),
-            biases=tuple(layers("bias")),
+            weights=layers("weight"),
+            biases=layers("bias"),
             activation=str(arrays["activation"]),
             squash=str(arrays["squash"]),
         )
+
+
+def zero_network(inputs: int, outputs: int) -> Network:
+    """A network with output 0 for every input; its policy is the base law alone."""
+    zeros = (np.zeros((outputs, inputs)),)
+    return Network(mean=np.zeros(inputs), scale=np.ones(inputs), weights=zeros, biases=(np.zeros(outputs),))

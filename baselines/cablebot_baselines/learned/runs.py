@@ -1,29 +1,61 @@
-"""Folder of a training run, the same for all algorithms: names of the files, evaluations, and the result."""
+"""A training run, the same for all algorithms: its settings, folder, checkpoints, evaluations and best policy.
+
+A run's folder contains:
+
+* ``run.json``, the settings and evaluations at the last checkpoint, and ``checkpoint``, the algorithm's state.
+* ``best.zip``, the policy with the largest DLCC in the evaluations, and ``last.zip``, the final policy; both are a
+  :class:`~cablebot_baselines.learned.bundle.Bundle`.
+* ``evaluations.csv``.
+
+This module does not need torch.
+"""
 
 from __future__ import annotations
 
-import csv
+import json
 import platform
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+import shlex
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, astuple, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.utils.files import atomic_write
+import numpy as np
 
-CHECKPOINT, BEST, LAST = "checkpoint.zip", "best.zip", "last.zip"
-EVALUATIONS, PROGRESS, TENSORBOARD = "evaluations.csv", "progress.csv", "tensorboard"
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.network import Network, zero_network
+from cablebot_baselines.learned.policy import LearnedPolicy
+from cablebot_baselines.learned.steering import Steering
+from cablebot_gym.envs import env_robot
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.robots import find_robot
+from cablebot_gym.utils.checks import whole
+from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
+
+HYPERPARAMS = Path(__file__).parent / "hyperparams"
+"""Folder of the shipped configurations."""
+
+STATE, CHECKPOINT, BEST, LAST, EVALUATIONS = "run.json", "checkpoint", "best.zip", "last.zip", "evaluations.csv"
 """Names of the files and folders of a run."""
 
 RESOLUTION = 0.05
 """Resolution of payloads in evaluations during training [kg]; ``evaluation`` may override it."""
 
+_OPTIONS = ("algorithm", "config_file", "seed", "timesteps", "eval_every", "checkpoint_every", "threads", "evaluation")
+_OPTION_NAMES = {"env_id": "ID", "algorithm": "--algo", "config_file": "--config"}
 _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib", "cablebot-gym")
 
-Progress = Callable[[str, int, int], None]
-"""Function called with a text, the number of timesteps so far, and the total."""
+Progress = Callable[[int, int, str], None]
+"""Function called with the number of timesteps so far, the total, and a text."""
+
+Say = Callable[[str], None]
+"""Function called with a message for the user."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,73 +70,289 @@ class Evaluation:
     """DLCC [kg]; None if the policy fails unloaded."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainingResult:
-    """Result of a run."""
-
-    out: Path
-    """Folder of the run."""
-    timesteps: int
-    """Number of timesteps."""
-    wall_s: float
-    """Wall time without pauses [s]."""
-    base_payload_kg: float | None
-    """DLCC of the base law alone [kg]; None if it fails unloaded."""
-    evaluations: tuple[Evaluation, ...]
-    """Evaluations in chronological order."""
-
-    @property
-    def best(self) -> Evaluation | None:
-        """Evaluation of ``best.zip``; None if there is none yet."""
-        return max(self.evaluations, key=lambda item: rank(item.payload_kg), default=None)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data."""
-        return asdict(self) | {"out": str(self.out)}
-
-    def __str__(self) -> str:
-        text = f"{self.timesteps} timesteps in {self.wall_s:.0f} s; DLCC of the base law alone, with the gains of the "
-        text += f"configuration: {kg(self.base_payload_kg)}"
-        if self.best is None:
-            return text
-        return f"{text}; of the best policy: {kg(self.best.payload_kg)} ({self.out / BEST})"
-
-
 def rank(payload: float | None) -> float:
     """Sort key of payloads; None (fails unloaded) is below zero."""
     return -1.0 if payload is None else payload
 
 
+def kg(payload: float | None) -> str:
+    """A payload as text; None means that the policy fails unloaded."""
+    return "fails unloaded" if payload is None else f"{payload:.2f} kg"
+
+
 class Interrupted(KeyboardInterrupt):
-    """A signal stopped the run after ``timesteps``; the checkpoint is written."""
+    """A signal stopped the run; its last checkpoint is after ``timesteps``."""
 
     def __init__(self, timesteps: int) -> None:
         super().__init__(f"stopped at {timesteps} timesteps")
         self.timesteps = timesteps
 
 
-def check_no_run(out: Path) -> None:
-    """Checks that the folder ``out`` contains no run.
+@dataclass(kw_only=True)
+class TrainingResult:
+    """Result of a run up to its last checkpoint; without ``out``, the content of ``run.json``."""
+
+    out: Path
+    """Folder of the run."""
+    settings: dict[str, Any]
+    """Options of ``cablebot train``, the content of the configuration file (``config``) and its name."""
+    timesteps: int = 0
+    """Number of timesteps."""
+    wall_s: float = 0.0
+    """Wall time without pauses [s]."""
+    base_payload_kg: float | None = None
+    """DLCC of the base law alone [kg]; None if it fails unloaded."""
+    evaluations: list[Evaluation] = field(default_factory=list)
+    """Evaluations in chronological order."""
+    payload_ceiling: float | None = None
+    """Largest payload of the curriculum at present [kg]; None without a curriculum."""
+    rounds: int = 0
+    """Number of finished rounds of the analytic policy gradient."""
+
+    @classmethod
+    def load(cls, out: Path) -> TrainingResult:
+        """Loads the result of the run in a folder.
+
+        Raises:
+            ValueError: if there is none, or it is damaged.
+        """
+        if not (out / STATE).is_file():
+            raise ValueError(f"there is no run to resume in {str(out)!r}. Omit --resume to start one")
+        with checkpoint_errors(out):
+            data = json.loads((out / STATE).read_text(encoding="utf-8"))
+            data["evaluations"] = [Evaluation(**item) for item in data["evaluations"]]
+            return cls(out=out, **data)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able data."""
+        return asdict(self) | {"out": str(self.out)}
+
+    @property
+    def best(self) -> Evaluation | None:
+        """Evaluation of ``best.zip``; None if there is none yet."""
+        return max(self.evaluations, key=lambda item: rank(item.payload_kg), default=None)
+
+    @property
+    def checkpoint(self) -> Path:
+        """Folder of the algorithm's state."""
+        return self.out / CHECKPOINT / str(self.timesteps)
+
+    def command(self) -> str:
+        """The command line that repeats the run, without ``--out``."""
+        words = ["cablebot", "train", self.settings["env_id"]]
+        for name in _OPTIONS:
+            value = self.settings.get(name)
+            if value not in (None, {}):
+                words += [_option(name), json.dumps(value) if name == "evaluation" else str(value)]
+        return shlex.join(words)
+
+    def __str__(self) -> str:
+        base, best = kg(self.base_payload_kg), self.best
+        text = f"{self.timesteps} timesteps in {self.wall_s:.0f} s; DLCC of the base law alone: {base}"
+        return text + (f"; of the best policy: {kg(best.payload_kg)} ({self.out / BEST})" if best else "")
+
+
+def open_run(out: Path, options: Mapping[str, Any], config: Path | None, *, resume: bool) -> TrainingResult:
+    """State of a new run, or of the run in ``out``. Writes no file.
+
+    Args:
+        out: folder of the run.
+        options: options of ``cablebot train`` by name; None for those that were not given.
+        config: YAML file, or the name of a shipped one; None for that of the algorithm.
+        resume: whether to resume the run in ``out``. Options must then equal those of the run, except ``timesteps``.
 
     Raises:
-        ValueError: if it does; the message names the options to use.
+        ValueError: if an option is invalid, ``out`` already contains a run, or there is no such run to resume.
     """
-    for name in (CHECKPOINT, BEST, LAST, EVALUATIONS, PROGRESS):
-        if (out / name).exists():
-            advice = "add --resume to resume it, or choose" if (out / CHECKPOINT).exists() else "choose"
-            raise ValueError(f"folder {str(out)!r} already contains a run ({name}): {advice} another --out")
+    check_writable_dir(out)
+    given = {name: value for name, value in options.items() if value is not None}
+    for name in ("seed", "timesteps", "eval_every", "checkpoint_every", "threads"):
+        if name in given:
+            whole(_option(name), given[name], least=0 if name == "seed" else 1)
+    if not resume:
+        for file in (STATE, BEST, LAST, EVALUATIONS):
+            if (out / file).exists():
+                raise ValueError(f"{str(out)!r} already contains a run: add --resume, or choose another --out")
+        given["config"] = read_yaml(given["env_id"], config or Path(given["algorithm"]))
+        return TrainingResult(
+            out=out, settings={"seed": 0, "threads": 1, "config_file": config and config.name, **given}
+        )
+    state = TrainingResult.load(out)
+    if config is not None:
+        given["config"] = read_yaml(given["env_id"], config)
+    for name, value in given.items():
+        started = state.settings.get(name)
+        if value != started and name != "timesteps":
+            other = "another --config" if name == "config" else f"{_option(name)} {started}, not {value}"
+            raise ValueError(f"the run in {str(out)!r} was started with {other}: omit it, or choose another --out")
+    state.settings |= given
+    return state
 
 
-def write_evaluations(out: Path, evaluations: Sequence[Evaluation]) -> None:
-    """Writes ``evaluations.csv`` into the folder ``out`` atomically."""
+def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
+    """Reads the unchecked configuration of an environment; the key ``default`` holds for environments without a key.
 
-    def write(temporary: Path) -> None:
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, list(Evaluation.__dataclass_fields__))
-            rows.writeheader()
-            rows.writerows(asdict(item) for item in evaluations)
+    Args:
+        env_id: id of the environment.
+        path: YAML file, or the name of a shipped one without its suffix.
 
-    atomic_write(out / EVALUATIONS, write)
+    Raises:
+        ValueError: if the file cannot be read, or has no configuration for this environment.
+    """
+    import yaml  # imported here: only training needs it
+
+    shipped = sorted(file.stem for file in HYPERPARAMS.glob("*.yaml"))
+    if str(path) in shipped:  # even if a folder of that name exists
+        path = HYPERPARAMS / f"{path}.yaml"
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        text = f"--config: cannot read {str(path)!r} ({' '.join(str(error).split())})"
+        raise ValueError(f"{text}; give a YAML file, or one of {', '.join(shipped)}") from error
+    if not isinstance(data, dict) or not all(isinstance(value, dict) for value in data.values()):
+        raise ValueError(f"--config: {path.name} must map environments to hyperparameters: 'ID: {{n_envs: …}}'")
+    if env_id not in data and "default" not in data:
+        raise ValueError(f"--config: {path.name} has no key {env_id} and no key default; it has {', '.join(data)}")
+    return dict(data[env_id if env_id in data else "default"])
+
+
+class Run:
+    """Records a training run: evaluates policies, writes the files, and catches signals.
+
+    Args:
+        state: result so far, from :func:`open_run`; it is kept up to date.
+        steering: base law, action mapping and features of the policy.
+        total: number of timesteps at the end.
+        evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`.
+        motions: keyword arguments of each motion; the payload of a policy is the mean over the motions.
+        progress: function called with the progress.
+        say: function called with messages for the user.
+    """
+
+    def __init__(
+        self,
+        state: TrainingResult,
+        steering: Steering,
+        *,
+        total: int,
+        evaluation: Mapping[str, Any],
+        motions: Sequence[Mapping[str, Any]] = ({},),
+        progress: Progress | None = None,
+        say: Say | None = None,
+    ) -> None:
+        self.out, self.state = state.out, state
+        self.stopped = False
+        """Whether a signal has arrived within :meth:`signals`."""
+        self._total, self._motions = total, motions
+        self._base = Bundle(
+            env_id=state.settings["env_id"],
+            base=steering.base,
+            action_mapping=steering.action_mapping,
+            features=steering.features,
+            network=zero_network(steering.inputs, steering.actions),
+        )
+        self._conditions = {"criterion": "task", "resolution": RESOLUTION, **evaluation}
+        self._progress, self._say = progress, say
+        self._started = time.monotonic() - state.wall_s
+
+    def report(self, text: str, done: int) -> None:
+        """Reports the progress."""
+        if self._progress:
+            self._progress(done, self._total, text)
+
+    def start(self) -> None:
+        """Evaluates the base law alone."""
+        self.report("evaluating the base law", 0)
+        self.state.base_payload_kg = self._dlcc(self._base)
+
+    def evaluate(self, network: Network, **record: Any) -> float | None:
+        """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier network was as good."""
+        state, best = self.state, self.state.best
+        self.report("evaluating", state.timesteps)
+        payload = self._dlcc(replace(self._base, network=network))
+        state.evaluations.append(
+            Evaluation(timesteps=state.timesteps, wall_s=round(self._wall_s(), 3), payload_kg=payload)
+        )
+        if best is None or rank(payload) > rank(best.payload_kg):
+            self.bundle(network, **record).save(self.out / BEST)
+        rows = [",".join("" if value is None else str(value) for value in astuple(item)) for item in state.evaluations]
+        atomic_write_text(self.out / EVALUATIONS, "\n".join(["timesteps,wall_s,payload_kg", *rows, ""]))
+        return payload
+
+    def bundle(self, network: Network, **record: Any) -> Bundle:
+        """A policy with its training record, to which ``record`` is added."""
+        state, settings = self.state, self.state.settings
+        current = [item.payload_kg for item in state.evaluations if item.timesteps == state.timesteps]
+        card = {
+            "command": state.command(),
+            **{name: settings[name] for name in ("env_id", "algorithm", "config", "seed", "threads")},
+            "timesteps": state.timesteps,
+            "wall_s": round(self._wall_s(), 3),
+            "versions": versions(),
+            "payload_kg": current[-1] if current else None,
+            "evaluation": self._conditions,
+            "base_payload_kg": state.base_payload_kg,
+            "planner_output_used": False,
+            "curve": [asdict(item) for item in state.evaluations],
+        }
+        return replace(self._base, network=network, card=card | record)
+
+    def save(self, write: Callable[[Path], None]) -> None:
+        """Writes a checkpoint; ``write`` is called with the folder for the algorithm's state."""
+        self.state.wall_s = round(self._wall_s(), 3)
+        folder = self.state.checkpoint
+        folder.mkdir(parents=True, exist_ok=True)
+        write(folder)
+        data = {name: value for name, value in asdict(self.state).items() if name != "out"}
+        atomic_write_text(self.out / STATE, json.dumps(data, ensure_ascii=False))
+        for other in folder.parent.iterdir():  # run.json names this checkpoint now
+            if other != folder:
+                shutil.rmtree(other)
+
+    @contextmanager
+    def signals(self) -> Iterator[None]:
+        """Notes SIGINT or SIGTERM in :attr:`stopped`; a second SIGINT raises. Ignored signals stay ignored."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def note(number: int, frame: Any) -> None:
+            if self.stopped and number == signal.SIGINT:
+                raise KeyboardInterrupt
+            self.stopped = True
+            if self._say:
+                self._say("stopping; Ctrl-C again stops immediately and keeps the last checkpoint")
+
+        handled = [one for one in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(one) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, note) for number in handled}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _dlcc(self, bundle: Bundle) -> float | None:
+        """Mean DLCC of a bundle over the motions [kg], with 0 where it fails unloaded; None if it always does."""
+        policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
+        payloads = [
+            evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions).payload for motion in self._motions
+        ]
+        return None if set(payloads) == {None} else float(np.mean([payload or 0.0 for payload in payloads]))
+
+    def _wall_s(self) -> float:
+        return time.monotonic() - self._started
+
+
+@contextmanager
+def checkpoint_errors(out: Path) -> Iterator[None]:
+    """Raises a ValueError in place of any error within the context, which reads the checkpoint in ``out``."""
+    try:
+        yield
+    except Exception as error:  # damaged files raise errors of zipfile, pickle, json, numpy and torch
+        raise ValueError(
+            f"the checkpoint in {str(out)!r} cannot be resumed ({type(error).__name__}: {error}); no file was changed. "
+            "Start a new run with another --out"
+        ) from error
 
 
 @contextmanager
@@ -120,17 +368,14 @@ def torch_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def kg(payload: float | None) -> str:
-    """A payload as text; None means that the policy fails unloaded."""
-    return "fails unloaded" if payload is None else f"{payload:.2f} kg"
-
-
 def versions() -> dict[str, str]:
     """Versions of Python and of the installed packages that training depends on."""
     numbers = {"python": platform.python_version()}
     for name in _PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             numbers[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return numbers
+
+
+def _option(name: str) -> str:
+    return _OPTION_NAMES.get(name, f"--{name.replace('_', '-')}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from cablebot_baselines.classical.law import Array, first_steps
-from cablebot_baselines.learned.base import Base, is_number
+from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.features import SHIFT_FEATURES, check_features, feature_values
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.utils.checks import choice, mapping, number, record, whole
 
 DERIVATIVES = ("pose", "velocity", "acceleration", "jerk", "snap")
 """Suffixes of the observation's blocks ``reference_…``; rigid robots have the first three."""
@@ -61,12 +61,10 @@ class Shift:
 
     def __post_init__(self) -> None:
         _check_period_and_fraction(self)
-        if not isinstance(self.degree, Integral) or self.degree not in (2, 3, 4, 5):
-            raise ValueError(f"degree must be 2, 3, 4 or 5, not {self.degree!r}")
-        if not is_number(self.preview) or self.preview not in (0.0, *PREVIEWS):
+        object.__setattr__(self, "degree", whole("degree", self.degree, least=2, most=5))
+        object.__setattr__(self, "preview", number("preview", self.preview, unit="s"))
+        if self.preview not in (0.0, *PREVIEWS):
             raise ValueError(f"preview must be one of 0, {', '.join(map(str, PREVIEWS))} s, not {self.preview!r}")
-        object.__setattr__(self, "degree", int(self.degree))
-        object.__setattr__(self, "preview", float(self.preview))
 
     def actions(self, robot: Robot) -> int:
         """Size of an action."""
@@ -79,10 +77,8 @@ class Shift:
 
     def bounds(self, error_bounds: ErrorBounds, coordinates: int) -> Array:
         """Largest shift of each coordinate, (n,) [m, rad]."""
-        return (
-            self.fraction
-            * np.array([error_bounds.position] * min(coordinates, 3) + [error_bounds.rotation] * 3)[:coordinates]
-        )
+        bounds = [error_bounds.position] * min(coordinates, 3) + [error_bounds.rotation] * 3
+        return self.fraction * np.array(bounds[:coordinates])
 
     def weights(self, times: Array, action_period: float) -> Array:
         """Weights of the last control points in the spline and its derivatives up to snap.
@@ -134,13 +130,9 @@ class Residual:
 
 
 def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
-    if not is_number(action_mapping.action_period) or not 0 < action_mapping.action_period <= LONGEST_ACTION_PERIOD:
-        limits = f"above 0 s and at most {LONGEST_ACTION_PERIOD:g} s"
-        raise ValueError(f"action_period must be {limits}, not {action_mapping.action_period!r}")
-    if not is_number(action_mapping.fraction) or not 0 < action_mapping.fraction <= 1:
-        raise ValueError(f"fraction must be above 0 and at most 1, not {action_mapping.fraction!r}")
-    for name in ("action_period", "fraction"):  # NumPy numbers are not JSON-able
-        object.__setattr__(action_mapping, name, float(getattr(action_mapping, name)))
+    period = number("action_period", action_mapping.action_period, above=0.0, most=LONGEST_ACTION_PERIOD, unit="s")
+    object.__setattr__(action_mapping, "action_period", period)
+    object.__setattr__(action_mapping, "fraction", number("fraction", action_mapping.fraction, above=0.0, most=1.0))
 
 
 _KINDS: dict[str, type[Shift] | type[Residual]] = {"shift": Shift, "residual": Residual}
@@ -164,16 +156,11 @@ def find_action_mapping(action_mapping: Shift | Residual | str | Mapping[str, An
     """
     if isinstance(action_mapping, (Shift, Residual)):
         return action_mapping
-    if not isinstance(action_mapping, (str, Mapping)):
-        raise ValueError(f"steering must be {' or '.join(_KINDS)}, or a dict {{'kind': …}}, not {action_mapping!r}")
-    data = {"kind": action_mapping} if isinstance(action_mapping, str) else dict(action_mapping)
-    kind = data.pop("kind", None)
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise ValueError(f"steering: unknown kind {kind!r}; choose one of {', '.join(_KINDS)}")
-    known = list(_KINDS[kind].__dataclass_fields__)
-    if unknown := [name for name in data if name not in known]:
-        raise ValueError(f"steering: unknown key {unknown[0]!r}; {kind} takes {', '.join(known)}")
-    return _KINDS[kind](**data)
+    data = {"kind": action_mapping} if isinstance(action_mapping, str) else action_mapping
+    known = {"kind", *Shift.__dataclass_fields__, *Residual.__dataclass_fields__}
+    data = mapping("steering", data, sorted(known))
+    kind: type[Shift] | type[Residual] = _KINDS[choice("kind of steering", data.pop("kind", None), _KINDS)]
+    return record("steering", kind, data)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -229,10 +216,8 @@ class Steering:
         if isinstance(self.action_mapping, Shift):
             self._bounds = self.action_mapping.bounds(error_bounds, self.robot.coordinates)
             action_period, phases = self.periods * period, np.arange(self.periods) * period
-            now, after = (
-                self.action_mapping.weights(phases, action_period),
-                self.action_mapping.weights(phases + period, action_period),
-            )
+            now = self.action_mapping.weights(phases, action_period)
+            after = self.action_mapping.weights(phases + period, action_period)
             # Torques are constant over a period, so that the law needs the period's mean acceleration.
             self._motion, self._mean = now, (after[:, 1] - now[:, 1]) / period
             # When an action is due, the oldest control point is about to be dropped, and the newest has zero weight.

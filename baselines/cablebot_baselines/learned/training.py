@@ -1,68 +1,38 @@
-"""Training runs with Stable-Baselines3 (SB3): checkpoints for bit-exact resumption, DLCC evaluations, best policy.
+"""Training runs with Stable-Baselines3 (SB3): checkpoints, DLCC evaluations, best policy.
 
-A run's folder contains:
-
-* ``checkpoint.zip``, see :mod:`cablebot_baselines.learned.checkpoint`; it is written between two rollouts.
-* ``best.zip``, the policy with the largest DLCC in the evaluations, and ``last.zip``, the final policy; both are a
-  :class:`~cablebot_baselines.learned.bundle.Bundle`.
-* ``evaluations.csv``.
-* ``progress.csv``, SB3's log, and the same log in ``tensorboard`` if TensorBoard is installed.
-
-Resuming loads the checkpoint with ``pickle``: resume only runs that you trust.
+In addition to the files in :mod:`cablebot_baselines.learned.runs`, a run's folder contains ``progress.csv``, SB3's log,
+and the same log in ``tensorboard`` if TensorBoard is installed. A run that was resumed after N timesteps continues in
+``progress_N.csv``. The folder ``checkpoint`` contains the files of SB3's own functions: ``model.zip``,
+``vecnormalize.pkl``, and ``replay_buffer.pkl`` with SAC and TQC. SB3 loads them with ``pickle``: resume only runs that
+you trust.
 """
 
 from __future__ import annotations
 
-import csv
-import signal
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.logger import CSVOutputFormat, KVWriter, Logger, TensorBoardOutputFormat
+    from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, make_output_format
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 except ImportError as error:
     raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
-from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.checkpoint import Checkpoint, Settings, model_members
-from cablebot_baselines.learned.config import Config, algorithm_class, make_config, read_config
-from cablebot_baselines.learned.export import bundle_from_sb3, zero_network
-from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.runs import (
-    BEST,
-    CHECKPOINT,
-    LAST,
-    PROGRESS,
-    RESOLUTION,
-    TENSORBOARD,
-    Evaluation,
-    Interrupted,
-    Progress,
-    TrainingResult,
-    check_no_run,
-    rank,
-    torch_threads,
-    versions,
-    write_evaluations,
-)
+from cablebot_baselines.learned import runs
+from cablebot_baselines.learned.config import Config, algorithm_class, make_config
+from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
-from cablebot_baselines.learned.wrappers import make_steered_vec
-from cablebot_gym.envs import env_robot
-from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.robots import find_robot
-from cablebot_gym.utils.files import check_writable_dir
+from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, make_steered_vec
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
+
+_MODEL, _NORMALIZE, _REPLAY = "model.zip", "vecnormalize.pkl", "replay_buffer.pkl"
 
 
 def train(
@@ -78,12 +48,12 @@ def train(
     checkpoint_every: int | None = None,
     threads: int | None = None,
     evaluation: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
-    say: Callable[[str], None] | None = None,
-) -> TrainingResult:
+    progress: runs.Progress | None = None,
+    say: runs.Say | None = None,
+) -> runs.TrainingResult:
     """Trains a learned policy with Stable-Baselines3.
 
-    The same seed and number of threads on the same machine give the same weights, also if the run was resumed. SIGINT
+    The same seed and number of threads on the same machine give the same weights, unless the run is interrupted. SIGINT
     and SIGTERM stop a run after the current rollout, with a checkpoint; a second SIGINT stops it immediately.
 
     Args:
@@ -93,9 +63,11 @@ def train(
         config: YAML file with RL-Zoo's keys; None for the shipped one.
         seed: seed of weights, exploration and environments; None for 0.
         timesteps: number of actions over all environments; None for the configuration's ``n_timesteps``.
-        resume: whether to resume the run in ``out``. Arguments that are None keep the values that the run was started
-            with; other arguments must equal these values, except for ``timesteps``.
-        eval_every: timesteps between two evaluations; None for 1/20 of all timesteps.
+        resume: whether to resume the run in ``out`` from its last checkpoint: the saved model, normalisation and replay
+            buffer, with new episodes. The result is therefore not that of an uninterrupted run. Arguments that are None
+            keep the values that the run was started with; other arguments must equal these values, except for
+            ``timesteps``, at whose new value linear schedules end.
+        eval_every: timesteps between two evaluations; None for 1/20 of all timesteps. A checkpoint follows each one.
         checkpoint_every: timesteps between two checkpoints; None for 1/20 of all timesteps.
         threads: number of torch's threads; None for 1. For networks of this size, more threads are hardly faster, and
             much slower if other processes use the cores.
@@ -110,320 +82,165 @@ def train(
         Interrupted: after a signal, when the checkpoint is written.
         cablebot_gym.policies.protocol.PolicyError: if an evaluation fails.
     """
-    tell: Callable[[str], None] = say or (lambda text: None)
-    check_writable_dir(out)
-    arguments: dict[str, Any] = {
+    options: dict[str, Any] = {
         "env_id": env_id,
-        "algorithm": algorithm,
+        "algorithm": algorithm or (None if resume else "ppo"),
         "seed": seed,
+        "timesteps": timesteps,
         "eval_every": eval_every,
         "checkpoint_every": checkpoint_every,
         "threads": threads,
         "evaluation": None if evaluation is None else dict(evaluation),
     }
-    if resume:
-        checkpoint = Checkpoint.load(out / CHECKPOINT)
-        if config is not None:
-            arguments["config"] = read_config(env_id, checkpoint.settings.algorithm, config)
-        settings = _resumed(checkpoint.settings, arguments, timesteps, out)
-        if checkpoint.timesteps >= settings.timesteps:
-            done = f"{checkpoint.timesteps} of {settings.timesteps} timesteps are done"
-            tell(f"nothing to do: {done}. Use --timesteps to train longer")
-            return checkpoint.result(out)
-        if (other := versions()) != checkpoint.versions:
-            changed = ", ".join(
-                f"{name} {other[name]}" for name in other if other[name] != checkpoint.versions.get(name)
-            )
-            tell(f"note: the run started with other versions than {changed}; the result is not bit-exact")
-        if settings.timesteps != checkpoint.settings.timesteps:
-            tell("note: the run started with another --timesteps; linear schedules now end at the new value")
-    else:
-        check_no_run(out)
-        settings, checkpoint = _settings(arguments, config, timesteps), None
-    checked = make_config(env_id, settings.algorithm, settings.config, timesteps=settings.timesteps)
-    with torch_threads(settings.threads):
-        run = _Run(settings, checked, out, checkpoint, progress or (lambda text, done, total: None), tell)
-        try:
-            return run.finish()
-        finally:
-            run.close()
+    algorithm_class(algorithm or "ppo")
+    state = runs.open_run(out, options, config, resume=resume)
+    settings = state.settings
+    hyperparameters = make_config(settings["config"])
+    interval = max(1, settings.setdefault("timesteps", hyperparameters.timesteps) // PARTS)
+    state.settings = {"eval_every": interval, "checkpoint_every": interval, "evaluation": {}, **settings}
+    if state.timesteps >= settings["timesteps"]:
+        if say:
+            say(f"nothing to do: {state.timesteps} timesteps are done. Use --timesteps to train longer")
+        return state
+    with runs.torch_threads(settings["threads"]), closing(_environments(hyperparameters, state)) as envs:
+        model = (_load if resume else _make)(state, hyperparameters, envs)
+        network_from_sb3(model)  # fails before the training if the model cannot be exported
+        total, evaluation = state.settings["timesteps"], state.settings["evaluation"]
+        steered: Any = envs.env
+        run = runs.Run(state, steered.steering, total=total, evaluation=evaluation, progress=progress, say=say)
+        callback = _RunCallback(run, _curriculum(envs))
+        callback.init_callback(model)
+        if not resume:
+            run.start()
+        _learn(model, callback, run)
+    return state
 
 
-def _settings(arguments: Mapping[str, Any], config: Path | None, timesteps: int | None) -> Settings:
-    algorithm = "ppo" if arguments["algorithm"] is None else arguments["algorithm"]
-    plain = read_config(arguments["env_id"], algorithm, config)
-    total = make_config(arguments["env_id"], algorithm, plain, timesteps=timesteps).timesteps
-    interval = max(1, total // PARTS)
-    given = {name: value for name, value in arguments.items() if value is not None}
-    least = {"seed": 0, "eval_every": 1, "checkpoint_every": 1, "threads": 1}
-    for name in least:
-        if name in given and given[name] < least[name]:
-            raise ValueError(f"--{name.replace('_', '-')} must be at least {least[name]}, not {given[name]}")
-    defaults = {"algorithm": algorithm, "seed": 0, "eval_every": interval, "checkpoint_every": interval}
-    defaults |= {"threads": 1, "evaluation": {}, "config": plain}
-    file = None if config is None else config.name
-    return Settings(**{**defaults, **given, "timesteps": total, "config_file": file})
+def _environments(config: Config, state: runs.TrainingResult) -> CableBotVecEnv:
+    seed = state.settings["seed"] + state.timesteps  # a resumed run does not repeat its first episodes
+    wrappers, env_id = list(config.wrappers), state.settings["env_id"]
+    return CableBotVecEnv(make_steered_vec(env_id, config.n_envs, wrappers=wrappers, seed=seed, **config.env_kwargs))
 
 
-def _resumed(settings: Settings, arguments: Mapping[str, Any], timesteps: int | None, out: Path) -> Settings:
-    """Settings of a resumed run.
+def _make(state: runs.TrainingResult, config: Config, envs: CableBotVecEnv) -> BaseAlgorithm:
+    """Makes a new model.
 
     Raises:
-        ValueError: if an argument differs from the settings that the run was started with.
+        ValueError: if SB3 rejects the hyperparameters.
     """
-    for name, value in arguments.items():
-        had = getattr(settings, name)
-        if value is not None and value != had:
-            option = "ID" if name == "env_id" else "--algo" if name == "algorithm" else f"--{name.replace('_', '-')}"
-            other = "another --config" if name == "config" else f"{option} {had}, not {value}"
-            raise ValueError(f"the run in {str(out)!r} was started with {other}: omit it, or choose another --out")
-    return settings if timesteps is None else replace(settings, timesteps=timesteps)
-
-
-class _Run:
-    """A training and its folder."""
-
-    def __init__(
-        self,
-        settings: Settings,
-        config: Config,
-        out: Path,
-        checkpoint: Checkpoint | None,
-        progress: Progress,
-        say: Callable[[str], None],
-    ) -> None:
-        self.settings, self.config, self.out, self._progress, self._say = settings, config, out, progress, say
-        self._robot = find_robot(env_robot(settings.env_id))
-        self._logger: Logger | None = None
-        self._started = time.monotonic()
-        self._signal: int | None = None
-        self._progress("preparing", 0, settings.timesteps)
-        if checkpoint is None:
-            self._wall, self.evaluations = 0.0, []
-            self._begin()
-            self.base_payload = self._dlcc(self._base_bundle())
-            self._last_checkpoint = -1  # the first rollout starts with a checkpoint
-        else:
-            self._wall, self.evaluations = checkpoint.wall_s, list(checkpoint.evaluations)
-            self.base_payload, self._last_checkpoint = checkpoint.base_payload_kg, checkpoint.timesteps
-            self._restore(checkpoint)
-        self.bundle()  # fails before the training if the model cannot be exported
-
-    def close(self) -> None:
-        """Closes the environments and the logs."""
-        self.normalize.close()
-        if self._logger is not None:
-            self._logger.close()
-
-    def _begin(self) -> None:
-        config, seed = self.config, self.settings.seed
-        envs = make_steered_vec(
-            config.env_id, config.n_envs, wrappers=list(config.wrappers), seed=seed, **config.env_kwargs
-        )
-        self._envs = CableBotVecEnv(envs)
-        self._monitor = VecMonitor(self._envs)
-        self.normalize = VecNormalize(self._monitor, **config.normalize)
-        algorithm: Any = algorithm_class(config.algorithm)
+    name = state.settings["algorithm"]
+    algorithm: Any = algorithm_class(name)
+    try:
+        normalize = VecNormalize(VecMonitor(envs), **config.normalize)
         # The CPU is faster than an accelerator for networks of this size, and gives reproducible weights.
-        try:
-            self.model: BaseAlgorithm = algorithm(
-                config.policy, self.normalize, seed=seed, device="cpu", **config.model
-            )
-        except (TypeError, ValueError, AssertionError) as error:
-            raise ValueError(f"{config.algorithm} rejects the hyperparameters ({error}): correct the file") from error
+        model: BaseAlgorithm = algorithm(env=normalize, seed=state.settings["seed"], device="cpu", **config.model)
+    except (TypeError, ValueError, AssertionError) as error:
+        raise ValueError(f"{name} rejects the hyperparameters ({error}): correct the file") from error
+    return model
 
-    def _restore(self, checkpoint: Checkpoint) -> None:
-        """Restores environments and model from a checkpoint.
 
-        Raises:
-            ValueError: if the present code cannot unpickle it.
-        """
-        try:
-            self._envs, monitor, normalize, returns = checkpoint.environments()
-            self._monitor = VecMonitor(self._envs)
-            self._monitor.episode_returns, self._monitor.episode_lengths, self._monitor.episode_count = monitor
-            self.normalize = normalize
-            normalize.set_venv(self._monitor)
-            normalize.returns = returns
-            self.model = checkpoint.model(algorithm_class(self.config.algorithm), normalize)
-        except Exception as error:
-            raise ValueError(
-                f"checkpoint {str(self.out / CHECKPOINT)!r} cannot be resumed with these versions of the packages "
-                f"({type(error).__name__}: {error}); no file was changed. Start a new run with another --out"
-            ) from error
+def _load(state: runs.TrainingResult, config: Config, envs: CableBotVecEnv) -> BaseAlgorithm:
+    """Loads the model of a checkpoint, and the payload ceiling of its curriculum.
 
-    def finish(self) -> TrainingResult:
-        """Trains to the end."""
-        settings, model = self.settings, self.model
-        self.out.mkdir(parents=True, exist_ok=True)
-        self._logger = _logger(self.out, model.num_timesteps)
-        model.set_logger(self._logger)
-        write_evaluations(self.out, self.evaluations)
-        off_policy = isinstance(model, OffPolicyAlgorithm)  # its log_interval counts episodes, not rollouts
-        with self._signals():
-            model.learn(
-                settings.timesteps - model.num_timesteps,
-                callback=_RunCallback(self),
-                log_interval=4 * self.config.n_envs if off_policy else 1,
-                reset_num_timesteps=self._last_checkpoint < 0,
-            )
-            if not self.evaluations or self.evaluations[-1].timesteps < model.num_timesteps:
-                self._evaluate()
-        self.bundle().save(self.out / LAST)
-        return self._save().result(self.out)
+    Raises:
+        ValueError: if the checkpoint is damaged.
+    """
+    folder = state.checkpoint
+    with runs.checkpoint_errors(state.out):
+        normalize = VecNormalize.load(str(folder / _NORMALIZE), VecMonitor(envs))
+        model = algorithm_class(state.settings["algorithm"]).load(folder / _MODEL, env=normalize, device="cpu")
+        if isinstance(model, OffPolicyAlgorithm):
+            model.load_replay_buffer(folder / _REPLAY)
+    model.set_random_seed(state.settings["seed"] + state.timesteps)
+    if (curriculum := _curriculum(envs)) is not None and state.payload_ceiling is not None:
+        curriculum.ceiling = state.payload_ceiling
+    return model
 
-    def on_rollout_start(self) -> None:
-        """Evaluates and saves if due, and stops the run after a signal.
+
+def _curriculum(envs: CableBotVecEnv) -> PayloadCurriculumVector | None:
+    layer: Any = envs.env
+    while layer is not None and not isinstance(layer, PayloadCurriculumVector):
+        layer = getattr(layer, "env", None)
+    return layer
+
+
+class _RunCallback(BaseCallback):
+    """Evaluates and saves the model between two rollouts, and stops the training after a signal."""
+
+    def __init__(self, run: runs.Run, curriculum: PayloadCurriculumVector | None) -> None:
+        super().__init__()
+        self._run, self._curriculum = run, curriculum
+        self._saved = self._evaluated = run.state.timesteps
+
+    def evaluate(self) -> None:
+        """Evaluates the model, unless this has just been done."""
+        state = self._run.state
+        state.timesteps = self.model.num_timesteps
+        if self._evaluated < state.timesteps:
+            payload = self._run.evaluate(network_from_sb3(self.model))
+            self.logger.record("eval/payload_kg", runs.rank(payload))
+            self._evaluated = state.timesteps
+
+    def save(self) -> None:
+        """Writes a checkpoint."""
+        state = self._run.state
+        state.timesteps = self._saved = self.model.num_timesteps
+        state.payload_ceiling = None if self._curriculum is None else self._curriculum.ceiling
+        self._run.save(self._write)
+
+    def _write(self, folder: Path) -> None:
+        normalize = self.model.get_vec_normalize_env()
+        assert normalize is not None
+        self.model.save(folder / _MODEL)
+        normalize.save(str(folder / _NORMALIZE))
+        if isinstance(self.model, OffPolicyAlgorithm):
+            self.model.save_replay_buffer(folder / _REPLAY)
+
+    def _on_rollout_start(self) -> None:
+        """Evaluates and saves if due.
 
         Raises:
             Interrupted: after a signal.
         """
-        now, settings = self.model.num_timesteps, self.settings
-        with suppress(AttributeError):  # there is no ceiling without a curriculum
-            self.model.logger.record("rollout/payload_ceiling", self._envs.get_attr("ceiling", 0)[0])
-        evaluated = self.evaluations[-1].timesteps if self.evaluations else 0
-        if now // settings.eval_every > evaluated // settings.eval_every:
-            self._evaluate()
-        stop = self._signal is not None
-        due = now // settings.checkpoint_every > self._last_checkpoint // settings.checkpoint_every
-        if due or (stop and now > self._last_checkpoint):
-            self._save()
-        if stop:
-            raise Interrupted(now)
-
-    def on_step(self) -> None:
-        """Reports the progress after a step of all environments."""
-        best = max((item.payload_kg or 0.0 for item in self.evaluations), default=0.0)
-        self._progress(f"training, best {best:.2f} kg", self.model.num_timesteps, self.settings.timesteps)
-
-    def _wall_s(self) -> float:
-        return self._wall + time.monotonic() - self._started
-
-    def _dlcc(self, bundle: Bundle) -> float | None:
-        """DLCC of a bundle in the environment without wrappers [kg]; None if it fails unloaded."""
-        conditions: dict[str, Any] = {"criterion": "task", "resolution": RESOLUTION, **self.settings.evaluation}
-        return evaluate_dlcc(LearnedPolicy(bundle, self._robot), self.settings.env_id, **conditions).payload
-
-    def _evaluate(self) -> None:
-        now = self.model.num_timesteps
-        self._progress("evaluating", now, self.settings.timesteps)
-        bundle = self.bundle()
-        payload = self._dlcc(bundle)
-        before = max((rank(item.payload_kg) for item in self.evaluations), default=-2.0)
-        self.evaluations.append(Evaluation(timesteps=now, wall_s=round(self._wall_s(), 3), payload_kg=payload))
-        self.model.logger.record("eval/payload_kg", rank(payload))
-        if rank(payload) > before:
-            replace(bundle, card=self._card()).save(self.out / BEST)
-        write_evaluations(self.out, self.evaluations)
-
-    def bundle(self) -> Bundle:
-        """The current policy with its training record."""
-        env_id = self.config.env_id
-        return bundle_from_sb3(self.model, self.normalize, env_id=env_id, card=self._card(), **self._steered())
-
-    def _base_bundle(self) -> Bundle:
-        """A bundle with the base law alone."""
-        shape = self.normalize.observation_space.shape
-        assert shape is not None
-        network = zero_network(shape[0], self.config.action_mapping.actions(self._robot))
-        return Bundle(env_id=self.config.env_id, network=network, **self._steered())
-
-    def _steered(self) -> dict[str, Any]:
-        return {
-            "base": self.config.base,
-            "action_mapping": self.config.action_mapping,
-            "features": self.config.features,
-        }
-
-    def _card(self) -> dict[str, Any]:
-        settings, rows = self.settings, self.evaluations
-        return {
-            "command": settings.command(),
-            "env_id": settings.env_id,
-            "algorithm": settings.algorithm,
-            "config": dict(settings.config),
-            "seed": settings.seed,
-            "timesteps": self.model.num_timesteps,
-            "wall_s": round(self._wall_s(), 3),
-            "threads": settings.threads,
-            "versions": versions(),
-            "payload_kg": rows[-1].payload_kg if rows and rows[-1].timesteps == self.model.num_timesteps else None,
-            "evaluation": {"criterion": "task", "resolution": RESOLUTION, **settings.evaluation},
-            "base_payload_kg": self.base_payload,
-            "planner_output_used": False,
-            "curve": [asdict(item) for item in rows],
-        }
-
-    def _save(self) -> Checkpoint:
-        monitor = self._monitor
-        counts = (monitor.episode_returns, monitor.episode_lengths, monitor.episode_count)
-        members = model_members(self.model, (self._envs, counts, self.normalize, self.normalize.returns))
-        checkpoint = Checkpoint(
-            settings=self.settings,
-            timesteps=self.model.num_timesteps,
-            wall_s=round(self._wall_s(), 3),
-            base_payload_kg=self.base_payload,
-            evaluations=tuple(self.evaluations),
-            versions=versions(),
-            members=members,
-        )
-        checkpoint.save(self.out / CHECKPOINT)
-        self._last_checkpoint = checkpoint.timesteps
-        return checkpoint
-
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """Records the first SIGINT or SIGTERM; a second SIGINT raises. Ignored signals stay ignored."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-
-        def note(number: int, frame: Any) -> None:
-            if self._signal is not None and number == signal.SIGINT:
-                raise KeyboardInterrupt
-            self._signal = number
-            self._say("stopping after this rollout; Ctrl-C again stops immediately and keeps the last checkpoint")
-
-        handled = [one for one in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(one) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, note) for number in handled}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-
-class _RunCallback(BaseCallback):
-    """Callback of Stable-Baselines3 that calls a run."""
-
-    def __init__(self, run: _Run) -> None:
-        super().__init__()
-        self._run = run
-
-    def _on_rollout_start(self) -> None:
-        self._run.on_rollout_start()
+        run, settings, now = self._run, self._run.state.settings, self.model.num_timesteps
+        if self._curriculum is not None:
+            self.logger.record("rollout/payload_ceiling", self._curriculum.ceiling)
+        evaluation_due = now // settings["eval_every"] > self._evaluated // settings["eval_every"]
+        if evaluation_due:
+            self.evaluate()
+        due = evaluation_due or now // settings["checkpoint_every"] > self._saved // settings["checkpoint_every"]
+        if due or (run.stopped and now > self._saved):
+            self.save()
+        if run.stopped:
+            raise runs.Interrupted(now)
 
     def _on_step(self) -> bool:
-        self._run.on_step()
+        best = self._run.state.best
+        self._run.report(f"training, best {runs.kg(best.payload_kg)}" if best else "training", self.num_timesteps)
         return True
 
 
-def _logger(out: Path, timesteps: int) -> Logger:
-    """Logger to ``progress.csv`` and TensorBoard; a resumed run keeps its rows up to the checkpoint."""
-    path, past = out / PROGRESS, []
-    if path.is_file() and timesteps:
-        with path.open(newline="", encoding="utf-8") as file:
-            past = [row for row in csv.DictReader(file) if _number(row.get("time/total_timesteps")) <= timesteps]
-    formats: list[KVWriter] = [CSVOutputFormat(str(path))]
-    for row in past:
-        formats[0].write({name: float(value) for name, value in row.items() if value}, {})
+def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
+    """Trains to the end."""
+    start, out = model.num_timesteps, run.out
+    formats: list[KVWriter] = [make_output_format("csv", str(out), f"_{start}" if start else "")]
     with suppress(AssertionError):  # SB3 raises it if TensorBoard is not installed
-        formats.append(TensorBoardOutputFormat(str(out / TENSORBOARD)))
-    return Logger(str(out), formats)
-
-
-def _number(text: str | None) -> float:
+        formats.append(TensorBoardOutputFormat(str(out / "tensorboard")))
+    logger = Logger(str(out), formats)
+    model.set_logger(logger)
+    off_policy = isinstance(model, OffPolicyAlgorithm)  # its log_interval counts episodes, not rollouts
     try:
-        return float(text or "")
-    except ValueError:
-        return float("inf")
+        with run.signals():
+            if not start:
+                callback.save()
+            model.learn(
+                run.state.settings["timesteps"] - start,
+                callback=callback,
+                log_interval=4 * model.n_envs if off_policy else 1,
+                reset_num_timesteps=not start,
+            )
+            callback.evaluate()
+        run.bundle(network_from_sb3(model)).save(out / runs.LAST)
+        callback.save()
+    finally:
+        logger.close()

@@ -231,10 +231,9 @@ class NonlinearMPC(ClassicalLaw):
         )
 
     def _in_range(self, blocks: dict[str, Array], env_index: int, error_bounds: ErrorBounds) -> bool:
-        error = blocks["pose"][env_index] - blocks["reference_pose"][env_index]
+        error = (blocks["pose"][env_index] - blocks["reference_pose"][env_index]) / _MAX_ERROR_RATIO
         position, rotation = np.linalg.norm(error[:3]), np.abs(error[3:]).max(initial=0.0)
-        position_bound, rotation_bound = error_bounds.position, error_bounds.rotation
-        return bool(position < _MAX_ERROR_RATIO * position_bound and rotation < _MAX_ERROR_RATIO * rotation_bound)
+        return bool(position < error_bounds.position and rotation < error_bounds.rotation)
 
     def _count_fallback(self, reason: str) -> None:
         if self.fallbacks == 0:

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, EstimatorState
-from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import composite_tuned
+from cablebot_baselines.classical.adaptive import Adaptive, EstimatorState, make_adaptive
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics import textbook
@@ -185,14 +183,6 @@ class AdaptivePlanLaw(Adaptive):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Group:
-    """Environments of a batch with the same task, and their control law."""
-
-    env_indices: NDArray[np.intp]
-    law: Adaptive
-
-
 class TrajOpt:
     """Plans one motion per task for the largest possible payload, and tracks it with the actual payload.
 
@@ -219,9 +209,10 @@ class TrajOpt:
         self.robot, self.settings = robot, settings
         self.fallbacks = 0
         """Number of episodes without a plan since the last :meth:`reset`."""
-        self._groups: tuple[_Group, ...] | None = None
+        # Environments with the same task and their law.
+        self._groups: list[tuple[NDArray[np.intp], Adaptive]] | None = None
         self._plans: dict[Any, tuple[Trajectory, PlannedMotion | str]] = {}
-        self._reference_law = _reference_law(robot)
+        self._reference_law = make_adaptive(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Plans one motion for each different task.
@@ -234,13 +225,11 @@ class TrajOpt:
         groups: dict[Any, list[int]] = {}
         for env_index, task in enumerate(tasks):
             groups.setdefault(_plan_key(task), []).append(env_index)
-        self._groups = tuple(
-            _Group(env_indices=np.array(indices), law=self._law(tasks[indices[0]], len(indices)))
-            for indices in groups.values()
-        )
+        self._groups = [
+            (np.array(indices), self._law(key, tasks[indices[0]], len(indices))) for key, indices in groups.items()
+        ]
 
-    def _law(self, task: Task, episodes: int) -> Adaptive:
-        key = _plan_key(task)
+    def _law(self, key: Any, task: Task, episodes: int) -> Adaptive:
         if key not in self._plans:
             self._plans[key] = task.trajectory, self._plan(task)  # keeps the trajectory alive, because its id is a key
         plan = self._plans[key][1]
@@ -285,18 +274,17 @@ class TrajOpt:
         observation = np.asarray(observation, float)
         count = len(observation) if observation.ndim == 2 else 1
         groups = self._groups
-        if groups is None or (len(groups) > 1 and sum(len(group.env_indices) for group in groups) != count):
+        if groups is None or (len(groups) > 1 and sum(len(rows) for rows, _ in groups) != count):
             if state is None:
                 self._fall_back(count, "the tasks of the batch are unknown; call reset(tasks) before predict()")
             return self._reference_law.predict(observation, state, episode_start, deterministic)
         if len(groups) == 1:
-            return groups[0].law.predict(observation, state, episode_start, deterministic)
+            return groups[0][1].predict(observation, state, episode_start, deterministic)
         actions, states = np.empty((count, self.robot.cables)), []
-        for index, group in enumerate(groups):
-            rows = group.env_indices
+        for index, (rows, law) in enumerate(groups):
             start = None if episode_start is None else np.asarray(episode_start)[rows]
             before = None if state is None else state[index]
-            actions[rows], after = group.law.predict(observation[rows], before, start, deterministic)
+            actions[rows], after = law.predict(observation[rows], before, start, deterministic)
             states.append(after)
         return actions, tuple(states)
 
@@ -305,13 +293,6 @@ def _plan_key(task: Task) -> tuple[Any, ...]:
     """Key of the plan of a task. A trajectory that is not hashable is equal only to itself."""
     motion = task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
     return motion, task.error_bounds, task.control_frequency
-
-
-def _reference_law(robot: Robot) -> Adaptive:
-    """Law that tracks the reference itself."""
-    if robot.flexible:
-        return Adaptive(composite_tuned(robot))
-    return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
 
 
 def make_trajopt(robot: Robot) -> TrajOpt:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cablebot_baselines.paper.interpretation import Interpretation, choices_of
-from cablebot_gym.utils.console import counting, notes_console
+from cablebot_gym.utils.console import notes_console, progress
 
 _CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
 
@@ -17,9 +17,7 @@ _CHOICES = {name: ", ".join(choices) for name, choices in choices_of().items()}
 def reproduce(
     only: Annotated[
         list[str] | None,
-        typer.Option(
-            "--only", help="Parts to run, for example fig10,interpretations,map-stiffness; all parts if not given."
-        ),
+        typer.Option("--only", help="Parts to run, for example fig10,interpretations,scan; all parts if not given."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Output folder for results.json, the page and the figures.")] = Path(
         "reproduction"
@@ -68,7 +66,7 @@ def reproduce(
     from cablebot_baselines.paper.engine import reproduce as run
     from cablebot_baselines.paper.page import tally
 
-    chosen: dict[str, Any] = {
+    choices: dict[str, Any] = {
         "payload": payload,
         "line": line,
         "platform_mass": platform_mass,
@@ -82,22 +80,23 @@ def reproduce(
         "eq24": eq24,
         "eq37": eq37,
     }
-    interpretation = Interpretation(**chosen)  # raises ValueError if a choice is invalid
+    interpretation = Interpretation(**choices)  # raises ValueError if a choice is invalid
     names = [name.strip() for text in only or [] for name in text.split(",")]
-    errors = notes_console()
-    with counting(errors, "computations") as bar:
-        task = bar.add_task("starting", total=1)
-
-        def step(last: str, done: int, expected: int) -> None:
-            bar.update(task, description=last, completed=done, total=expected)
-
-        say = errors.print
-        try:
-            results = run(interpretation, out, only=names, workers=workers, progress=step, say=say)
-        except KeyboardInterrupt:
-            rest = ",".join(missing(out, names))
-            say(f"finished parts are in {out}; continue with --out {out} --only {rest}")
-            raise
+    say = notes_console().print
+    try:
+        with progress("computing", "computations") as step:
+            results = run(
+                interpretation,
+                out,
+                only=names,
+                workers=workers,
+                progress=lambda activity, done, expected: step(done, expected, activity),
+                say=say,
+            )
+    except KeyboardInterrupt:
+        rest = ",".join(missing(out, names))
+        say(f"finished parts are in {out}; continue with --out {out} --only {rest}")
+        raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
         return

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -13,18 +12,19 @@ from typing import Any
 
 import numpy as np
 
-import cablebot_baselines
-import cablebot_gym
 from cablebot_baselines.paper.contents import PARTS
-from cablebot_baselines.paper.finding import command
 from cablebot_baselines.paper.findings import rows
 from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriumError
 from cablebot_baselines.paper.page import html, markdown
-from cablebot_baselines.paper.part import Cell, CellResults, Number, Part, cell_key
+from cablebot_baselines.paper.part import Jobs, Number, Part, Results
+from cablebot_baselines.paper.texts import command
+from cablebot_gym.benchmark.engine import local, run_jobs
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
+from cablebot_gym.utils.checks import choice
+from cablebot_gym.utils.code_hash import source_hash
 from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
-from cablebot_gym.utils.workers import check_workers, run
+from cablebot_gym.utils.workers import check_workers
 
 RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
 """Names of the output files besides the figures."""
@@ -45,10 +45,8 @@ def find_parts(names: Sequence[str]) -> tuple[Part, ...]:
     Raises:
         ValueError: if a name is unknown; the message lists the valid names.
     """
-    known = [part.name for part in PARTS]
     for name in names:
-        if name not in known:
-            raise ValueError(f"unknown part {name!r}; valid parts are {', '.join(known)}")
+        choice("part", name, [part.name for part in PARTS], "; for maps run cablebot benchmark --suite paper-maps")
     return tuple(part for part in PARTS if not names or part.name in names)
 
 
@@ -87,12 +85,14 @@ def reproduce(
     workers = check_workers(workers)
     import_matplotlib()
     check_writable_dir(out)
-    results = _Results(interpretation, out, alone=not only)
+    output = _Output(interpretation, out, alone=not only)
     try:
-        for part, cell_results in _computed(parts, interpretation, workers, progress, say or (lambda _: None)):
-            results.add(part, cell_results)
+        for part, results in _computed(
+            parts, interpretation, workers, progress or (lambda *_: None), say or (lambda _: None)
+        ):
+            output.add(part, results)
     finally:
-        written = results.write()
+        written = output.write()
     return written
 
 
@@ -102,12 +102,16 @@ def missing(out: Path, names: Sequence[str]) -> list[str]:
     return [name for name in held if not names or name in names]
 
 
-class _Results:
+class _Output:
     """Finished parts and their output files."""
 
     def __init__(self, interpretation: Interpretation, out: Path, *, alone: bool) -> None:
         self._interpretation, self._out = interpretation, out
-        self._head = {"interpretation": asdict(interpretation), "versions": versions(), "source": source_hash()}
+        self._head = {
+            "interpretation": asdict(interpretation),
+            "versions": versions(),
+            "source": source_hash("cablebot_baselines.paper.engine", data=_data()),
+        }
         self._numbers: dict[str, Number] = {}
         self._parts: dict[str, dict[str, Any]] = {}
         self._keep(alone)
@@ -128,28 +132,27 @@ class _Results:
                 "--out, or run all parts without --only"
             )
 
-    def add(self, part: Part, cell_results: CellResults | str) -> None:
+    def add(self, part: Part, results: Results | str) -> None:
         """Adds the outcome and the figure of a part, or the reason why the interpretation does not allow it."""
-        entry: dict[str, Any] = {"name": part.name, "title": part.title, "text": part.text}
         self._numbers = {key: value for key, value in self._numbers.items() if not key.startswith(f"{part.name}.")}
-        if isinstance(cell_results, str):
-            entry |= {"figure": None, "tables": [], "impossible": cell_results}
+        entry: dict[str, Any] = {
+            "name": part.name,
+            "title": part.title,
+            "text": part.text,
+            "figure": None,
+            "tables": [],
+        }
+        if isinstance(results, str):
+            entry["impossible"] = results
         else:
-            outcome = part.outcome(self._interpretation, cell_results)
+            outcome = part.outcome(self._interpretation, results)
             self._numbers |= {f"{part.name}.{key}": json_number(value) for key, value in outcome.numbers.items()}
-            entry |= {
-                "figure": None if part.draw is None else part.name,
-                "tables": [
-                    {
-                        "title": table.title,
-                        "header": list(table.header),
-                        "rows": [[json_number(value) for value in row] for row in table.rows],
-                    }
-                    for table in outcome.tables
-                ],
-            }
+            for table in outcome.tables:
+                cells = [[json_number(value) for value in row] for row in table.rows]
+                entry["tables"].append({"title": table.title, "header": list(table.header), "rows": cells})
             if part.draw is not None:
-                save_figure(part.draw(self._interpretation, cell_results), self._out / part.name)
+                entry["figure"] = part.name
+                save_figure(part.draw(self._interpretation, results), self._out / part.name)
         self._parts[part.name] = entry
 
     def write(self) -> dict[str, Any]:
@@ -168,11 +171,9 @@ class _Results:
             results["errata"] = _ERRATA
         impossible = {name: part["impossible"] for name, part in self._parts.items() if "impossible" in part}
         results["rows"] = rows(self._interpretation, results["numbers"], impossible)
-        atomic_write_text(
-            self._out / RESULTS, json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        )
-        atomic_write_text(self._out / MARKDOWN, markdown(results))
-        atomic_write_text(self._out / HTML, html(results))
+        text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        for name, content in ((RESULTS, text), (MARKDOWN, markdown(results)), (HTML, html(results))):
+            atomic_write_text(self._out / name, content)
         return results
 
 
@@ -196,58 +197,40 @@ def json_number(value: Any) -> Number:
     raise TypeError(f"a result must be a number, a text, a truth value or None, not {value!r}")
 
 
-def source_hash() -> str:
-    """Hash of the source code that computes the numbers."""
-    digest = hashlib.sha256()
-    for package in (cablebot_gym, cablebot_baselines):
-        root = Path(package.__path__[0])
-        for path in sorted(root.rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+def _data() -> tuple[Path, ...]:
+    """Data files that determine the numbers and the page."""
+    folder = Path(__file__).parent
+    return tuple(sorted(path for path in folder.iterdir() if path.suffix in (".md", ".toml")))
 
 
 def _computed(
     parts: Sequence[Part],
     interpretation: Interpretation,
     workers: int,
-    progress: Progress | None,
+    progress: Progress,
     say: Callable[[str], None],
-) -> Iterator[tuple[Part, CellResults | str]]:
-    """Yields each part with the results of its cells, or with the reason why the interpretation does not allow it."""
-    waiting: dict[str, dict[str, str]] = {}
-    cells: dict[str, Cell] = {}
+) -> Iterator[tuple[Part, Results | str]]:
+    """Yields each part with its results, or with the reason why the interpretation does not allow it."""
+    waiting: dict[str, tuple[Part, Jobs]] = {}
     for part in parts:
         try:
-            part_cells = part.cells(interpretation)
+            waiting[part.name] = part, part.jobs(interpretation)
         except NoEquilibriumError as error:
             yield part, str(error)
-            continue
-        keys = {name: cell_key(cell) for name, cell in part_cells.items()}
-        waiting[part.name] = keys
-        cells |= {keys[name]: cell for name, cell in part_cells.items()}
-    by_name = {part.name: part for part in parts}
+    jobs = {job.key: job for _, own in waiting.values() for job in own.values()}
     done: dict[str, Any] = {}
 
-    def complete() -> Iterator[tuple[Part, CellResults | str]]:
-        for name in [name for name, keys in waiting.items() if all(key in done for key in keys.values())]:
-            if progress is not None:
-                progress(f"drawing {name}", len(done), len(cells))
-            yield by_name[name], _gathered(waiting.pop(name), done)
+    def complete() -> Iterator[tuple[Part, Results | str]]:
+        for name, (part, own) in list(waiting.items()):
+            if all(job.key in done for job in own.values()):
+                progress(f"drawing {name}", len(done), len(jobs))
+                results = {name: done[job.key] for name, job in own.items()}
+                failed = [result for result in results.values() if isinstance(result, NoEquilibriumError)]
+                del waiting[name]
+                yield part, str(failed[0]) if failed else results
 
     yield from complete()  # parts without computations
-    for key, value in run(cells, workers=workers, kind=_kind, say=say, returned=(NoEquilibriumError,)):
-        done[key] = value
-        if progress is not None:
-            progress("computing", len(done), len(cells))
+    for key, result in run_jobs(jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,)):
+        done[key] = result
+        progress("computing", len(done), len(jobs))
         yield from complete()
-
-
-def _gathered(keys: Mapping[str, str], done: Mapping[str, Any]) -> CellResults | str:
-    failed = [done[key] for key in keys.values() if isinstance(done[key], NoEquilibriumError)]
-    return str(failed[0]) if failed else {name: done[key] for name, key in keys.items()}
-
-
-def _kind(cell: Cell) -> tuple[Any, Any]:
-    """Key of the compiled code that a cell requires: its function and its environment."""
-    return cell.func, cell.keywords.get("env_id")

@@ -6,7 +6,7 @@ The defaults are the choices that this project considers correct. They are not f
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args, get_type_hints
 
 import numpy as np
@@ -15,6 +15,7 @@ from cablebot_baselines.paper.published import published_value
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.utils import checks
 
 Source = Literal["control", "payload"]
 """Section that supplies a value if the sections differ: ``control`` is §4 (Tables 2, 4 and 5), ``payload`` is §5.2
@@ -86,20 +87,21 @@ class Interpretation:
 
     def __post_init__(self) -> None:
         for name, choices in choices_of().items():
-            if getattr(self, name) not in choices:
-                raise ValueError(f"{name} must be one of {', '.join(choices)}, not {getattr(self, name)!r}")
-        if not 0 <= self.minimum_tension < math.inf:
-            raise ValueError(f"minimum_tension must be at least 0 N, not {self.minimum_tension}")
+            checks.choice(name.replace("_", " "), getattr(self, name), choices)
+        checks.number("minimum_tension", self.minimum_tension, least=0.0, unit="N")
 
     def replace(self, **changes: Any) -> Interpretation:
         """A copy with changed choices."""
-        return Interpretation(**{field.name: getattr(self, field.name) for field in fields(self)} | changes)
+        return replace(self, **changes)
+
+    def changed(self) -> dict[str, Any]:
+        """Choices that differ from the default, by option name."""
+        default = asdict(Interpretation())
+        return {name: value for name, value in asdict(self).items() if value != default[name]}
 
     def text(self) -> str:
         """Choices that differ from the default as ``name = value``, or "default"."""
-        default = Interpretation()
-        changed = [field.name for field in fields(self) if getattr(self, field.name) != getattr(default, field.name)]
-        return ", ".join(f"{name} = {getattr(self, name)}" for name in changed) or "default"
+        return ", ".join(f"{name} = {value}" for name, value in self.changed().items()) or "default"
 
     @property
     def planar(self) -> Robot:

@@ -28,6 +28,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory
+from cablebot_gym.utils.checks import number, whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,11 +106,8 @@ def iterate_load(
     Raises:
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
-    for name, value in (("guess", guess), ("tolerance", tolerance)):
-        if not 0 < value < math.inf:
-            raise ValueError(f"{name} must be finite and greater than 0 kg, not {value}")
-    if max_iterations < 1:
-        raise ValueError(f"max_iterations must be at least 1, not {max_iterations}")
+    guess, tolerance = number("guess", guess, above=0, unit="kg"), number("tolerance", tolerance, above=0, unit="kg")
+    max_iterations = whole("max_iterations", max_iterations, least=1)
     times, reference = control_instants(robot, trajectory, frequency)
     speed = np.asarray(line_speed, float) * textbook.pulley_speed(robot, reference.position, reference.velocity)
     empty = _torques(robot, 0.0, reference, minimum_tension)

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_gym.benchmark.engine import Job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,18 +16,21 @@ if TYPE_CHECKING:
 Number = float | int | str | bool | None
 """Value of a number in results.json."""
 
-Cell = partial[Any]
-"""One computation: a module-level function with keyword arguments. The arguments can be pickled, and their ``repr``
-identifies them. A cell that several parts share runs once, in any worker process."""
+Jobs = dict[str, Job]
+"""Computations of a part by name. A computation that several parts share has one key and runs once."""
 
-CellResults = Mapping[str, Any]
-"""Return values of the cells of a part, by cell name."""
+Results = Mapping[str, Any]
+"""Results of the computations of a part by name."""
 
 
-def cell_key(cell: Cell) -> str:
-    """Key that identifies a cell: its function and its keyword arguments."""
-    keywords = ", ".join(f"{name}={value!r}" for name, value in sorted(cell.keywords.items()))
-    return f"{cell.func.__module__}.{cell.func.__qualname__}({keywords})"
+def job(function: Callable[..., Any], **keywords: Any) -> Job:
+    """The call of a module-level function. Its keyword arguments can be pickled, and their ``repr`` identifies them."""
+    arguments = ", ".join(f"{name}={value!r}" for name, value in sorted(keywords.items()))
+    return Job(
+        key=f"{function.__module__}.{function.__qualname__}({arguments})",
+        compute=partial(function, **keywords),
+        kind=(function, keywords.get("env_id")),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +64,10 @@ class Part:
     title: str
     """Heading on the page."""
     text: str
-    """Description of the contents and the method: one Markdown paragraph."""
-    cells: Callable[[Interpretation], dict[str, Cell]]
-    """Function that returns the required cells of an interpretation."""
-    outcome: Callable[[Interpretation, CellResults], Outcome]
+    """Description of the contents and the method in Markdown."""
+    jobs: Callable[[Interpretation], Jobs]
+    """Function that returns the required computations of an interpretation."""
+    outcome: Callable[[Interpretation, Results], Outcome]
     """Function that returns the numbers and tables."""
-    draw: Callable[[Interpretation, CellResults], Figure] | None = None
+    draw: Callable[[Interpretation, Results], Figure] | None = None
     """Function that draws the figure; None if the part has no figure."""

@@ -12,13 +12,15 @@ from cablebot_gym.robots import Robot
 Law = Callable[[Robot], Any]
 """Builds a policy for a robot: a class of :mod:`cablebot_baselines.classical`, or a partial of such a class."""
 
+PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+
 
 def largest_payload(*, env_id: str, law: Law, robot: Robot, name: str, **keywords: Any) -> DLCCResult:
     """:func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc` of a law that is built for the controlled robot."""
     return evaluate_dlcc(law(robot), env_id, robot=robot, name=name, **keywords)
 
 
-def closed_loop(*, env_id: str, law: Law, robot: Robot, payload: float, **keywords: Any) -> Rollout:
+def closed_loop(*, env_id: str, law: Law, robot: Robot, payload: float = 0.0, **keywords: Any) -> Rollout:
     """One episode of a law that is built for the controlled robot."""
     return record_rollout(law(robot), env_id, payload=payload, robot=robot, **keywords)
 

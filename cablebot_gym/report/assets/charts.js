@@ -31,7 +31,7 @@ function ticks(low, high, count) {
 
 /* options: x (numbers), series ([{name, values, note, style, plain}]; a value may be null; style is a style index, by default
    the index of the series), label, range ([low, high] of y), bounds ([y]), tube ([low, high]), log (logarithmic x axis),
-   points (mark the samples). Returns {node, moveCursor(x)}. */
+   points (mark the samples), event (x of a vertical line, or null). Returns {node, moveCursor(x)}. */
 function lineChart(options) {
   const width = 520, height = 230, left = 46, right = 10, top = 8, bottom = 26;
   const { x, series } = options, scale = options.log ? Math.log : (value) => value;
@@ -54,6 +54,7 @@ function lineChart(options) {
   }
   picture.append(drawing("line", { class: "axis", x1: left, x2: width - right, y1: height - bottom, y2: height - bottom }));
   for (const bound of options.bounds ?? []) picture.append(drawing("line", { class: "bound", x1: left, x2: width - right, y1: down(bound), y2: down(bound) }));
+  if (typeof options.event === "number") picture.append(drawing("line", { class: "bound", x1: across(options.event), x2: across(options.event), y1: top, y2: height - bottom }));
   series.forEach((line, number) => {
     const style = strokeStyle(line, number);
     let path = "", pen = "M";

@@ -94,7 +94,7 @@ async function showReplay(cell, replay) {
   verdict.className = replay.carried ? "good" : "bad";
   verdict.textContent = replay.carried ? `${replay.payload.toFixed(2)} kg: carried` : `${replay.payload.toFixed(2)} kg: ${replay.violation}`;
   scene.show(robot, frames, motion);
-  drawCharts(frames, motion, robot);
+  drawCharts(frames, motion, robot, replay.violation_time);
   find("tension-scale").textContent = `0 to ${robot.fullTension.toFixed(0)} N`;
   const slider = find("time");
   slider.max = String(frames.times.length - 1);
@@ -105,7 +105,7 @@ async function showReplay(cell, replay) {
 
 const SATURATED = 0.999;  // |action| that counts as saturated; clipped actions reach 1 up to the 16-bit quantisation
 
-function drawCharts(frames, motion, robot) {
+function drawCharts(frames, motion, robot, violationTime) {
   const column = (name, index, scale = 1) => frames[name].map((values) => scale * values[index]);
   const motors = robot.base.map((_, motor) => {
     const values = column("action", motor), saturated = values.filter((value) => Math.abs(value) >= SATURATED).length / values.length;
@@ -128,7 +128,7 @@ function drawCharts(frames, motion, robot) {
   find("figure-rotation").hidden = !frames.rotation_error;
   if (frames.rotation_error) plots["chart-rotation"] = { ...error("rotation_error", 1e3, 1e3 * motion.rotation), label: "Rotation error over time" };
   charts = Object.entries(plots).map(([id, options]) => {
-    const chart = lineChart(options);
+    const chart = lineChart({ ...options, event: violationTime });
     find(id).replaceChildren(chart.node);
     return chart;
   });
@@ -176,7 +176,7 @@ scene = makeScene(find("scene"));
 function drawMaps() {
   const body = find("maps-body");
   if (!data.maps.length) {
-    body.append(element("p", { text: data.no_maps }));
+    body.append(element("p", { text: "These results contain no payload maps. To add them, run cablebot benchmark --suite maps --out maps, then cablebot report RESULTS maps." }));
     return;
   }
   const names = [...new Set(data.maps.flatMap((map) => map.policies.map((policy) => policy.name)))];
@@ -189,7 +189,7 @@ function drawMaps() {
       const policies = map.policies.map((policy) => ({ ...policy, style: names.indexOf(policy.name) }));  // the same in all maps
       const series = [...(map.best_known.some((value) => value !== null) ? [best] : []), ...policies];
       figure.append(element("figcaption", { text: `Payload [kg] versus ${map.label}` }),
-        lineChart({ x: map.x, series, points: true, log: true, range: [0, 1.05 * Math.max(0.1, ...series.flatMap((line) => line.values.filter((value) => value !== null)))], label: `Payload versus ${map.label}, ${id}` }).node,
+        lineChart({ x: map.x, series, points: true, log: map.x[0] > 0, range: [0, 1.05 * Math.max(0.1, ...series.flatMap((line) => line.values.filter((value) => value !== null)))], label: `Payload versus ${map.label}, ${id}` }).node,
         mapTable(map, series));
       grid.append(figure);
     }
@@ -221,7 +221,7 @@ for (const section of data.notes) {
 const leaderboard = makeLeaderboard(data.rows, openRow);
 drawMaps();
 const linked = data.rows.find((row) => row.key === decodeURIComponent(location.hash.slice(1)));
-const start = linked ?? data.rows.find((row) => data.cells[row.cells[0]].replays) ?? data.rows[0];
+const start = linked ?? data.rows[data.start];
 leaderboard.filters.id.value = start.id;
 leaderboard.filters.motion.value = start.motion;
 leaderboard.filters.condition.value = start.condition;

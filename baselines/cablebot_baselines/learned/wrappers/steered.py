@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -12,65 +13,22 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+import cablebot_gym  # noqa: F401 - registers the ids
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.base import Base, find_base
 from cablebot_baselines.learned.steering import Memory, Residual, Shift, Steering, find_action_mapping
-from cablebot_baselines.learned.wrappers.layers import (
-    STEERED,
-    BatchWrapper,
-    SingleStep,
-    SingleWrapper,
-    check_number,
-    restart_mask,
-)
-from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
-
-
-def _steering(
-    plant: CableBotEnv | CableBotVectorEnv,
-    base: Base | str | Mapping[str, Any],
-    steering: Shift | Residual | str | Mapping[str, Any],
-    features: Sequence[str],
-) -> tuple[Steering, Box, Box]:
-    """The steered law, and the spaces of a learner's observations and actions."""
-    steered = Steering(
-        plant.settings.robot, base=find_base(base), action_mapping=find_action_mapping(steering), features=features
-    )
-    return steered, Box(-np.inf, np.inf, (steered.inputs,), np.float32), Box(-1.0, 1.0, (steered.actions,), np.float32)
-
-
-def _checked(action: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Checks that an action has finite numbers and the given shape, and returns it as floats.
-
-    Raises:
-        ValueError: if not.
-    """
-    try:
-        checked = np.asarray(action, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"action must be {shape[-1]} numbers for each environment, not {action!r}") from error
-    if checked.shape != shape:
-        raise ValueError(f"action must have shape {shape}, with numbers in [−1, 1], not shape {checked.shape}")
-    if not np.all(np.isfinite(checked)):
-        raise ValueError("action must be finite; it contains NaN or infinity")
-    return checked
-
-
-def _mean_square(actions: Array) -> Array:
-    """Mean square of each clipped action, (...)."""
-    square: Array = np.mean(np.clip(actions, -1.0, 1.0) ** 2, axis=-1)
-    return square
+from cablebot_baselines.learned.wrappers.layers import STEERED, BatchWrapper, SingleWrapper, restart_mask
+from cablebot_gym.envs.vector import VectorStep
+from cablebot_gym.utils.checks import number, numbers
 
 
 class SteeredVector(BatchWrapper):
-    """Vector form of :class:`Steered` for N environments, with same-step autoreset and the same arguments.
+    """Vector form of :class:`Steered` for N environments, with the same arguments.
 
-    If an episode ends within an action, the rest of the action has no effect on it, and the environment is then reset.
-    ``final_obs`` and ``final_info`` contain its last observation and info at the end of the episode, in the form of
-    :class:`CableBotVectorEnv`.
+    If an episode ends within an action, the rest of the action has no effect on its results. Reset ended environments
+    with the option ``reset_mask`` before the next step.
 
     Raises:
         TypeError: if the environment is not a :class:`CableBotVectorEnv`.
@@ -89,125 +47,88 @@ class SteeredVector(BatchWrapper):
         effort: float = 0.0,
     ) -> None:
         super().__init__(env)
-        check_number("effort", effort, 0.0)
-        self._effort = float(effort)
-        self.steering, observation_space, action_space = _steering(self._plant, base, steering, features)
+        self._effort = number("effort", effort, least=0.0)
+        robot, action_mapping = self._plant.settings.robot, find_action_mapping(steering)
+        self.steering = Steering(robot, base=find_base(base), action_mapping=action_mapping, features=features)
         """The steered base law."""
-        self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
-        self.single_observation_space, self.single_action_space = observation_space, action_space
-        self.observation_space = batch_space(observation_space, self.num_envs)
-        self.action_space = batch_space(action_space, self.num_envs)
+        self.single_observation_space = Box(-np.inf, np.inf, (self.steering.inputs,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (self.steering.actions,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._memory: Memory | None = None
         self._blocks: dict[str, Array] = {}
-        self._start: NDArray[np.bool_] = np.zeros(self.num_envs, np.bool_)
+        self._start, self._ended = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
         self._first = np.zeros((self.num_envs, self._plant.layout.size))
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts episodes; seeds and options as for :class:`CableBotVectorEnv`, except ``error_bounds``.
+        """Starts episodes; seeds and options as for the environment, except ``error_bounds`` for several environments.
 
         Raises:
             ValueError: if a seed or an option is invalid.
         """
-        if "error_bounds" in (options or {}):
+        if self.num_envs > 1 and "error_bounds" in (options or {}):
             raise ValueError(
-                "error_bounds is not a valid option here, because it would apply to the first episodes only: give "
-                "error_bounds when the environments are made"
+                "error_bounds must be the same in all environments and episodes: give error_bounds when the "
+                "environments are made"
             )
         observation, info = self.env.reset(seed=seed, options=options)
         marked = restart_mask(options, self.num_envs)
-        if self._memory is None or marked.all():
+        if marked.all():
             self.steering.reset(self._plant.tasks)
-        return self._start_episodes(observation, marked), info
-
-    def _start_episodes(self, observation: Array, marked: NDArray[np.bool_]) -> Array:
-        """Starts the episodes of the marked environments; returns the learner's observation (N, features)."""
         self._first[marked] = observation[marked]
         self._blocks = self.steering.split(observation)
         self._memory = self.steering.reset_memory(self._blocks, self._memory, marked)
-        self._start = self._start | marked
-        return self._observe(self._blocks, self._memory)
+        self._start, self._ended = self._start | marked, self._ended & ~marked
+        return self._observe(self._blocks, self._memory), info
 
     def _observe(self, blocks: dict[str, Array], memory: Memory) -> Array:
         return self.steering.observe(blocks, memory).astype(np.float32)
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """One action, which lasts ``Steering.periods`` control periods.
+        """One action, which lasts ``Steering.periods`` control periods or until the episode ends.
 
         Raises:
-            ResetNeeded: before the first reset.
+            ResetNeeded: before the first reset, and if an episode has ended.
             ValueError: if the actions are not (N, size) finite numbers.
         """
-        if self._memory is None:
-            raise ResetNeeded("call reset() before step()")
-        actions = _checked(actions, (self.num_envs, self.steering.actions))
+        if self._memory is None or self._ended.any():
+            raise ResetNeeded("an episode has ended or was never started: call reset(), with reset_mask for some")
         steering, memory, blocks, start = self.steering, self._memory, self._blocks, self._start
-        total = -self._effort * _mean_square(actions)
+        form = f"{steering.actions} numbers in [−1, 1] for each environment"
+        actions = numbers("action", actions, shapes=[(self.num_envs, steering.actions)], form=form)
+        total = -self._effort * np.mean(np.clip(actions, -1.0, 1.0) ** 2, axis=-1)
         terminated, truncated, ended = (np.zeros(self.num_envs, np.bool_) for _ in range(3))
-        last = _Last()
+        ends = []
         for _ in range(steering.periods):
             applied, memory = steering.respond(blocks, actions, memory, start)
             start = np.zeros_like(start)
-            observation, reward, failed, over, info = self.env.step(applied, past_end=True)
+            observation, reward, failed, over, info = self.env.step(applied)
             total += np.where(ended, 0.0, reward)
             fresh = (failed | over) & ~ended
             if fresh.any():
-                terminated |= fresh & failed
-                truncated |= fresh & over
-                ended |= fresh
-                last.keep(fresh, observation, memory.step, info)
+                terminated, truncated, ended = terminated | fresh & failed, truncated | fresh & over, ended | fresh
+                ends.append((np.flatnonzero(fresh), observation, memory.step, info))
                 if ended.all():
                     break
             # The law must not be evaluated at the state of an ended plant, which may be anywhere.
-            observation[ended] = self._first[ended]
-            blocks = steering.split(observation)
-        self._memory, self._blocks, self._start = memory, blocks, start
-        if not ended.any():
+            blocks = steering.split(np.where(ended[:, None], self._first, observation))
+        self._memory, self._blocks, self._start, self._ended = memory, blocks, start, ended
+        if not ends:
             return self._observe(blocks, memory), total, terminated, truncated, info
-        final = self._final(ended, last, memory)
-        observation, info = self.env.reset(options={"reset_mask": ended.copy()})
-        return self._start_episodes(observation, ended), total, terminated, truncated, info | final
-
-    def _final(self, ended: NDArray[np.bool_], last: _Last, memory: Memory) -> dict[str, Any]:
-        """The last observation and info of ended environments, in the form of :class:`CableBotVectorEnv`."""
-        env_indices = np.flatnonzero(ended)
-        then = replace(
-            memory,
-            actions=memory.actions[env_indices],
-            anchors=memory.anchors[env_indices],
-            step=last.steps[env_indices],
-        )
-        observations = np.full(self.num_envs, None, dtype=object)
-        for env_index, row in zip(
-            env_indices, self._observe(self.steering.split(last.observation[env_indices]), then), strict=True
-        ):
-            observations[env_index] = row.copy()
-        info = last.info | {f"_{name}": ended.copy() for name in last.info}
-        return {"final_obs": observations, "_final_obs": ended.copy(), "final_info": info, "_final_info": ended.copy()}
+        for env_indices, its_observation, its_step, its_info in ends:
+            if its_observation is observation:
+                break
+            observation = _with_rows(observation, its_observation, env_indices)
+            memory = replace(memory, step=_with_rows(memory.step, its_step, env_indices))
+            info = {name: _with_rows(value, its_info[name], env_indices) for name, value in info.items()}
+        return self._observe(steering.split(observation), memory), total, terminated, truncated, info
 
 
-class _Last:
-    """Last observations, control instants and infos of episodes that end within one action."""
-
-    observation: Array
-    steps: NDArray[np.int64]
-    info: dict[str, Array]
-
-    def __init__(self) -> None:
-        self._empty = True
-
-    def keep(
-        self, ended: NDArray[np.bool_], observation: Array, steps: NDArray[np.int64], info: dict[str, Any]
-    ) -> None:
-        """Stores the values of the environments whose episodes have just ended."""
-        if self._empty:
-            self.observation, self.steps = observation.copy(), steps.copy()
-            self.info = {name: np.array(value) for name, value in info.items()}
-            self._empty = False
-            return
-        env_indices = np.flatnonzero(ended)
-        self.observation[env_indices], self.steps[env_indices] = observation[env_indices], steps[env_indices]
-        for name, kept in self.info.items():
-            kept[env_indices] = info[name][env_indices]
+def _with_rows(values: Array, other: Array, env_indices: Array) -> Array:
+    """A copy of an array with some rows of another."""
+    merged = values.copy()
+    merged[env_indices] = other[env_indices]
+    return merged
 
 
 class Steered(SingleWrapper):
@@ -234,59 +155,54 @@ class Steered(SingleWrapper):
             steered.
     """
 
-    level: ClassVar[int] = STEERED
-    vector: ClassVar[type[SteeredVector]] = SteeredVector
+    vector: ClassVar[type[Any]] = SteeredVector
 
-    def __init__(
-        self,
-        env: gym.Env[Array, ArrayLike],
-        *,
-        base: Base | str | Mapping[str, Any],
-        steering: Shift | Residual | str | Mapping[str, Any],
-        features: Sequence[str],
-        effort: float = 0.0,
-    ) -> None:
-        super().__init__(env, base=base, steering=steering, features=features, effort=effort)
-        check_number("effort", effort, 0.0)
-        self._effort = float(effort)
-        self.steering, self.observation_space, self.action_space = _steering(self._plant, base, steering, features)
+    @property
+    def steering(self) -> Steering:
         """The steered base law."""
-        self._memory: Memory | None = None
-        self._blocks: dict[str, Array] = {}
+        steering: Steering = self.batch.steering
+        return steering
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts an episode; seed and options as for the environment.
 
-        Raises:
-            ValueError: if the seed or an option is invalid.
-        """
-        observation, info = self.env.reset(seed=seed, options=options)
-        self.steering.reset([self._plant.task])
-        self._blocks = self.steering.split(observation)
-        self._memory = self.steering.reset_memory(self._blocks, None, None)
-        return self._observe(self._blocks, self._memory), info
+def make_steered_vec(
+    env_id: str,
+    n_envs: int,
+    *,
+    wrappers: Sequence[tuple[type[Any], Mapping[str, Any]]],
+    seed: int | None = None,
+    **keywords: Any,
+) -> SteeredVector:
+    """Makes N environments of one id as one compiled batch, with the vector forms of the given wrappers.
 
-    def _observe(self, blocks: dict[str, Array], memory: Memory) -> Array:
-        return self.steering.observe(blocks, memory).astype(np.float32)
+    Stable-Baselines3 trains on ``CableBotVecEnv(make_steered_vec(…))``. Autoreset is disabled.
 
-    def step(self, action: ArrayLike) -> SingleStep:
-        """One action, which lasts ``Steering.periods`` control periods or until the episode ends.
+    Args:
+        env_id: one of :data:`cablebot_gym.ENV_IDS`.
+        n_envs: number of environments N.
+        wrappers: wrapper classes and their arguments, innermost first; the last one is :class:`Steered`.
+        seed: environment i is reset with ``seed + i``, and the action space is seeded; later resets continue the
+            random streams.
+        keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``, and
+            ``max_episode_steps``.
 
-        Raises:
-            ResetNeeded: before the first reset, and after the end of an episode.
-            ValueError: if the action is not a vector of finite numbers of the right size.
-        """
-        if self._memory is None:
-            raise ResetNeeded("no episode is running: call reset() before step()")
-        action = _checked(action, (self.steering.actions,))
-        steering, memory, blocks = self.steering, self._memory, self._blocks
-        total = -self._effort * float(_mean_square(action))
-        for _ in range(steering.periods):
-            applied, memory = steering.respond(blocks, action, memory)
-            observation, reward, terminated, truncated, info = self.env.step(applied)
-            total += float(reward)
-            blocks = steering.split(observation)
-            if terminated or truncated:
-                break
-        self._blocks, self._memory = blocks, None if terminated or truncated else memory
-        return self._observe(blocks, memory), total, terminated, truncated, info
+    Raises:
+        gymnasium.error.Error: if the id is unknown.
+        ValueError: if the last wrapper is not :class:`Steered`, the order is wrong, a wrapper has no vector form, or an
+            argument is unknown, missing or invalid.
+    """
+    env: Any = gym.make_vec(env_id, num_envs=n_envs, autoreset_mode=AutoresetMode.DISABLED, **keywords)
+    for wrapper, arguments in wrappers:
+        vector = getattr(wrapper, "vector", None)
+        if vector is None:
+            raise ValueError(f"wrappers: {wrapper.__name__} has no vector form (attribute 'vector')")
+        try:
+            inspect.signature(vector).bind(env, **arguments)
+        except TypeError as error:
+            raise ValueError(f"wrappers: {wrapper.__name__}: {error}") from None
+        env = vector(env, **arguments)
+    if not isinstance(env, SteeredVector):
+        raise ValueError("the last (outermost) wrapper must be Steered")
+    if seed is not None:
+        env.reset(seed=seed)
+        env.action_space.seed(seed)
+    return env

@@ -10,76 +10,66 @@ from typing import Any
 from cablebot_baselines.classical import Composite, FeedbackLinearization, FourthOrder, MotorPD
 from cablebot_baselines.paper.exact import LargestPayload, exact_limit, state_space_limit
 from cablebot_baselines.paper.interpretation import Interpretation, choices_of
-from cablebot_baselines.paper.part import Cell, CellResults, Number, Outcome, Part, Table
-from cablebot_baselines.paper.parts.profiles import violation_text
+from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
+from cablebot_baselines.paper.parts.profiles import saturated_motor, violation_text
 from cablebot_baselines.paper.published import LOADS, within
-from cablebot_baselines.paper.runs import Law, largest_payload
+from cablebot_baselines.paper.runs import FLEX, PLANAR, SPATIAL, Law, largest_payload
 from cablebot_gym.evaluation import DLCCResult
 
-_LINES = choices_of()["line"]
+_CHOICES = choices_of()
+_LINES = _CHOICES["line"]
 _RIGID_LINES = tuple(line for line in _LINES if line != "pulley")  # a rigid pulley turns with its motor
-_TENSIONS = (0.0, 5.0)
+
+_VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
+    "spatial": {
+        "triangles": _CHOICES["triangles"],
+        "sides": _CHOICES["sides"],
+        "pulleys": _CHOICES["pulleys"],
+        "platform_mass": ("10", "11"),
+        "line": _RIGID_LINES,
+    },
+    "planar": {
+        "planar_apex": _CHOICES["planar_apex"],
+        "alpha": _CHOICES["alpha"],
+        "minimum_tension": (0.0, 5.0),
+        "line": _RIGID_LINES,
+    },
+    "flexible": {"eq24": _CHOICES["eq24"], "stiffness": ("2", "3"), "line": _LINES},
+}
+"""Options that affect the payload of each robot, and their values."""
+
+_TITLES = {
+    "spatial": "Rigid spatial robot, exact tracking: added payload [kg] and limiting motor; published: "
+    "2.56 kg, motor 2",
+    "planar": "Planar robot, exact tracking: payload [kg] added to the platform of 1 kg and limiting motor; published: "
+    "2.2 kg, motor 2",
+    "flexible": "Joint springs, state space of Eqs. 23–25: added payload [kg] and limiting motor; published: 1.4 kg, "
+    "motor 2 at K = 3",
+}
 
 PayloadLimits = dict[Interpretation, LargestPayload | None]
 """Largest payload by interpretation; None if the robot has no equilibrium with positive tensions."""
 
 
-def _varied(interpretation: Interpretation, **choices: tuple[object, ...]) -> list[Interpretation]:
-    """All combinations of these choices; other options as in ``interpretation``."""
+def varied(interpretation: Interpretation, kind: str) -> list[Interpretation]:
+    """All combinations of the options that affect the payload of a robot; other options as in ``interpretation``."""
+    choices = _VARIED[kind]
     return [interpretation.replace(**dict(zip(choices, values, strict=True))) for values in product(*choices.values())]
 
 
-def spatial_interpretations(interpretation: Interpretation) -> list[Interpretation]:
-    """All combinations of the options that affect the payload of the rigid spatial robot."""
-    choices = choices_of()
-    return _varied(
-        interpretation,
-        triangles=choices["triangles"],
-        sides=choices["sides"],
-        pulleys=choices["pulleys"],
-        platform_mass=("10", "11"),
-        line=_RIGID_LINES,
-    )
+def limits(*, interpretation: Interpretation, kind: str) -> PayloadLimits:
+    """Payloads of exact tracking for a rigid robot, or of the state space of Eqs. 23–25 for the flexible one."""
+    return {variant: _limit(variant, kind) for variant in varied(interpretation, kind)}
 
 
-def planar_interpretations(interpretation: Interpretation) -> list[Interpretation]:
-    """All combinations of the options that affect the payload of the planar robot."""
-    choices = choices_of()
-    return _varied(
-        interpretation,
-        planar_apex=choices["planar_apex"],
-        alpha=choices["alpha"],
-        minimum_tension=_TENSIONS,
-        line=_RIGID_LINES,
-    )
-
-
-def flexible_interpretations(interpretation: Interpretation) -> list[Interpretation]:
-    """All combinations of the options that affect the payload of the state space with joint springs."""
-    return _varied(interpretation, eq24=choices_of()["eq24"], stiffness=("2", "3"), line=_LINES)
-
-
-def planar_limits(*, interpretation: Interpretation) -> PayloadLimits:
-    """Payloads of exact tracking for the planar robot."""
-    return {variant: exact_limit(variant, variant.planar) for variant in planar_interpretations(interpretation)}
-
-
-def spatial_limits(*, interpretation: Interpretation) -> PayloadLimits:
-    """Payloads of exact tracking for the rigid spatial robot."""
-    return {variant: _spatial_limit(variant) for variant in spatial_interpretations(interpretation)}
-
-
-def flexible_limits(*, interpretation: Interpretation) -> PayloadLimits:
-    """Payloads of the state space of Eqs. 23–25."""
-    possible = _has_equilibrium(interpretation)
-    return {
-        variant: state_space_limit(variant, variant.flexible("payload")) if possible else None
-        for variant in flexible_interpretations(interpretation)
-    }
-
-
-def _spatial_limit(interpretation: Interpretation) -> LargestPayload | None:
-    return exact_limit(interpretation, interpretation.spatial("payload")) if _has_equilibrium(interpretation) else None
+def _limit(interpretation: Interpretation, kind: str) -> LargestPayload | None:
+    if kind == "planar":
+        return exact_limit(interpretation, interpretation.planar)
+    if not _has_equilibrium(interpretation):
+        return None
+    if kind == "spatial":
+        return exact_limit(interpretation, interpretation.spatial("payload"))
+    return state_space_limit(interpretation, interpretation.flexible("payload"))
 
 
 def _has_equilibrium(interpretation: Interpretation) -> bool:
@@ -114,121 +104,90 @@ _BRANCHES: dict[str, dict[str, Any]] = {
 """Branch of Table 3 at the control instant 0.5 s. The first branch is the printed one, "t ≤ 0.5". A motion that is 1 ns
 shorter selects the second branch."""
 
-_PLANAR_ONLY, _SPATIAL_ONLY = {"minimum_tension", "planar_apex"}, {"platform_mass", "pulleys", "sides", "triangles"}
 
-
-def _cells(interpretation: Interpretation) -> dict[str, Cell]:
-    cells: dict[str, Cell] = {
-        "planar": partial(planar_limits, interpretation=interpretation),
-        "spatial": partial(spatial_limits, interpretation=interpretation),
-        "flexible": partial(flexible_limits, interpretation=interpretation),
-    }
+def jobs(interpretation: Interpretation) -> Jobs:
+    """Payloads of all combinations, and of closed loops with one option changed at a time."""
+    made = {kind: job(limits, interpretation=interpretation, kind=kind) for kind in _VARIED}
+    payload = partial(job, largest_payload, criterion="paper")
     for name, (_, changes) in _CLOSED.items():
         variant = interpretation.replace(**changes)
         if not variant.closed_loop_possible:
             continue
-        if not _SPATIAL_ONLY & set(changes):
-            cells[f"planar_{name}"] = partial(
-                largest_payload,
-                env_id="CableBot-Planar-v0",
-                law=partial(FeedbackLinearization, minimum_tension=variant.minimum_tension),
-                robot=variant.motors(variant.planar),
-                name="fl",
-                criterion="paper",
-            )
-        if not _PLANAR_ONLY & set(changes) and _has_equilibrium(variant):
-            cells[f"spatial_{name}"] = partial(
-                largest_payload,
-                env_id="CableBot-Spatial-v0",
-                law=FeedbackLinearization,
-                robot=variant.motors(variant.spatial("payload")),
-                name="fl",
-                criterion="paper",
-            )
+        if changes.keys() <= _VARIED["planar"].keys():
+            law = partial(FeedbackLinearization, minimum_tension=variant.minimum_tension)
+            robot = variant.motors(variant.planar)
+            made[f"planar_{name}"] = payload(env_id=PLANAR, law=law, robot=robot, name="fl")
+        if changes.keys() <= _VARIED["spatial"].keys() and _has_equilibrium(variant):
+            robot = variant.motors(variant.spatial("payload"))
+            made[f"spatial_{name}"] = payload(env_id=SPATIAL, law=FeedbackLinearization, robot=robot, name="fl")
     if interpretation.flexible_loop_possible and _has_equilibrium(interpretation):
-        cells |= {
-            f"flex_{name}_{branch}": partial(
-                largest_payload,
-                env_id="CableBot-FlexSpatial-v0",
-                law=law,
-                robot=interpretation.motors(interpretation.flexible("payload")),
-                name=name,
-                criterion="paper",
-                **changes,
-            )
-            for name, law in _FLEXIBLE_LAWS.items()
-            for branch, changes in _BRANCHES.items()
-        }
-    return cells
+        robot = interpretation.motors(interpretation.flexible("payload"))
+        for (name, flexible_law), (branch, changes) in product(_FLEXIBLE_LAWS.items(), _BRANCHES.items()):
+            one = payload(env_id=FLEX, law=flexible_law, robot=robot, name=name, **changes)
+            made[f"flex_{name}_{branch}"] = one
+    return made
 
 
-def _outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
-    planar, spatial, flexible = (results[name] for name in ("planar", "spatial", "flexible"))
+def outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Payloads and limiting motors, and numbers of payloads close to the published ones."""
     numbers: dict[str, Number] = {}
-    for kind, limits, fields in (
-        ("spatial", spatial, ("triangles", "sides", "pulleys", "platform_mass", "line")),
-        ("planar", planar, ("planar_apex", "alpha", "minimum_tension", "line")),
-        ("flexible", flexible, ("eq24", "stiffness", "line")),
-    ):
-        close = 0
-        for variant, limit in limits.items():
-            name = "_".join(str(getattr(variant, field)) for field in fields)
+    for kind, choices in _VARIED.items():
+        found: PayloadLimits = results[kind]
+        for variant, limit in found.items():
+            name = "_".join(str(getattr(variant, field)) for field in choices)
             numbers[f"{kind}_{name}_kg"] = None if limit is None else limit.payload
             numbers[f"{kind}_{name}_motor"] = None if limit is None else limit.motor
-            close += limit is not None and within(limit.payload, LOADS[kind])
-        numbers[f"{kind}_within_5pct"] = close
-        numbers[f"{kind}_total"] = len(limits)
-    totals = (limit.payload + variant.planar.mass for variant, limit in planar.items() if limit is not None)
+        close = [limit is not None and within(limit.payload, LOADS[kind]) for limit in found.values()]
+        numbers |= {f"{kind}_within_5pct": sum(close), f"{kind}_total": len(found)}
+    totals = (limit.payload + variant.planar.mass for variant, limit in results["planar"].items() if limit is not None)
     numbers["planar_as_total_within_5pct"] = sum(within(total, LOADS["planar"]) for total in totals)
+    closed, branches = [], []
+    for name, result in results.items():
+        if isinstance(result, DLCCResult):
+            numbers |= {f"loop_{name}_kg": result.payload, f"loop_{name}_motor": saturated_motor(result)}
+            kind, option = name.split("_", 1)
+            violation = violation_text(result.violation)
+            if kind == "flex":
+                branches.append((*option.rsplit("_", 1), result.payload, violation))
+            else:
+                closed.append((kind, _CLOSED[option][0], result.payload, result.total_mass, violation))
+    closed_title = "Closed loop: `fl` at 500 Hz under the paper criterion, one option changed at a time"
+    branch_title = "Joint springs, closed loop under the paper criterion: effect of the branch of Table 3 at 0.5 s"
     return Outcome(
-        numbers=numbers | _closed_numbers(results),
+        numbers=numbers,
         tables=(
-            _table(
-                "Rigid spatial robot, exact tracking: added payload [kg] and limiting motor; published: "
-                "2.56 kg, motor 2",
-                ("triangles", "sides", "pulleys", "platform_mass"),
-                spatial,
+            *(_table(kind, results[kind]) for kind in _VARIED),
+            Table(
+                title=closed_title,
+                header=("robot", "option", "payload [kg]", "total mass [kg]", "limiting violation"),
+                rows=tuple(closed),
             ),
-            _table(
-                "Planar robot, exact tracking: payload [kg] added to the platform of 1 kg and limiting motor; "
-                "published: 2.2 kg, motor 2",
-                ("planar_apex", "alpha", "minimum_tension"),
-                planar,
+            Table(
+                title=branch_title,
+                header=("law", "branch at 0.5 s", "payload [kg]", "limiting violation"),
+                rows=tuple(branches),
             ),
-            _table(
-                "Joint springs, state space of Eqs. 23–25: added payload [kg] and limiting motor; published: "
-                "1.4 kg, motor 2 at K = 3",
-                ("eq24", "stiffness"),
-                flexible,
-            ),
-            _closed_table(results),
-            _branch_table(results),
         ),
     )
 
 
-def _table(title: str, fields: tuple[str, ...], limits: PayloadLimits) -> Table:
-    """One row for each combination of the fields, one column for each torque-speed line."""
+def _table(kind: str, found: PayloadLimits) -> Table:
+    """One row for each combination of the other options, one column for each torque-speed line."""
+    *fields, line = _VARIED[kind]
     rows: dict[tuple[str, ...], list[str]] = {}
-    for variant, limit in limits.items():
+    for variant, limit in found.items():
         rows.setdefault(tuple(str(getattr(variant, field)) for field in fields), []).append(_limit_text(limit))
-    lines = _LINES if len(next(iter(rows.values()))) == len(_LINES) else _RIGID_LINES
-    header = (*(field.replace("_", " ") for field in fields), *(f"line {line}" for line in lines))
-    return Table(title=title, header=header, rows=tuple(_merged(rows)))
+    header = (*(field.replace("_", " ") for field in fields), *(f"{line} {value}" for value in _VARIED[kind][line]))
+    return Table(title=_TITLES[kind], header=header, rows=tuple(merged_rows(rows)))
 
 
-def _merged(rows: Mapping[tuple[str, ...], list[str]]) -> Iterator[tuple[str, ...]]:
+def merged_rows(rows: Mapping[tuple[str, ...], list[str]]) -> Iterator[tuple[str, ...]]:
     """Merges rows with the same first column into one row if all their values are equal."""
     values: dict[str, set[str]] = {}
     for key, cells in rows.items():
         values.setdefault(key[0], set()).update(cells)
-    written: set[str] = set()
-    for (first, *others), cells in rows.items():
-        if len(values[first]) > 1:
-            yield (first, *others, *cells)
-        elif first not in written:
-            written.add(first)
-            yield (first, *("any" for _ in others), *cells)
+    merged = {key: key if len(values[key[0]]) > 1 else (key[0], *("any" for _ in key[1:])) for key in rows}
+    yield from {(*merged[key], *cells): None for key, cells in rows.items()}
 
 
 def _limit_text(limit: LargestPayload | None) -> str:
@@ -237,72 +196,3 @@ def _limit_text(limit: LargestPayload | None) -> str:
     if limit.payload == float("-inf"):
         return "infeasible"
     return f"{limit.payload:.2f} (motor {limit.motor})".replace("-", "−")
-
-
-def _closed(results: CellResults) -> dict[str, DLCCResult]:
-    """Closed-loop results among the cells."""
-    return {name: result for name, result in results.items() if isinstance(result, DLCCResult)}
-
-
-def _closed_numbers(results: CellResults) -> dict[str, Number]:
-    numbers: dict[str, Number] = {}
-    for name, result in _closed(results).items():
-        numbers[f"loop_{name}_kg"] = result.payload
-        numbers[f"loop_{name}_motor"] = (
-            result.violation.index if result.violation is not None and result.violation.kind == "torque" else None
-        )
-    return numbers
-
-
-def _closed_table(results: CellResults) -> Table:
-    rows: list[tuple[Number, ...]] = []
-    for name, result in _closed(results).items():
-        kind, option = name.split("_", 1)
-        if kind != "flex":
-            rows.append((kind, _CLOSED[option][0], result.payload, result.total_mass, violation_text(result.violation)))
-    return Table(
-        title="Closed loop: `fl` at 500 Hz under the paper criterion, one option changed at a time",
-        header=("robot", "option", "payload [kg]", "total mass [kg]", "limiting violation"),
-        rows=tuple(rows),
-    )
-
-
-def _branch_table(results: CellResults) -> Table:
-    rows: list[tuple[Number, ...]] = []
-    for name, result in _closed(results).items():
-        kind, _, rest = name.partition("_")
-        if kind == "flex":
-            law, branch = rest.rsplit("_", 1)
-            rows.append((law, branch, result.payload, violation_text(result.violation)))
-    return Table(
-        title="Joint springs, closed loop under the paper criterion: effect of the branch of Table 3 at 0.5 s",
-        header=("law", "branch at 0.5 s", "payload [kg]", "limiting violation"),
-        rows=tuple(rows),
-    )
-
-
-PARTS: tuple[Part, ...] = (
-    Part(
-        name="interpretations",
-        title="Payloads under other interpretations",
-        text=(
-            "Each choice in the interpretation of the paper is an option of `cablebot reproduce`. The tables combine "
-            "all choices if the payload has a closed form. If a closed loop must be simulated, they change one option "
-            "at a time. A negative payload is the excess mass of the platform alone. The columns are the choices of "
-            "the speed in U± of Eq. 37: motor speed in rad/s (physical), pulley speed, none (flat), cable speed in m/s "
-            "(cable), or motor speed with reversed sign.\n\n"
-            "The rigid robot with the pulleys of Table 5 (half the inertia, no damping) is closest to the "
-            f"{LOADS['spatial']:g} kg of §5.2.2, if q̇ of Eq. 37 is taken literally as the rate of the cable length in "
-            "m/s, or if the torque limits are independent of speed, which is nearly the same. The difference is about "
-            "one percent, and motor 2 is the limiting motor. With the same q̇ the planar robot is also closest with "
-            "motor 2 as the limiting motor, if its third motor is on the left and T_min is 0. This is an indication "
-            "and not a proof: the scan below finds many other geometries with the same payload, and no motor has a "
-            "torque that depends on a speed in m/s.\n\n"
-            "The last table is for the robot with joint springs. Tables 1 and 3 define two accelerations at 0.5 s, "
-            "which is a control instant. The choice of the branch at this single instant changes the payload under the "
-            "paper criterion, because the motors are closest to their limits there."
-        ),
-        cells=_cells,
-        outcome=_outcome,
-    ),
-)

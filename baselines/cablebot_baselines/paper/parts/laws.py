@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
@@ -15,10 +15,10 @@ from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.laws import FeedForward
 from cablebot_baselines.paper.linearised import controllable_states, growth_rate, unsaturated_actions
 from cablebot_baselines.paper.load_iteration import LoadIteration, iterate_load
-from cablebot_baselines.paper.part import Cell, CellResults, Number, Outcome, Part, Table
+from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
 from cablebot_baselines.paper.parts.profiles import violation_text
 from cablebot_baselines.paper.published import published_value
-from cablebot_baselines.paper.runs import Law, closed_loop, compared, largest_payload
+from cablebot_baselines.paper.runs import FLEX, PLANAR, SPATIAL, Law, closed_loop, compared, largest_payload
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.evaluation import Comparison, DLCCResult
 from cablebot_gym.evaluation.rollout import Rollout
@@ -51,7 +51,9 @@ FAST = 10_000.0
 FRICTIONS = tuple(float(value) for value in np.linspace(0.0, 0.012, 13))
 """Motor frictions c′ of the growth curve of Eq. 22 [N·m·s/rad]."""
 
-IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0", "flexible": "CableBot-FlexSpatial-v0"}
+_GAINS = PAPER_GAINS["spatial"]
+
+_FORMS = {"literal": "as printed", "corrected": "corrected"}
 
 
 # --- Eqs. 37-39 -------------------------------------------------------------------------------------------------------
@@ -61,79 +63,56 @@ def iterations(
     *, interpretation: Interpretation, robot: Robot, guesses: tuple[float, ...], corrected: bool
 ) -> list[LoadIteration]:
     """Iterations of the paper from several first guesses."""
-    return [
-        iterate_load(
-            robot,
-            paper_circle(robot),
-            guess=guess,
-            corrected=corrected,
-            minimum_tension=interpretation.minimum_tension,
-            frequency=CONTROL_FREQUENCY,
-            line_speed=interpretation.line_speed(robot),
-        )
-        for guess in guesses
-    ]
+    iterate = partial(iterate_load, robot, paper_circle(robot), frequency=CONTROL_FREQUENCY)
+    minimum, speed = interpretation.minimum_tension, interpretation.line_speed(robot)
+    return [iterate(guess=guess, corrected=corrected, minimum_tension=minimum, line_speed=speed) for guess in guesses]
 
 
 def true_payload(*, interpretation: Interpretation, robot: Robot) -> float:
     """Payload of the closed form at the same instants [kg]."""
-    minimum = interpretation.minimum_tension if robot.planar else 0.0
     bound = exact_payload(
         robot,
         paper_circle(robot),
-        minimum_tension=minimum,
+        minimum_tension=interpretation.minimum_tension if robot.planar else 0.0,
         frequency=CONTROL_FREQUENCY,
         line_speed=interpretation.line_speed(robot),
     )
     return bound.payload
 
 
-def _rigid(interpretation: Interpretation) -> dict[str, Robot]:
-    return {"planar": interpretation.planar, "spatial": interpretation.spatial("payload")}
+def eq37_jobs(interpretation: Interpretation) -> Jobs:
+    """Iterations in both forms, and true payloads."""
+    jobs = {}
+    for kind, robot in (("planar", interpretation.planar), ("spatial", interpretation.spatial("payload"))):
+        chosen: dict[str, Any] = {"interpretation": interpretation, "robot": robot}
+        jobs[f"{kind} true"] = job(true_payload, **chosen)
+        for form in _FORMS:
+            iteration = job(iterations, **chosen, guesses=GUESSES[kind], corrected=form == "corrected")
+            jobs[f"{kind} {form}"] = iteration
+    return jobs
 
 
-def _eq37_cells(interpretation: Interpretation) -> dict[str, Cell]:
-    cells: dict[str, Cell] = {}
-    for kind, robot in _rigid(interpretation).items():
-        cells[f"{kind} true"] = partial(true_payload, interpretation=interpretation, robot=robot)
-        for form in ("literal", "corrected"):
-            cells[f"{kind} {form}"] = partial(
-                iterations,
-                interpretation=interpretation,
-                robot=robot,
-                guesses=GUESSES[kind],
-                corrected=form == "corrected",
-            )
-    return cells
-
-
-def _eq37_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+def eq37_outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Results of the iterations relative to the true payload."""
     numbers: dict[str, Number] = {}
     rows: list[tuple[Number, ...]] = []
     for kind in GUESSES:
         true = results[f"{kind} true"]
         stem = "" if kind == "spatial" else "planar_"
         numbers[f"{stem}exact_payload_kg"] = true
-        for form in ("literal", "corrected"):
+        for form, name in _FORMS.items():
             runs: list[LoadIteration] = results[f"{kind} {form}"]
-            ends = [run.payload for run in runs]
-            numbers[f"{stem}{form}_payload_kg"] = ends[0]
-            numbers[f"{stem}{form}_motor"] = runs[0].motor
-            numbers[f"{stem}{form}_guesses"] = len(runs[0].loads)
-            numbers[f"{stem}{form}_converges"] = all(run.converged for run in runs)
-            numbers[f"{stem}{form}_spread_kg"] = float(np.ptp(ends))
-            rows += [
-                (
-                    kind,
-                    "as printed" if form == "literal" else form,
-                    run.loads[0],
-                    run.payload,
-                    _ratio(run.payload, true),
-                    len(run.loads),
-                    run.converged,
-                )
-                for run in runs
-            ]
+            values = {
+                "payload_kg": runs[0].payload,
+                "motor": runs[0].motor,
+                "guesses": len(runs[0].loads),
+                "converges": all(run.converged for run in runs),
+                "spread_kg": float(np.ptp([run.payload for run in runs])),
+            }
+            numbers |= {f"{stem}{form}_{key}": value for key, value in values.items()}
+            for run in runs:
+                ratio = _ratio(run.payload, true)
+                rows.append((kind, name, run.loads[0], run.payload, ratio, len(run.loads), run.converged))
         numbers[f"{stem}literal_over_true"] = _ratio(results[f"{kind} literal"][0].payload, true)
         numbers[f"{stem}chosen_payload_kg"] = numbers[f"{stem}{interpretation.eq37}_payload_kg"]
     header = ("robot", "Eqs. 37–39", "first guess [kg]", "result [kg]", "result / true payload", "guesses", "converges")
@@ -146,15 +125,16 @@ def _ratio(payload: float, true: float) -> float | None:
     return payload / true if 0 < true < np.inf else None
 
 
-def _eq37_draw(interpretation: Interpretation, results: CellResults) -> Figure:
+def draw_eq37(interpretation: Interpretation, results: Results) -> Figure:
+    """Guesses of the iterations."""
     figure = new_figure(4.2)
     panels = figure.subplots(1, len(GUESSES))
     for axes, kind in zip(panels, GUESSES, strict=True):
         for form, colour, style in (("corrected", BLUE, "-"), ("literal", VERMILLION, "--")):
-            for index, run in enumerate(results[f"{kind} {form}"]):
-                name = "as printed" if form == "literal" else form
-                label = f"{name}{' (chosen)' if form == interpretation.eq37 else ''}" if index == 0 else None
+            label = _FORMS[form] + (" (chosen)" if form == interpretation.eq37 else "")
+            for run in results[f"{kind} {form}"]:
                 axes.plot(range(1, len(run.loads) + 1), run.loads, style, color=colour, marker=".", label=label)
+                label = "_"  # no further entry in the legend
         true = results[f"{kind} true"]
         axes.axhline(true, color="black", linewidth=1.0, label="true payload, closed form")
         axes.axhline(true / 2, color=GREY, linewidth=1.0, linestyle=":", label="half of the true payload")
@@ -167,7 +147,9 @@ def _eq37_draw(interpretation: Interpretation, results: CellResults) -> Figure:
 # --- Eq. 22 and Eq. 36 ------------------------------------------------------------------------------------------------
 
 
-def growth(*, robot: Robot, stiffness: float, friction: float, control_frequency: float) -> float:
+def growth(
+    *, robot: Robot, stiffness: float, friction: float = 0.0, control_frequency: float = CONTROL_FREQUENCY
+) -> float:
     """Growth rate of the loop with Eq. 22 [1/s]. The law knows the motor friction."""
     springs = robot.transmission.replace(stiffness=stiffness, motor_damping=friction)
     robot = unsaturated_actions(robot.replace(transmission=springs))
@@ -176,18 +158,12 @@ def growth(*, robot: Robot, stiffness: float, friction: float, control_frequency
 
 def growth_curve(*, robot: Robot, control_frequency: float) -> list[float]:
     """Growth rate for each of :data:`STIFFNESSES` [1/s]."""
-    return [
-        growth(robot=robot, stiffness=stiffness, friction=0.0, control_frequency=control_frequency)
-        for stiffness in STIFFNESSES
-    ]
+    return [growth(robot=robot, stiffness=one, control_frequency=control_frequency) for one in STIFFNESSES]
 
 
 def friction_curve(*, robot: Robot, stiffness: float) -> list[float]:
     """Growth rate for each of :data:`FRICTIONS` [1/s]."""
-    return [
-        growth(robot=robot, stiffness=stiffness, friction=friction, control_frequency=CONTROL_FREQUENCY)
-        for friction in FRICTIONS
-    ]
+    return [growth(robot=robot, stiffness=stiffness, friction=friction) for friction in FRICTIONS]
 
 
 def printed_lyapunov_is_definite(*, gains: tuple[float, float]) -> bool:
@@ -200,68 +176,59 @@ def printed_lyapunov_is_definite(*, gains: tuple[float, float]) -> bool:
 _KS = {"K2": 2.0, "K3": 3.0}
 
 
-def _eq22_cells(interpretation: Interpretation) -> dict[str, Cell]:
+def eq22_jobs(interpretation: Interpretation) -> Jobs:
+    """Growth rates of Eq. 22, and the solution of Eq. 36."""
     robot = interpretation.flexible("control")
-    cells: dict[str, Cell] = {
-        "sampled": partial(growth_curve, robot=robot, control_frequency=CONTROL_FREQUENCY),
-        "continuous": partial(growth_curve, robot=robot, control_frequency=NEARLY_CONTINUOUS),
-        "definite": partial(printed_lyapunov_is_definite, gains=PAPER_GAINS["spatial"]),
-        "controllable": partial(controllable_states, robot=robot),
+    jobs = {
+        "sampled": job(growth_curve, robot=robot, control_frequency=CONTROL_FREQUENCY),
+        "continuous": job(growth_curve, robot=robot, control_frequency=NEARLY_CONTINUOUS),
+        "definite": job(printed_lyapunov_is_definite, gains=_GAINS),
+        "controllable": job(controllable_states, robot=robot),
     }
     for name, stiffness in _KS.items():
-        cells[name] = partial(
-            growth, robot=robot, stiffness=stiffness, friction=0.0, control_frequency=CONTROL_FREQUENCY
-        )
-        cells[f"friction {name}"] = partial(friction_curve, robot=robot, stiffness=stiffness)
-    return cells
+        jobs[name] = job(growth, robot=robot, stiffness=stiffness)
+        jobs[f"friction {name}"] = job(friction_curve, robot=robot, stiffness=stiffness)
+    return jobs
 
 
-def _eq22_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+def eq22_outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Growth rates and the required motor friction."""
     robot = interpretation.flexible("control")
     rates = np.array(results["friction K3"])
-    friction = float(np.interp(0.0, -rates, FRICTIONS)) if rates.min() <= 0 else None
+    header = ("K [N·m/rad]", "sampled at 500 Hz", "sampled at 50 kHz")
     rows = zip(STIFFNESSES, results["sampled"], results["continuous"], strict=True)
+    title = f"Growth rate of the loop with Eq. 22 [1/s], {robot.mass:g} kg, no friction; stable below 0"
     return Outcome(
         numbers={
             "max_growth_K2": results["K2"],
             "max_growth_K3": results["K3"],
             "least_growth_any_K": min(results["continuous"]),
-            "friction_needed": friction,
-            "friction_rule": PAPER_GAINS["spatial"][1] * float(robot.motor_inertia[0]),
+            "friction_needed": float(np.interp(0.0, -rates, FRICTIONS)) if rates.min() <= 0 else None,
+            "friction_rule": _GAINS[1] * float(robot.motor_inertia[0]),
             "lyapunov_printed_definite": results["definite"],
             "controllable_states": results["controllable"],
             "states": 2 * (robot.coordinates + robot.cables),
         },
-        tables=(
-            Table(
-                title=f"Growth rate of the loop with Eq. 22 [1/s], {robot.mass:g} kg, no friction; stable below 0",
-                header=("K [N·m/rad]", "sampled at 500 Hz", "sampled at 50 kHz"),
-                rows=tuple(rows),
-            ),
-        ),
+        tables=(Table(title=title, header=header, rows=tuple(rows)),),
     )
 
 
-def _eq22_draw(interpretation: Interpretation, results: CellResults) -> Figure:
+def draw_eq22(interpretation: Interpretation, results: Results) -> Figure:
+    """Growth rate versus stiffness and versus motor friction."""
     figure = new_figure(4.2)
     left, right = figure.subplots(1, 2)
-    left.semilogx(
-        STIFFNESSES, results["continuous"], color=BLUE, marker="o", markersize=4, label="nearly continuous, 50 kHz"
-    )
-    left.semilogx(STIFFNESSES, results["sampled"], "--", color=VERMILLION, marker="s", markersize=4, label="500 Hz")
-    half = PAPER_GAINS["spatial"][1] / 2
-    left.axhline(half, color=GREY, linestyle=":", label="K_D/2")
+    left.semilogx(STIFFNESSES, results["continuous"], "o-", color=BLUE, markersize=4, label="nearly continuous, 50 kHz")
+    left.semilogx(STIFFNESSES, results["sampled"], "s--", color=VERMILLION, markersize=4, label="500 Hz")
+    left.axhline(_GAINS[1] / 2, color=GREY, linestyle=":", label="K_D/2")
     left.set(xlabel="K [N·m/rad]", ylabel="growth rate [1/s]", title="without friction")
     for name, colour in (("K2", BLUE), ("K3", VERMILLION)):
-        right.plot(FRICTIONS, results[f"friction {name}"], color=colour, marker=".", label=f"K = {_KS[name]:g} N·m/rad")
-    rule = PAPER_GAINS["spatial"][1] * float(interpretation.flexible("control").motor_inertia[0])
+        right.plot(FRICTIONS, results[f"friction {name}"], ".-", color=colour, label=f"K = {_KS[name]:g} N·m/rad")
+    rule = _GAINS[1] * float(interpretation.flexible("control").motor_inertia[0])
     right.axvline(rule, color=GREY, linestyle=":", label="c′ = K_D J′")
-    right.set(
-        xlabel="motor friction c′ [N·m·s/rad]", ylabel="growth rate [1/s]", title="with friction known to the law"
-    )
-    for axes in (left, right):
+    right.set(xlabel="motor friction c′ [N·m·s/rad]", title="with friction known to the law")
+    for axes, place in ((left, "center left"), (right, "upper right")):
         axes.axhline(0.0, color="black", linewidth=1.0)
-        axes.legend(fontsize=9, frameon=False, loc="center left" if axes is left else "upper right")
+        axes.legend(fontsize=9, frameon=False, loc=place)
     set_title(figure, "Eq. 22 on the robot with joint springs: growth rate of small deviations; unstable above 0")
     return figure
 
@@ -274,20 +241,22 @@ _OFFSET = 1e-3
 _DRAWS = 64
 """Number of draws of Table 6."""
 
-_DWELL = {"planar": "dwell-planar", "spatial": "dwell-spatial"}
+_LOOPS = {
+    "fl": ("fl", True, "fl_payload_known"),
+    "payload_unknown": ("fl", False, "fl_payload_unknown"),
+    "open loop": ("open loop", True, "open_loop"),
+}
+"""Law, whether it knows the payload, and name of the number, by job."""
 
 
 def affinity(*, robot: Robot, minimum_tension: float) -> float:
     """Largest ratio of the second to the first difference of τ in the mass for exact tracking; 0 if τ is affine."""
     motion = paper_circle(robot)(np.arange(500) / 500)
     state = (motion.position, motion.velocity, motion.acceleration)
-    masses = robot.mass * np.array([1.0, 2.0, 3.0])
-    torques = [
-        textbook.required_torques(
-            robot, textbook.required_tensions(robot, mass, *state, minimum=minimum_tension), *state
-        )
-        for mass in masses
+    tensions = [
+        textbook.required_tensions(robot, count * robot.mass, *state, minimum=minimum_tension) for count in (1, 2, 3)
     ]
+    torques = [textbook.required_torques(robot, one, *state) for one in tensions]
     second = torques[2] - 2 * torques[1] + torques[0]
     return float(np.abs(second).max() / np.abs(torques[1] - torques[0]).max())
 
@@ -303,90 +272,63 @@ def decay_error(rollout: Rollout, gains: tuple[float, float]) -> float:
     return float(np.abs(actual - expected).max() / _OFFSET)
 
 
-def _claims_cells(interpretation: Interpretation) -> dict[str, Cell]:
-    cells: dict[str, Cell] = {}
+def claims_jobs(interpretation: Interpretation) -> Jobs:
+    """Payloads with and without feedback, episodes for the poles, and errors over draws."""
+    jobs = {}
     planar_law = partial(FeedbackLinearization, minimum_tension=interpretation.minimum_tension)
-    setups: dict[str, tuple[Robot, Law]] = {
-        "planar": (interpretation.closed_loop_robot(interpretation.planar), planar_law),
-        "spatial": (interpretation.closed_loop_robot(interpretation.spatial("payload")), FeedbackLinearization),
+    setups: dict[str, tuple[str, Robot, Law]] = {
+        "planar": (PLANAR, interpretation.planar, planar_law),
+        "spatial": (SPATIAL, interpretation.spatial("payload"), FeedbackLinearization),
     }
-    for kind, (robot, law) in setups.items():
-        policies: dict[str, Law] = {"fl": law, "open loop": FeedForward}
+    for kind, (env_id, nominal, law) in setups.items():
+        robot = interpretation.closed_loop_robot(nominal)
+        plant: dict[str, Any] = {"env_id": env_id, "robot": robot}
+        laws: dict[str, Law] = {"fl": law, "open loop": FeedForward}
         for criterion in ("task", "paper"):
-            for name, one in policies.items():
-                cells[f"{kind} {name} {criterion}"] = partial(
-                    largest_payload, env_id=IDS[kind], law=one, robot=robot, name=name, criterion=criterion
+            for key, (name, known, _) in _LOOPS.items():
+                told = {} if known else {"payload_known": False}
+                jobs[f"{kind} {key} {criterion}"] = job(
+                    largest_payload, **plant, law=laws[name], name=name, criterion=criterion, **told
                 )
-            cells[f"{kind} payload_unknown {criterion}"] = partial(
-                largest_payload,
-                env_id=IDS[kind],
-                law=law,
-                robot=robot,
-                name="fl",
-                criterion=criterion,
-                payload_known=False,
-            )
-        cells[f"{kind} errors"] = partial(
-            compared,
-            env_id=IDS[kind],
-            laws=tuple(policies.items()),
-            robot=robot,
-            payload=robot.mass / 10,
-            uncertainty="table6",
-            draws=_DRAWS,
-        )
+        draws = {"payload": robot.mass / 10, "uncertainty": "table6", "draws": _DRAWS}
+        jobs[f"{kind} errors"] = job(compared, **plant, laws=tuple(laws.items()), **draws)
+        dwell = {"name": f"dwell-{kind}", "duration": 0.5}
         start = (_OFFSET,) + (0.0,) * (robot.coordinates - 1)
         for name, frequency in (("decay", FAST), ("sampled decay", CONTROL_FREQUENCY)):
-            cells[f"{kind} {name}"] = partial(
-                closed_loop,
-                env_id=IDS[kind],
-                law=law,
-                robot=robot,
-                payload=0.0,
-                trajectory={"name": _DWELL[kind], "duration": 0.5},
-                initial_error=start,
-                control_frequency=frequency,
+            jobs[f"{kind} {name}"] = job(
+                closed_loop, **plant, law=law, trajectory=dwell, initial_error=start, control_frequency=frequency
             )
-        cells[f"{kind} affine"] = partial(affinity, robot=robot, minimum_tension=interpretation.minimum_tension)
-    flexible = interpretation.closed_loop_robot(interpretation.flexible("payload"))
-    for uncertainty in (None, "table6"):
-        cells[f"flexible {uncertainty}"] = partial(
-            compared,
-            env_id=IDS["flexible"],
-            laws=(("fl4", FourthOrder), ("composite", Composite)),
-            robot=flexible,
-            payload=1.0,
-            uncertainty=uncertainty,
-            draws=_DRAWS if uncertainty else None,
-        )
-    return cells
+        jobs[f"{kind} affine"] = job(affinity, robot=robot, minimum_tension=interpretation.minimum_tension)
+    plant = {"env_id": FLEX, "robot": interpretation.closed_loop_robot(interpretation.flexible("payload"))}
+    flexible = partial(job, compared, **plant, laws=(("fl4", FourthOrder), ("composite", Composite)), payload=1.0)
+    jobs["flexible None"] = flexible(uncertainty=None, draws=None)
+    jobs["flexible table6"] = flexible(uncertainty="table6", draws=_DRAWS)
+    return jobs
 
 
-def _claims_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+def claims_outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Payloads, errors, poles and affinity."""
     numbers: dict[str, Number] = {}
     rows: list[tuple[Number, ...]] = []
     for kind in ("planar", "spatial"):
         prefix = "" if kind == "spatial" else "planar_"
         for criterion, suffix in (("task", ""), ("paper", "_paper")):
-            for name, word in (
-                ("fl", "fl_payload_known"),
-                ("payload_unknown", "fl_payload_unknown"),
-                ("open loop", "open_loop"),
-            ):
-                result: DLCCResult = results[f"{kind} {name} {criterion}"]
-                key = f"open_loop_{kind}{suffix}_kg" if name == "open loop" else f"{prefix}{word}{suffix}_kg"
-                numbers[key] = result.payload
-                known = name != "payload_unknown"
-                law = "open loop" if name == "open loop" else "fl"
+            for key, (law, known, word) in _LOOPS.items():
+                result: DLCCResult = results[f"{kind} {key} {criterion}"]
+                name = f"open_loop_{kind}{suffix}_kg" if key == "open loop" else f"{prefix}{word}{suffix}_kg"
+                numbers[name] = result.payload
                 rows.append((kind, law, known, criterion, result.payload, violation_text(result.violation)))
             numbers[f"closed_loop_{kind}{suffix}_kg"] = results[f"{kind} fl {criterion}"].payload
         for index, word in enumerate(("closed_loop", "open_loop")):
             numbers[f"{word}_{kind}_error_mm"] = _mean_error(results[f"{kind} errors"], index)
-        gains = PAPER_GAINS[kind]
-        numbers[f"pole_error_{kind}"] = decay_error(results[f"{kind} decay"], gains)
-        numbers[f"sampled_pole_error_{kind}"] = decay_error(results[f"{kind} sampled decay"], gains)
-        numbers[f"poles_{kind}"] = ", ".join(_pole(pole) for pole in np.roots([1.0, gains[1], gains[0]]))
-        numbers[f"affine_{kind}"] = results[f"{kind} affine"]
+        stiffness, damping = PAPER_GAINS[kind]
+        poles = ", ".join(_pole(complex(pole)) for pole in np.roots([1.0, damping, stiffness]))
+        numbers |= {
+            f"pole_error_{kind}": decay_error(results[f"{kind} decay"], (stiffness, damping)),
+            f"sampled_pole_error_{kind}": decay_error(results[f"{kind} sampled decay"], (stiffness, damping)),
+            f"poles_{kind}": poles,
+            f"affine_{kind}": results[f"{kind} affine"],
+        }
     for index, name in enumerate(("fl4", "composite")):
         numbers[f"flex_{name}_error_nominal_mm"] = _mean_error(results["flexible None"], index)
         numbers[f"flex_{name}_error_table6_mm"] = _mean_error(results["flexible table6"], index)
@@ -401,53 +343,6 @@ def _mean_error(comparison: Comparison, index: int) -> float:
 
 
 def _pole(pole: complex) -> str:
-    pole = complex(pole)
-    return (
-        f"{pole.real:.2f}"
-        if pole.imag == 0
-        else f"{pole.real:.2f} {'+' if pole.imag > 0 else '−'} {abs(pole.imag):.2f}i"
-    )
-
-
-PARTS: tuple[Part, ...] = (
-    Part(
-        name="eq37",
-        title="Algorithm of the paper, Eqs. 37–39",
-        text=(
-            "Steps 4 to 8 of §5.1 for exact tracking. The printed τ± = U± − τ_e is the torque reserve of the *loaded* "
-            "robot, so the fixed point of the iteration is half the true payload. With the torque reserve of the "
-            "*unloaded* robot, the product C·m_e converges to the true payload from any guess. The true payload is the "
-            "closed form at the same 500 instants per second. Between these instants, at the jump, the limit is "
-            "slightly lower (Fig. 12)."
-        ),
-        cells=_eq37_cells,
-        outcome=_eq37_outcome,
-        draw=_eq37_draw,
-    ),
-    Part(
-        name="eq22",
-        title="Law of the paper for joint springs, Eq. 22",
-        text=(
-            "If β̈′ is computed from the commanded acceleration, the characteristic polynomial of each mode is "
-            "M J′ s⁴ + K (M + J′)(s² + K_D s + K_P). It has no s³ term, so its roots sum to zero, and at least one "
-            "root is unstable for every K. The growth rate is close to K_D/2. (A zero-order hold of 2 ms damps springs "
-            "of several thousand N·m/rad.) Stability requires motor friction of about K_D J′. The growth rates are "
-            "those of the sampled plant, linearised at rest."
-        ),
-        cells=_eq22_cells,
-        outcome=_eq22_outcome,
-        draw=_eq22_draw,
-    ),
-    Part(
-        name="claims",
-        title="Claims of the text about the controller",
-        text=(
-            "Payload of feedback linearization with known and unknown payload, and of the torques of exact tracking "
-            "without feedback, both at 500 Hz. The findings above use further runs of this part: mean errors over 64 "
-            "draws of Table 6; episodes with an initial error of 1 mm for the poles of Eqs. 14 and 19; torques for "
-            "one, two and three platform masses."
-        ),
-        cells=_claims_cells,
-        outcome=_claims_outcome,
-    ),
-)
+    if pole.imag == 0:
+        return f"{pole.real:.2f}"
+    return f"{pole.real:.2f} {'+' if pole.imag > 0 else '−'} {abs(pole.imag):.2f}i"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,16 +21,16 @@ from cablebot_baselines.classical import (
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS
 from cablebot_baselines.paper.exact import paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
-from cablebot_baselines.paper.part import Cell, CellResults, Number, Outcome, Part, Table
-from cablebot_baselines.paper.parts.drawings import MOTORS
-from cablebot_baselines.paper.parts.tracking import COORDINATES, notes
+from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
+from cablebot_baselines.paper.parts.plotting import LEGEND, MOTORS, add_headroom, add_loop_title, coordinate_curves
 from cablebot_baselines.paper.published import published_value
-from cablebot_baselines.paper.runs import Law, closed_loop
+from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop
+from cablebot_gym.benchmark.engine import Job
 from cablebot_gym.evaluation import compare_policies
 from cablebot_gym.evaluation.comparison import CONFIDENCE, Estimate
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import new_figure, set_title
+from cablebot_gym.plotting.figures import new_figure
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
@@ -51,16 +51,14 @@ SEED = 0
 PUBLISHED = published_value("4.4.sum")
 """Published reduction "more than 60 %" (§4.4) [%]."""
 
-RIGID, FLEXIBLE = "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
-
-_PREFIX = {RIGID: "", FLEXIBLE: "flex_"}
+_PREFIX = {SPATIAL: "", FLEX: "flex_"}
 """Prefix of the names of the numbers."""
 
-_HEAD = {RIGID: "rigid joints", FLEXIBLE: "joint springs K = {:g} N·m/rad"}
+_LAWS: dict[str, tuple[Law, Law]] = {SPATIAL: (FeedbackLinearization, Robust), FLEX: (Composite, RobustComposite)}
+"""Ordinary and robust law."""
 
-_STYLES = ("-", "--", "-.")
-
-_GREEN = MOTORS[2]
+_CURVES = {"plain": ("ordinary", "-", VERMILLION), "robust": ("robust", ":", MOTORS[2])}
+"""Name, line style and colour of each law."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,39 +110,23 @@ def added_input(outer: RobustPD, loop: Rollout, robot: Robot) -> Added:
 
     The last recorded instant is the end of the motion and has no action, so it is omitted.
     """
-    arrays = {name: loop.arrays[name][:-1] for name in ("time", "pose", "velocity")}
-    reference = paper_circle(robot)(arrays["time"])
+    times, pose, velocity = (loop.arrays[name][:-1] for name in ("time", "pose", "velocity"))
+    reference = paper_circle(robot)(times)
     blocks = {
-        "pose": arrays["pose"],
-        "velocity": arrays["velocity"],
+        "pose": pose,
+        "velocity": velocity,
         "reference_pose": reference.position,
         "reference_velocity": reference.velocity,
         "reference_acceleration": reference.acceleration,
     }
     size = np.linalg.norm(outer.switching(blocks), axis=-1)
-    return Added(
-        times=arrays["time"],
-        term=outer(blocks) - PD(gains=outer.gains)(blocks),
-        outside=size >= outer.boundary_layer,
-    )
+    term = outer(blocks) - PD(gains=outer.gains)(blocks)
+    return Added(times=times, term=term, outside=size >= outer.boundary_layer)
 
 
 def _robots(interpretation: Interpretation) -> dict[str, Robot]:
-    return {
-        RIGID: interpretation.closed_loop_robot(interpretation.spatial("control")),
-        FLEXIBLE: interpretation.closed_loop_robot(interpretation.flexible("control")),
-    }
-
-
-_LAWS: dict[str, tuple[Law, Law]] = {
-    RIGID: (FeedbackLinearization, Robust),
-    FLEXIBLE: (Composite, RobustComposite),
-}
-"""Ordinary and robust law."""
-
-
-_EQ22 = "eq22"
-"""Prefix of the cells of the law of the paper with joint springs."""
+    robots = {SPATIAL: interpretation.spatial("control"), FLEX: interpretation.flexible("control")}
+    return {env_id: interpretation.closed_loop_robot(robot) for env_id, robot in robots.items()}
 
 
 def robust_eq22(robot: Robot) -> PaperFlexible:
@@ -154,30 +136,32 @@ def robust_eq22(robot: Robot) -> PaperFlexible:
     return law
 
 
-def _one_draw(env_id: str, law: Law, robot: Robot) -> Cell:
-    return partial(closed_loop, env_id=env_id, law=law, robot=robot, payload=0.0, uncertainty="table6", seed=SEED)
+def _one_draw(env_id: str, law: Law, robot: Robot) -> Job:
+    return job(closed_loop, env_id=env_id, law=law, robot=robot, uncertainty="table6", seed=SEED)
+
+
+def _robot_title(interpretation: Interpretation, env_id: str) -> str:
+    stiffness = interpretation.flexible("control").stiffness[0]
+    return "rigid joints" if env_id == SPATIAL else f"joint springs K = {stiffness:g} N·m/rad"
 
 
 # Fig. 8
 
 
-def _term_cells(interpretation: Interpretation) -> dict[str, Cell]:
-    robots = _robots(interpretation)
-    return {env_id: _one_draw(env_id, _LAWS[env_id][1], robot) for env_id, robot in robots.items()}
+def term_jobs(interpretation: Interpretation) -> Jobs:
+    """Episodes of Fig. 8."""
+    return {env_id: _one_draw(env_id, _LAWS[env_id][1], robot) for env_id, robot in _robots(interpretation).items()}
 
 
-def _terms(interpretation: Interpretation, results: CellResults) -> dict[str, Added]:
-    robots = _robots(interpretation)
-    return {
-        env_id: added_input(_LAWS[env_id][1](robot).outer, results[env_id], robot) for env_id, robot in robots.items()
-    }
+def _terms(interpretation: Interpretation, results: Results) -> dict[str, Added]:
+    robots = _robots(interpretation).items()
+    return {env_id: added_input(_LAWS[env_id][1](robot).outer, results[env_id], robot) for env_id, robot in robots}
 
 
-def _term_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
-    numbers: dict[str, Number] = {
-        "boundary_layer": RobustPD.boundary_layer,
-        "plant": "rigid; flex_: with joint springs",
-    }
+def term_outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Numbers of Fig. 8."""
+    plant = "rigid; flex_: with joint springs"
+    numbers: dict[str, Number] = {"boundary_layer": RobustPD.boundary_layer, "plant": plant}
     for env_id, added in _terms(interpretation, results).items():
         size, change = np.linalg.norm(added.term, axis=1), np.linalg.norm(np.diff(added.term, axis=0), axis=1)
         rms = float(np.sqrt(np.mean(size**2)))
@@ -191,55 +175,43 @@ def _term_outcome(interpretation: Interpretation, results: CellResults) -> Outco
     return Outcome(numbers=numbers)
 
 
-def _draw_term(interpretation: Interpretation, results: CellResults) -> Figure:
+def draw_term(interpretation: Interpretation, results: Results) -> Figure:
+    """Fig. 8."""
     figure = new_figure(5.6)
     grid = figure.subplots(2, 2, sharex=True, sharey="row")
-    groups = ((slice(0, 3), "Δv [m/s²]"), (slice(3, 6), "Δv [rad/s²]"))
     for column, (env_id, added) in enumerate(_terms(interpretation, results).items()):
+        for row, unit in enumerate(("m/s²", "rad/s²")):
+            axes = grid[row, column]
+            coordinate_curves(axes, added.times, added.term[:, 3 * row : 3 * row + 3], 3 * row)
+            axes.set(xlim=(0, 1), xlabel="time [s]", ylabel=f"Δv [{unit}]")
+            axes.label_outer()
         grid[0, column].set_title(_robot_title(interpretation, env_id), fontsize=11)
-        for axes, (columns, label) in zip(grid[:, column], groups, strict=True):
-            for index, coordinate in enumerate(COORDINATES[columns]):
-                style = _STYLES[index]
-                line = {"color": MOTORS[index], "linewidth": 1.3, "label": coordinate}
-                axes.plot(added.times, added.term[:, columns][:, index], style, **line)
-            axes.axhline(0, color=GREY, linewidth=0.6)
-            axes.set_xlim(0, 1)
-            if column == 0:
-                axes.set_ylabel(label)
-                axes.legend(frameon=False, fontsize=10, ncols=3, loc="upper left", handlelength=1.8)
-        grid[1, column].set_xlabel("time [s]")
     for axes in grid[:, 0]:
-        low, high = axes.get_ylim()
-        axes.set_ylim(top=high + 0.2 * (high - low))
+        axes.legend(**LEGEND, ncols=3, loc="upper left")
+        add_headroom(axes, above=0.2)
     layer = f"boundary layer ε = {RobustPD.boundary_layer:g}, ζ = {RobustPD.zeta:g}, φ = {RobustPD.phi:g}"
-    title = f"Robust term Δv (Eq. 34), one draw of Table 6; {layer}"
-    set_title(figure, title, *notes(interpretation))
+    add_loop_title(figure, interpretation, f"Robust term Δv (Eq. 34), one draw of Table 6; {layer}")
     return figure
-
-
-def _robot_title(interpretation: Interpretation, env_id: str) -> str:
-    return _HEAD[env_id].format(interpretation.flexible("control").stiffness[0])
 
 
 # Fig. 9
 
 
-def _tracking_cells(interpretation: Interpretation) -> dict[str, Cell]:
-    cells: dict[str, Cell] = {}
-    for env_id, robot in _robots(interpretation).items():
+def tracking_jobs(interpretation: Interpretation) -> Jobs:
+    """Episodes and reductions of Fig. 9. The prefix ``eq22`` is the law of the paper with joint springs."""
+    jobs, robots = {}, _robots(interpretation)
+    for env_id, robot in robots.items():
         plain, robust = _LAWS[env_id]
-        cells[f"{env_id} plain"] = _one_draw(env_id, plain, robot)
-        cells[f"{env_id} robust"] = _one_draw(env_id, robust, robot)
-        cells[f"{env_id} layers"] = partial(
-            reductions, env_id=env_id, plain=plain, robust=robust, robot=robot, layers=LAYERS, draws=DRAWS
-        )
-    robot = interpretation.closed_loop_robot(interpretation.flexible("control"))
-    cells[f"{_EQ22} plain"] = _one_draw(FLEXIBLE, partial(PaperFlexible, as_printed=True), robot)
-    cells[f"{_EQ22} robust"] = _one_draw(FLEXIBLE, robust_eq22, robot)
-    return cells
+        laws: dict[str, Any] = {"env_id": env_id, "plain": plain, "robust": robust, "robot": robot}
+        jobs[f"{env_id} plain"] = _one_draw(env_id, plain, robot)
+        jobs[f"{env_id} robust"] = _one_draw(env_id, robust, robot)
+        jobs[f"{env_id} layers"] = job(reductions, **laws, layers=LAYERS, draws=DRAWS)
+    jobs["eq22 plain"] = _one_draw(FLEX, partial(PaperFlexible, as_printed=True), robots[FLEX])
+    jobs["eq22 robust"] = _one_draw(FLEX, robust_eq22, robots[FLEX])
+    return jobs
 
 
-def _reduced(plain: Rollout, robust: Rollout, name: str) -> float | None:
+def reduced(plain: Rollout, robust: Rollout, name: str) -> float | None:
     """Reduction of the sum or maximum of the error in one draw; None if an episode ended early."""
     if plain.reason or robust.reason:
         return None
@@ -247,38 +219,38 @@ def _reduced(plain: Rollout, robust: Rollout, name: str) -> float | None:
     return 1 - float(reduce(robust.arrays[name])) / float(reduce(plain.arrays[name]))
 
 
-def _named(layer: float) -> str:
+def layer_name(layer: float) -> str:
     """ε as in the names of the numbers, for example 1e-3."""
     return f"{layer:.0e}".replace("e-0", "e-")
 
 
-def _tracking_outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
+def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Numbers of Fig. 9."""
     numbers: dict[str, Number] = {"draws": DRAWS}
     rows: list[tuple[Number, ...]] = []
     for env_id, prefix in _PREFIX.items():
-        plain, robust = (results[f"{env_id} {law}"] for law in ("plain", "robust"))
+        loops = _loops(results, env_id)
+        plain, robust = loops.values()
         for name, quantity in (("draw_sum_reduction", "tracking_error"), ("draw_max_reduction", "tracking_error_peak")):
-            numbers[prefix + name] = _reduced(plain, robust, quantity)
-        for law, loop in (("plain", plain), ("robust", robust)):
-            numbers[f"{prefix}draw_{law}_peak_mm"] = 1e3 * float(loop.arrays["tracking_error_peak"].max())
+            numbers[prefix + name] = reduced(plain, robust, quantity)
+        numbers |= {f"{prefix}draw_{law}_peak_mm": _peak_mm(loop) for law, loop in loops.items()}
         difference = plain.arrays["pose"] - plain.arrays["reference_pose"]
         numbers[f"{prefix}draw_plain_peak_xy_mm"] = 1e3 * float(np.linalg.norm(difference[:, :2], axis=1).max())
         for point in results[f"{env_id} layers"]:
             fractions: list[Number] = []
             for name, fraction in (("sum", point.total), ("max", point.largest)):
-                key = f"{prefix}{name}_reduction_{_named(point.layer)}"
+                key = f"{prefix}{name}_reduction_{layer_name(point.layer)}"
                 numbers |= {key: fraction.mean, f"{key}_low": fraction.low, f"{key}_high": fraction.high}
                 fractions += (100 * fraction.mean, f"{100 * fraction.low:.1f} to {100 * fraction.high:.1f}")
             rows.append((_robot_title(interpretation, env_id), point.layer, *fractions, *point.lost))
-    for law in ("plain", "robust"):
-        error = results[f"{_EQ22} {law}"].arrays["tracking_error_peak"]
-        numbers[f"{_EQ22}_draw_{law}_peak_mm"] = 1e3 * float(error.max())
-    each = (" [%]", f", {CONFIDENCE:.0%} interval")
-    fractions_of = (f"reduction of {name}{end}" for name in ("the summed error", "the largest error") for end in each)
+    numbers |= {f"eq22_draw_{law}_peak_mm": _peak_mm(loop) for law, loop in _loops(results, "eq22").items()}
     header = (
         "robot",
         "ε",
-        *fractions_of,
+        "reduction of the summed error [%]",
+        f"reduction of the summed error, {CONFIDENCE:.0%} interval",
+        "reduction of the largest error [%]",
+        f"reduction of the largest error, {CONFIDENCE:.0%} interval",
         "fraction of episodes ended early, ordinary law",
         "fraction of episodes ended early, robust law",
     )
@@ -286,66 +258,67 @@ def _tracking_outcome(interpretation: Interpretation, results: CellResults) -> O
     return Outcome(numbers=numbers, tables=(Table(title=title, header=header, rows=tuple(rows)),))
 
 
-def _draw_tracking(interpretation: Interpretation, results: CellResults) -> Figure:
+def _loops(results: Results, prefix: str) -> dict[str, Rollout]:
+    return {law: results[f"{prefix} {law}"] for law in ("plain", "robust")}
+
+
+def _peak_mm(loop: Rollout) -> float:
+    return 1e3 * float(loop.arrays["tracking_error_peak"].max())
+
+
+def draw_tracking(interpretation: Interpretation, results: Results) -> Figure:
+    """Fig. 9."""
     figure = new_figure(11.4)
-    grid = figure.add_gridspec(3, 2, height_ratios=[1.15, 1.15, 1])
-    last: Axes | None = None
+    grid = figure.subplots(3, 2, height_ratios=[1.15, 1.15, 1])
     for row, env_id in enumerate(_PREFIX):
-        loops = {law: results[f"{env_id} {law}"] for law in ("plain", "robust")}
-        plane, over_time = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
-        _draw_plane(plane, loops)
-        _draw_errors(over_time, loops)
-        for axes in (plane, over_time):
-            axes.set_title(f"{_robot_title(interpretation, env_id)}, {axes.get_title()}", fontsize=10)
-        last = figure.add_subplot(grid[2, row], sharey=last)
-        _draw_layers(last, results[f"{env_id} layers"])
-        last.set_title(f"{_robot_title(interpretation, env_id)}, {DRAWS} draws", fontsize=10)
+        loops, robot = _loops(results, env_id), _robot_title(interpretation, env_id)
+        magnified = _draw_plane(grid[row, 0], loops)
+        _draw_errors(grid[row, 1], loops)
+        _draw_layers(grid[2, row], results[f"{env_id} layers"])
+        titles = (f"{robot}, deviations × {magnified}", f"{robot}, error", f"{robot}, {DRAWS} draws")
+        for axes, title in zip((*grid[row], grid[2, row]), titles, strict=True):
+            axes.set_title(title, fontsize=10)
     mass = interpretation.spatial("control").mass
     title = f"Tracking with the uncertainty of Table 6, nominal mass {mass:g} kg known: ordinary and robust law"
     legend = f"top and middle: one draw, ε = {RobustPD.boundary_layer:g}; bottom: all draws versus boundary layer"
-    set_title(figure, title, legend, *notes(interpretation))
+    add_loop_title(figure, interpretation, title, legend)
     return figure
 
 
-_NAMES = {"plain": "ordinary", "robust": "robust"}
-_COLOURS = {"plain": VERMILLION, "robust": _GREEN}
-_DASHES = {"plain": "-", "robust": ":"}
-
-
-def _draw_plane(axes: Axes, loops: dict[str, Rollout]) -> None:
-    """Path seen along z with magnified deviations."""
+def _draw_plane(axes: Axes, loops: Mapping[str, Rollout]) -> int:
+    """Draws the path seen along z with magnified deviations, and returns the magnification."""
     poses = {law: (loop.arrays["pose"][:, :2], loop.arrays["reference_pose"][:, :2]) for law, loop in loops.items()}
     reference = max((pair[1] for pair in poses.values()), key=len)
     size = float(np.ptp(reference, axis=0).max())
     most = max(float(np.abs(pose - reference_pose).max()) for pose, reference_pose in poses.values())
-    steps = [1, 2, 5, 10, 20, 50, 100, 200, 500]
-    magnified = max([step for step in steps if step * most <= 0.22 * size], default=1)
+    magnified = max([step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500) if step * most <= 0.22 * size], default=1)
     axes.plot(*reference.T, color="black", linewidth=0.8, label="reference")
     for law, (pose, reference_pose) in poses.items():
+        name, style, colour = _CURVES[law]
         drawn = reference_pose + magnified * (pose - reference_pose)
-        axes.plot(*drawn.T, _DASHES[law], color=_COLOURS[law], linewidth=2.0, label=_NAMES[law])
+        axes.plot(*drawn.T, style, color=colour, linewidth=2.0, label=name)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.locator_params(nbins=5)
-    axes.set_title(f"deviations × {magnified}" if magnified > 1 else "path")
-    axes.legend(frameon=False, fontsize=9, loc="center")
+    axes.legend(**LEGEND, loc="center")
+    return magnified
 
 
-def _draw_errors(axes: Axes, loops: dict[str, Rollout]) -> None:
-    for law, loop in loops.items():
-        time, error = loop.arrays["time"], 1e3 * loop.arrays["tracking_error"]
-        axes.plot(time, error, _DASHES[law], color=_COLOURS[law], linewidth=2.0, label=_NAMES[law])
+def _draw_errors(axes: Axes, loops: Mapping[str, Rollout]) -> None:
     radius = 1e3 * ErrorBounds().position
+    for law, loop in loops.items():
+        name, style, colour = _CURVES[law]
+        error = 1e3 * loop.arrays["tracking_error"]
+        axes.plot(loop.arrays["time"], error, style, color=colour, linewidth=2.0, label=name)
     axes.axhline(radius, color="black", linewidth=1.0, label=f"R = {radius:g} mm")
-    top = max(radius, *(1e3 * float(loop.arrays["tracking_error"].max()) for loop in loops.values()))
-    axes.set(xlim=(0, 1), ylim=(0, 1.1 * top), xlabel="time [s]", ylabel="position error ‖e‖ [mm]")
-    axes.set_title("error")
-    axes.legend(frameon=False, fontsize=9, loc="upper left")
+    axes.set(xlim=(0, 1), ylim=(0, None), xlabel="time [s]", ylabel="position error ‖e‖ [mm]")
+    axes.legend(**LEGEND, loc="upper left")
 
 
 def _draw_layers(axes: Axes, points: tuple[Reduction, ...]) -> None:
     layers = [point.layer for point in points]
-    kinds = (("total", "sum of the error", BLUE, "-"), ("largest", "largest error", GREY, "--"))
-    for name, label, colour, style in kinds:
+    for name, label, colour, style in (
+        ("total", "sum of the error", BLUE, "-"),
+        ("largest", "largest error", GREY, "--"),
+    ):
         fractions: list[Estimate] = [getattr(point, name) for point in points]
         low, mean, high = ([100 * getattr(fraction, end) for fraction in fractions] for end in ("low", "mean", "high"))
         axes.fill_between(layers, low, high, color=colour, alpha=0.25, linewidth=0)
@@ -353,42 +326,4 @@ def _draw_layers(axes: Axes, points: tuple[Reduction, ...]) -> None:
     axes.axhline(PUBLISHED, color="black", linewidth=1.0, label="paper: more than 60 %")
     axes.set(xscale="log", xlabel="boundary layer ε", ylabel="error reduction [%]", ylim=(0, 100))
     axes.invert_xaxis()
-    axes.legend(frameon=False, fontsize=9, loc="lower right")
-
-
-PARTS: tuple[Part, ...] = (
-    Part(
-        name="fig8",
-        title="Fig. 8: robust term in the input",
-        text="Δv of the robust law in one draw of Table 6 (seed 0: mass, K and disturbing forces). It is computed from "
-        "the recorded motion as the difference between the robust and the ordinary outer loop, with Eqs. 34–36 as "
-        "corrected in the errata (sign of Eq. 34, −k_p and −k_d in A). Left: rigid robot. Right: robot with joint "
-        "springs, where the composite law replaces the ordinary law of the paper, because Eq. 22 does not stabilise "
-        "the springs. The norm of Δv is ρ if ‖BᵀPe‖ exceeds the boundary layer ε, and decreases with ‖BᵀPe‖ inside the "
-        "layer. The paper prints no values of ε, ζ and φ. This project uses ζ = 0.12 and φ = 1.2 for Table 6. Without "
-        "springs the motion stays inside the layer (`outside_layer`), and the term is a stiffer PD controller. With "
-        "springs the term excites their oscillation. `chatter` is the RMS change of Δv between control instants "
-        "divided by the RMS of Δv.",
-        cells=_term_cells,
-        outcome=_term_outcome,
-        draw=_draw_term,
-    ),
-    Part(
-        name="fig9",
-        title="Fig. 9: tracking under uncertainty, ordinary and robust law",
-        text="The draw of Fig. 8 with the ordinary law (solid, as in the paper) and the robust law (dotted), with "
-        "magnified deviations in the x–y plane. Most of the error is along z, because the mass is uncertain. The path "
-        "in the plane therefore shows little of it (compare `draw_plain_peak_xy_mm` and `draw_plain_peak_mm`). Bottom: "
-        "reduction of the sum and of the maximum of the error by the robust law over 200 draws versus the boundary "
-        "layer ε, which the paper does not print. The bands are confidence intervals. For the rigid robot they are "
-        "narrower than the lines, because the reduction hardly depends on the draw. The reduction depends mainly on ε, "
-        'so the choice of ε determines whether "more than 60 %" (§4.4) holds. For the robot with springs, the subject '
-        "of §4.4, the composite law again replaces the ordinary law. Eq. 22 is unstable, and Δv makes the instability "
-        "worse (`eq22_draw_plain_peak_mm`, `eq22_draw_robust_peak_mm`). With springs a thinner layer has no further "
-        "benefit once the term excites the springs. These values hold for the ζ and φ of this project; the paper "
-        "prints none.",
-        cells=_tracking_cells,
-        outcome=_tracking_outcome,
-        draw=_draw_tracking,
-    ),
-)
+    axes.legend(**LEGEND, loc="lower right")

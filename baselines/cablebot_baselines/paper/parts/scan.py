@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cablebot_baselines.paper.exact import COARSE, exact_limit, paper_circle
-from cablebot_baselines.paper.finding import option_text
 from cablebot_baselines.paper.interpretation import Interpretation
-from cablebot_baselines.paper.part import Cell, CellResults, Outcome, Part
+from cablebot_baselines.paper.part import Jobs, Outcome, Results, job
 from cablebot_baselines.paper.published import LOADS
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.kinematics import Array
@@ -65,10 +63,9 @@ def geometries(*, interpretation: Interpretation, base_size: str) -> list[Geomet
 
 def planar_turns(*, interpretation: Interpretation) -> list[float]:
     """Largest payload of exact tracking for each rotation of the planar triangle [kg]."""
-    robot, results = interpretation.planar, []
-    for turn in PLANAR_TURNS:
-        results.append(exact_limit(interpretation, robot.replace(base_anchors=_turned(robot.base, turn))).payload)
-    return results
+    robot = interpretation.planar
+    turned = (robot.replace(base_anchors=_turned(robot.base, turn)) for turn in PLANAR_TURNS)
+    return [exact_limit(interpretation, one).payload for one in turned]
 
 
 def _turned(points: Array, angle: float) -> Array:
@@ -79,32 +76,31 @@ def _turned(points: Array, angle: float) -> Array:
     return turned
 
 
-def _cells(interpretation: Interpretation) -> dict[str, Cell]:
+def jobs(interpretation: Interpretation) -> Jobs:
+    """The scan for each base size, and of the planar robot."""
     line = Interpretation(line=interpretation.line)  # all other options are scanned or have no effect
-    cells: dict[str, Cell] = {
-        f"base {size}": partial(geometries, interpretation=line, base_size=size) for size in SIZES
-    }
-    return cells | {"planar": partial(planar_turns, interpretation=interpretation.replace(alpha="least"))}
+    sizes = {f"base {size}": job(geometries, interpretation=line, base_size=size) for size in SIZES}
+    return sizes | {"planar": job(planar_turns, interpretation=interpretation.replace(alpha="least"))}
 
 
-def _payloads(results: CellResults) -> Array:
-    return np.array([item.payload for size in SIZES for item in results[f"base {size}"]])
+def _geometries(results: Results) -> tuple[Array, Array]:
+    """Payloads and limiting motors of all geometries."""
+    found = [item for size in SIZES for item in results[f"base {size}"]]
+    return np.array([item.payload for item in found]), np.array([item.motor for item in found])
 
 
-def _outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
-    all_geometries = [item for size in SIZES for item in results[f"base {size}"]]
-    payload, target = _payloads(results), LOADS["spatial"]
-    positive = payload > 0
-    hit = np.abs(payload - target) <= ROUNDING
-    second = np.array([item.motor == 2 for item in all_geometries])
+def outcome(interpretation: Interpretation, results: Results) -> Outcome:
+    """Counts of geometries, and extreme payloads."""
+    payload, motor = _geometries(results)
+    positive, hit = payload > 0, np.abs(payload - LOADS["spatial"]) <= ROUNDING
     planar = np.array(results["planar"])
     return Outcome(
         numbers={
             "geometries": len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS),
-            "with_equilibrium": len(all_geometries),
+            "with_equilibrium": len(payload),
             "with_positive_payload": int(positive.sum()),
             "hits": int(hit.sum()),
-            "hits_second_motor": int((hit & second).sum()),
+            "hits_second_motor": int((hit & (motor == 2)).sum()),
             "least_kg": float(payload[positive].min()) if positive.any() else None,
             "largest_kg": float(payload.max()) if positive.any() else None,
             "planar_best_added_kg": float(planar.max()),
@@ -113,69 +109,27 @@ def _outcome(interpretation: Interpretation, results: CellResults) -> Outcome:
     )
 
 
-def _draw(interpretation: Interpretation, results: CellResults) -> Figure:
+def draw(interpretation: Interpretation, results: Results) -> Figure:
+    """Histogram of the spatial payloads, and planar payload versus rotation."""
     figure = new_figure(4.4)
     left, right = figure.subplots(1, 2)
-    payload = _payloads(results)
-    positive = payload[payload > 0]
-    left.hist(
-        positive,
-        bins=np.arange(0, positive.max(initial=0.25) + 0.25, 0.25),
-        color=BLUE,
-        label="geometries with a positive payload",
-    )
-    target = LOADS["spatial"]
-    left.axvspan(
-        target - ROUNDING,
-        target + ROUNDING,
-        color=VERMILLION,
-        alpha=0.6,
-        linewidth=0,
-        label=f"published: {target:g} ± {ROUNDING:g} kg",
-    )
-    left.set(
-        xlabel="payload of exact tracking [kg]",
-        ylabel="geometries",
-        title="spatial: sizes and rotations of both triangles",
-    )
-    degrees, planar = np.degrees(PLANAR_TURNS), np.array(results["planar"])
-    mass = interpretation.planar.mass
+    payload, _ = _geometries(results)
+    bins = np.arange(0, payload.max(initial=0.25) + 0.25, 0.25)
+    left.hist(payload[payload > 0], bins=bins, color=BLUE, label="geometries with a positive payload")
+    target, published = LOADS["spatial"], {"color": VERMILLION, "alpha": 0.5, "linewidth": 0}
+    label = f"published: {target:g} ± {ROUNDING:g} kg"
+    left.axvspan(target - ROUNDING, target + ROUNDING, label=label, **published)
+    left.set(xlabel="payload of exact tracking [kg]", ylabel="geometries")
+    left.set_title("spatial: sizes and rotations of both triangles")
+    degrees, planar, target = np.degrees(PLANAR_TURNS), np.array(results["planar"]), LOADS["planar"]
     right.plot(degrees, planar, color=BLUE, label="added to the platform")
+    mass = interpretation.planar.mass
     right.plot(degrees, planar + mass, "--", color=GREY, label="total mass of platform and load")
-    low, high = 0.95 * LOADS["planar"], 1.05 * LOADS["planar"]
-    right.axhspan(low, high, color=VERMILLION, alpha=0.3, linewidth=0, label=f"published: {LOADS['planar']:g} kg ± 5 %")
-    right.set(
-        xlabel="rotation of the planar triangle [°]",
-        ylabel="mass [kg]",
-        title="planar: rotation of the triangle",
-        xlim=(0, 120),
-        ylim=(0, None),
-    )
-    add_legend(figure, left)
+    right.axhspan(0.95 * target, 1.05 * target, label=f"published: {target:g} kg ± 5 %", **published)
+    right.set(xlabel="rotation of the planar triangle [°]", ylabel="mass [kg]", xlim=(0, 120), ylim=(0, None))
+    right.set_title("planar: rotation of the triangle")
     right.legend(loc="lower right", fontsize=9)
-    set_title(
-        figure,
-        f"Geometries that give the published payloads; exact tracking, {option_text('line', interpretation.line)}",
-    )
+    add_legend(figure, left)
+    line = f"line = {interpretation.line}"
+    set_title(figure, f"Geometries that give the published payloads; exact tracking, {line}")
     return figure
-
-
-PARTS: tuple[Part, ...] = (
-    Part(
-        name="scan",
-        title="Does a payload of 2.56 kg identify the geometry?",
-        text=(
-            "The paper prints a and b, but does not state which length of a triangle they are, nor how the triangles "
-            "are oriented. "
-            f"All {len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS)} combinations of four meanings for each "
-            f"length, {len(BASE_TURNS)} rotations of the base and {len(PLATFORM_TURNS)} of the platform are evaluated "
-            "for exact tracking with the pulleys of Table 4 and 10 kg. Many different geometries give the published "
-            "payload, so the payload alone does not identify the geometry, and a geometry that is chosen to match it "
-            "proves nothing. The section *Interpretations* lists the interpretations of the paper that come close. For "
-            "the planar robot the triangle is rotated about its centre, starting from the chosen interpretation."
-        ),
-        cells=_cells,
-        outcome=_outcome,
-        draw=_draw,
-    ),
-)

@@ -1,128 +1,18 @@
-"""Findings, the numbers that they use, and the texts of numbers and options."""
+"""Texts of numbers and options, and the command of a finding."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Literal
 
 from cablebot_baselines.paper.interpretation import AS_PRINTED, Interpretation, Source
 from cablebot_baselines.paper.part import Number
-from cablebot_baselines.paper.published import Published
-
-Verdict = Literal["used", "used, corrected", "replaced", "contradicted", "reproduced", "not reproduced", "undecided"]
-"""Verdicts of an input: used as printed, used after a correction, replaced by the interpretation, or contradicted
-elsewhere in the paper. Verdicts of a result or claim: the last three."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """Outcome for one published number or claim."""
-
-    ours: str
-    """Our value as text."""
-    value: float | None
-    """Our value in the unit of the published value; None if it is not a number."""
-    interpretation: str
-    """Chosen options that affect the finding; empty if none."""
-    verdict: Verdict
-    """See :data:`~cablebot_baselines.paper.findings.RULE`."""
-    evidence: str
-    """Numbers and reasons that support the verdict."""
-    command: str
-    """Command that reproduces the finding."""
-
-
-class MissingNumber(Exception):
-    """A required number is not among the numbers of the run."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Run:
-    """Interpretation and numbers of a run."""
-
-    interpretation: Interpretation
-    """Interpretation of the paper."""
-    numbers: Mapping[str, Number]
-    """All numbers of the run by ``part.name``."""
-
-    def optional(self, key: str) -> float | None:
-        """A number that is None if it does not exist, for example if the robot fails unloaded or no motor saturates.
-
-        Raises:
-            MissingNumber: if the run did not compute it.
-        """
-        if key not in self.numbers:
-            raise MissingNumber(key)
-        value = self.numbers[key]
-        if isinstance(value, str):
-            raise TypeError(f"{key} must be a number, not {value!r}")
-        return None if value is None or math.isnan(value) else float(value)
-
-    def number(self, key: str) -> float:
-        """A number that must exist.
-
-        Raises:
-            MissingNumber: if the run did not compute it.
-        """
-        if (value := self.optional(key)) is None:
-            raise MissingNumber(key)
-        return value
-
-    def flag(self, key: str) -> bool:
-        """A truth value.
-
-        Raises:
-            MissingNumber: if the run did not compute it.
-        """
-        return bool(self.number(key))
-
-    def text(self, key: str) -> str:
-        """A value as text.
-
-        Raises:
-            MissingNumber: if the run did not compute it.
-        """
-        if (value := self.numbers.get(key)) is None:
-            raise MissingNumber(key)
-        return as_text(value)
-
-    def maybe(self, key: str) -> float | None:
-        """A number for additional evidence; None if the run did not compute it."""
-        return self.optional(key) if key in self.numbers else None
-
-    def options_text(self, *names: str, source: Source | None = None) -> str:
-        """Texts of the chosen options; ``source`` selects the values of "as-printed"."""
-        words = (option_text(name, getattr(self.interpretation, name), source) for name in names)
-        return ", ".join(words)
-
-
-EvaluateFinding = Callable[[Published, Run], Finding]
-"""Function that evaluates a finding. It raises :class:`MissingNumber` if a required number does not exist."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FindingRule:
-    """Rule that evaluates a finding."""
-
-    parts: tuple[str, ...]
-    """Parts that compute the required numbers, or a part that uses the input."""
-    evaluate: EvaluateFinding
-    """Function that evaluates the finding."""
 
 
 def command(interpretation: Interpretation, *only: str) -> str:
     """Command that runs these parts, or all parts if no name is given, under an interpretation."""
     words = ["cablebot reproduce", *(f"--only {name}" for name in only)]
-    words += [f"--{name.replace('_', '-')} {value}" for name, value in _changed(interpretation).items()]
+    words += [f"--{name.replace('_', '-')} {value}" for name, value in interpretation.changed().items()]
     return " ".join(words)
-
-
-def _changed(interpretation: Interpretation) -> dict[str, object]:
-    """Options that differ from the default."""
-    default, given = asdict(Interpretation()), asdict(interpretation)
-    return {name: value for name, value in given.items() if value != default[name]}
 
 
 _OPTION_TEXTS: dict[str, dict[str, str]] = {
@@ -215,11 +105,6 @@ def kilograms(value: float | None) -> str:
 def relative_difference(ours: float, published: float) -> str:
     """Relative difference between our number and a published number in percent."""
     return f"{100 * (ours / published - 1):+.0f} %".replace("-", "−").replace("+0 %", "0 %").replace("−0 %", "0 %")
-
-
-def join_sentences(parts: list[str]) -> str:
-    """Joins the sentences that are not empty."""
-    return " ".join(part for part in parts if part)
 
 
 def capitalized(words: str) -> str:

@@ -1,0 +1,121 @@
+"""Fixtures of the tests of the command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from cablebot_gym.cli import app as cli
+
+TOYS = """
+import os
+import signal
+import numpy as np
+from cablebot_baselines.classical import FeedbackLinearization
+
+class Toy(FeedbackLinearization):
+    steps = 0
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        action, state = super().predict(observation, state)
+        self.steps += 1
+        return (self.eleventh(action) if self.steps == 11 else action), state
+
+class raises(Toy):
+    def eleventh(self, action):
+        raise RuntimeError("lost")
+
+class nan(Toy):
+    def eleventh(self, action):
+        return action * np.nan
+
+class interrupted(Toy):
+    def eleventh(self, action):
+        os.kill(os.getpid(), signal.SIGINT)
+        return action
+
+class interrupted_second(FeedbackLinearization):
+    def reset(self, tasks):
+        if not tasks[0].payload_known:
+            os.kill(os.getpid(), signal.SIGINT)
+
+class deadly(FeedbackLinearization):
+    def reset(self, tasks):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+def unmakeable(robot):
+    raise RuntimeError("no factory today")
+
+def clipped(robot):
+    law = FeedbackLinearization(robot)
+    return lambda observation: np.clip(law.predict(observation)[0], -1, 1)
+
+def limp(robot):
+    return lambda observation: np.zeros(robot.cables)
+"""
+
+LOST = 1 + next(index for index, line in enumerate(TOYS.splitlines()) if "lost" in line)
+"""Line of the toys that raises."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def data(self):
+        """Standard output as JSON; asserts that there are neither messages nor NaN or infinity."""
+        assert (self.status, self.err) == (0, "")
+        return json.loads(self.out, parse_constant=pytest.fail)
+
+    def message(self, status):
+        """The only line on standard error of a command that failed with a status."""
+        assert (self.status, self.out, self.err.count("\n")) == (status, "", 1), self.err
+        assert self.err.startswith("cablebot: ")
+        return self.err
+
+
+@pytest.fixture
+def cablebot(monkeypatch, capfd, tmp_path):
+    """Runs a command in this process, in an empty folder."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("cablebot_gym.utils.console.FIRST_LINE", 1e9)  # no lines of progress on a slow machine
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["cablebot", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return Ended(ended.value.code or 0, *capfd.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def toys(tmp_path, monkeypatch):
+    """A module of policies by ``toys:name``, each FL except for what its name says."""
+    folder = tmp_path / "modules"
+    folder.mkdir()
+    (folder / "cli_toys.py").write_text(TOYS, encoding="utf-8")
+    monkeypatch.syspath_prepend(folder)
+    yield lambda name: f"cli_toys:{name}"
+    sys.modules.pop("cli_toys", None)
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    """Fails the test when anything is evaluated or recorded."""
+    for name in ("evaluator.evaluate_dlcc", "comparison.compare_policies", "rollout.record_rollout"):
+        monkeypatch.setattr(f"cablebot_gym.evaluation.{name}", lambda *_, **__: pytest.fail("found after the work"))
+
+
+def names(folder):
+    """Names of the files in a folder."""
+    return sorted(path.name for path in folder.iterdir())

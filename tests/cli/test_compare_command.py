@@ -1,0 +1,156 @@
+"""``cablebot compare``: table, options, files and messages."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cli.conftest import LOST, names
+from scipy.stats import binomtest
+
+from cablebot_gym.cli.compare import _change, print_comparison
+from cablebot_gym.evaluation import compare_policies
+from cablebot_gym.evaluation.comparison import Estimate
+
+SPATIAL = "CableBot-Spatial-v0"
+MOTION = {"name": "dwell-spatial", "duration": 0.05}
+HANG = '{"name": "dwell-spatial", "duration": 0.05}'
+PAIR = ("compare", SPATIAL, "--trajectory", HANG, "--uncertainty", "table6", "--draws", "3", "--policies")
+"""Arguments of a comparison that takes no time, but for the policies."""
+
+
+def test_json_has_every_policy(cablebot, toys):
+    data = cablebot(*PAIR, f" fl , {toys('limp')},", "--json").data
+    assert [policy["policy"] for policy in data["policies"]] == ["fl", "cli_toys:limp"]
+    assert (data["draws"], data["uncertainty"], data["env_id"], data["payload"]) == (3, "table6", SPATIAL, 0)
+
+
+@pytest.mark.parametrize(
+    ("option", "path", "value"),
+    [
+        (("--payload", "2.5"), ("payload",), 2.5),
+        (("--draws", "2"), ("draws",), 2),
+        (("--position-bound", "0.02"), ("error_bounds", "position"), 0.02),
+    ],
+)
+def test_option_reaches_the_comparison(cablebot, option, path, value):
+    before, after = (cablebot(*PAIR, "fl", "--payload", "2", *more, "--json").data for more in ((), option))
+    assert before["policies"] != after["policies"] or "bound" in option[0]
+    for key in path:
+        before, after = before[key], after[key]
+    assert after == value != before
+
+
+def test_out_has_json_and_figure(cablebot, tmp_path):
+    folder = tmp_path / "new" / "results"
+    ended = cablebot(*PAIR, "fl", "--out", folder, "--json")
+    assert names(folder) == ["comparison.json", "comparison.png"]
+    assert (folder / "comparison.json").read_text(encoding="utf-8") == ended.out
+    assert (folder / "comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert all(name in ended.err for name in names(folder))
+
+
+@pytest.mark.usefixtures("no_work")
+def test_folder_in_place_of_a_file_is_found_before_the_work(cablebot, tmp_path):
+    (tmp_path / "comparison.png").mkdir()
+    assert "comparison.png': it is a folder" in cablebot(*PAIR, "fl", "--out", tmp_path).message(2)
+
+
+def test_interrupt_leaves_old_files(cablebot, toys, tmp_path):
+    (tmp_path / "comparison.json").write_text("old", encoding="utf-8")
+    ended = cablebot(*PAIR, f"fl,{toys('interrupted')}", "--out", tmp_path)
+    assert "interrupted" in ended.message(130)
+    assert (tmp_path / "comparison.json").read_text(encoding="utf-8") == "old"
+    assert not (tmp_path / "comparison.png").exists()
+
+
+def test_error_of_a_policy_names_it(cablebot, toys):
+    line = cablebot(*PAIR, f"fl,{toys('raises')}", "--payload", "0.5", "--out", "new").message(1)
+    assert line.startswith("cablebot: policy 'cli_toys:raises'")
+    assert all(part in line for part in ("RuntimeError", "t = 0.020 s", f"lost (cli_toys.py, line {LOST})"))
+
+
+# --- table ------------------------------------------------------------------------------------------------------------
+
+
+def weak(observation):
+    return 0.9 * np.ones(6)
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    options = {"payload": 1.25, "payload_known": False, "uncertainty": "table6", "draws": 3, "trajectory": MOTION}
+    return compare_policies(["fl", weak], SPATIAL, **options)
+
+
+def printed(capsys, comparison):
+    """Printed text and the cells of the table; cells that are broken over lines are joined."""
+    print_comparison(comparison)
+    text, rows = capsys.readouterr().out, []
+    for line in text.splitlines():
+        if line.startswith("│"):
+            cells = [cell.strip() for cell in line.strip("│").split("│")]
+            if cells[1]:
+                rows.append(cells)
+            else:
+                rows[-1] = [f"{one} {more}".strip() for one, more in zip(rows[-1], cells, strict=True)]
+    return text, rows
+
+
+def test_table_has_the_numbers_of_the_comparison(comparison, capsys):
+    text, rows = printed(capsys, comparison)
+    assert text.startswith(f"{SPATIAL}, payload 1.25 kg, payload unknown, 3 draws of table6\n")
+    assert [row[0] for row in rows] == ["fl", "weak"]
+    scales = {"mean_error": 1e3, "rms_error": 1e3, "max_error": 1e3, "max_rotation": 1e3, "rms_torque": 1}
+    scales |= {"peak_torque": 1, "torque_margin": 100, "least_tension": 1}
+    for row, metrics in zip(rows, comparison.metrics, strict=True):
+        exact = binomtest(int(metrics.carried.sum()), 3).proportion_ci(0.95, method="exact")
+        assert row[1] == f"{metrics.carried.mean():.0%} [{exact.low:.0%}, {exact.high:.0%}]"
+        for cell, (name, scale) in zip(row[2:], scales.items(), strict=True):
+            estimate = metrics.estimate(name)
+            mean, width = (float(number) for number in cell.split(" ± "))
+            assert mean == pytest.approx(scale * estimate.mean, rel=6e-3)
+            assert width == pytest.approx(scale * (estimate.high - estimate.low) / 2, rel=6e-2)
+    fraction = comparison.reduction(1, "max_error")
+    assert f"max error {-fraction.mean:+.0%} [{-fraction.high:+.0%}, {-fraction.low:+.0%}]" in text
+    assert "weak against fl: mean error +" in text
+    assert "95% confidence over draws" in text
+
+
+def test_one_draw_of_a_planar_robot_has_no_interval_and_no_rotation(capsys):
+    one = compare_policies(["fl"], "CableBot-Planar-v0", trajectory={"name": "dwell-planar", "duration": 0.02})
+    text, rows = printed(capsys, one)
+    assert "payload known, 1 draw of no uncertainty" in text
+    assert len(rows[0]) == 9
+    assert not any(word in text for word in ("±", "confidence", "rotation"))
+
+
+def test_episodes_that_ended_early_are_counted(capsys):
+    motion = {"name": "dwell-spatial", "duration": 0.3}
+    fallen = compare_policies(["fl", lambda _: np.zeros(6)], SPATIAL, uncertainty="table6", draws=2, trajectory=motion)
+    assert "2 episodes ended early: the remaining steps count" in printed(capsys, fallen)[0]
+
+
+def test_narrow_terminal_shows_one_column_per_policy(comparison, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    odd = dataclasses.replace(comparison.metrics[0], policy="a[/b]:cat:c")
+    text, rows = printed(capsys, dataclasses.replace(comparison, metrics=(odd, odd)))
+    assert max(map(len, text.splitlines())) <= 80
+    assert [row[0] for row in rows][:2] == ["success rate", "error, mean [mm]"]
+    assert rows[1][1].startswith(f"{1e3 * odd.estimate('mean_error').mean:.3g} ± ")
+    assert "a[/b]:cat:c against a[/b]:cat:c" in text
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [
+        ((0.655, 0.6, 0.7), "-66% [-70%, -60%]"),
+        ((-0.5, -1.0, 0.25), "+50% [-25%, +100%]"),
+        ((0.002, -0.002, 0.004), "+0% [+0%, +0%]"),
+        ((0.5, 0.5, 0.5), "-50%"),
+    ],
+)
+def test_reduction_has_a_minus_sign(fraction, text):
+    mean, low, high = fraction
+    assert _change(Estimate(mean=mean, low=low, high=high)) == text

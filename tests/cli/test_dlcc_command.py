@@ -1,0 +1,188 @@
+"""``cablebot dlcc``: numbers, options, files and messages."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from cli.conftest import LOST, names
+
+from cablebot_gym.cli.dlcc import print_payloads
+from cablebot_gym.evaluation import evaluate_dlcc
+
+PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+HANG = '{"name": "dwell-spatial", "duration": 0.05}'
+QUICK = ("dlcc", SPATIAL, "--policy", "fl", "--trajectory", HANG, "--payload-max", "16", "--resolution", "0.5")
+"""An evaluation that takes no time."""
+ONE = (*QUICK, "--criterion", "task", "--json")
+DRAWN = (*ONE, "--uncertainty", "table6", "--draws", "4", "--probability", "0.5")
+
+
+def test_table_has_payloads_violations_and_bounds(cablebot):
+    ended = cablebot("dlcc", SPATIAL, "--policy", "fl")
+    assert (ended.status, ended.err) == (0, "")
+    task, paper = (next(line for line in ended.out.splitlines() if f" {name} " in line) for name in ("task", "paper"))
+    assert all(part in paper for part in ("1.776 kg", "11.776 kg", "motor 2", "t = 0.50"))
+    assert all(part in task for part in ("4.031 kg", "rotation error reaches its bound of 10 mrad at t = 0.490 s"))
+    assert all(part in ended.out for part in ("fl, paper-spatial, payload known", "position 10 mm, rotation 10 mrad"))
+
+
+def test_json_has_one_result_per_criterion(cablebot):
+    task, paper = cablebot(*QUICK, "--json").data
+    assert (task["criterion"], paper["criterion"]) == ("task", "paper")
+    # The motors saturate, and the platform falls slowly enough.
+    assert (task["payload"], task["total_mass"], task["violation"], task["scan_ended"]) == (16, 26, None, True)
+    assert 14 < paper["payload"] < 15
+    assert (paper["violation"]["kind"], paper["violation"]["time"]) == ("torque", 0.0)
+    assert 0 < paper["resolution"] <= 0.5
+
+
+OPTIONS = [
+    (("--payload-unknown",), ("payload_known",), False),
+    (("--model-payload-factor", "0.9"), ("model_payload_factor",), 0.9),
+    (("--position-bound", "0.02"), ("error_bounds", "position"), 0.02),
+    (("--rotation-bound", "0.03"), ("error_bounds", "rotation"), 0.03),
+    (("--payload-max", "3.5"), ("payload_max",), 3.5),
+    (("--control-frequency", "400"), ("environment", "control_frequency"), 400),
+    (("--seed", "7"), ("seed",), 7),
+    (("--trajectory", "line-spatial"), ("environment", "trajectory", "name"), "line-spatial"),
+    (("--trajectory", '{"name": "line-spatial", "duration": 0.25}'), ("environment", "trajectory", "duration"), 0.25),
+    (("--criterion", "paper"), ("criterion",), "paper"),
+]
+DRAWN_OPTIONS = [
+    (("--draws", "3"), ("draws",), 3),
+    (("--probability", "0.7"), ("probability",), 0.7),
+    (("--confidence", "0.6"), ("confidence",), 0.6),
+    (("--uncertainty", '{"sensors": {"position": 0.001}}'), ("uncertainty",), "custom"),
+    (
+        ("--uncertainty", "table6+sensors"),
+        ("environment", "uncertainty", "sensors", "position"),
+        1e-4,
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("usual", "option", "path", "value"),
+    [*((ONE, *rest) for rest in OPTIONS), *((DRAWN, *rest) for rest in DRAWN_OPTIONS)],
+)
+def test_option_reaches_the_evaluation(cablebot, usual, option, path, value):
+    before, after = (cablebot(*usual, *more).data[0] for more in ((), option))
+    for key in path:
+        before, after = (before or {}).get(key), after[key]
+    assert after == value != before
+
+
+def test_seed_determines_the_draws(cablebot):
+    tight = (*DRAWN, "--position-bound", "0.001", "--rotation-bound", "1", "--probability", "0.3")
+    one, same, other = (cablebot(*tight, "--seed", seed).data[0] for seed in (0, 0, 1))
+    assert one == same
+    assert (one["success"], one["margins"]) != (other["success"], other["margins"])
+
+
+def test_uncertainty_from_a_file(cablebot, tmp_path):
+    path = tmp_path / "unknown.json"
+    path.write_text('{"sensors": {"position": 1e-4}}', encoding="utf-8")
+    result = cablebot(*DRAWN, "--uncertainty", path).data[0]
+    assert result["environment"]["uncertainty"]["sensors"]["position"] == 1e-4
+    for text, message in (("[1]", "must hold a JSON object"), (None, "cannot read")):
+        path.unlink() if text is None else path.write_text(text, encoding="utf-8")
+        assert message in cablebot(*DRAWN, "--uncertainty", path).message(2)
+
+
+def test_paper_criterion_is_not_applicable_to_a_policy_that_saturates(cablebot, toys):
+    clipped = (*QUICK, "--policy", toys("clipped"))
+    assert "n/a" in next(line for line in cablebot(*clipped).out.splitlines() if " paper " in line)
+    assert [result["criterion"] for result in cablebot(*clipped, "--json").data] == ["task"]
+    assert "does not declare unsaturated_actions" in cablebot(*clipped, "--criterion", "paper").message(2)
+
+
+def test_policy_that_fails_unloaded_has_no_payload(cablebot, toys):
+    limp = ("dlcc", SPATIAL, "--policy", toys("limp"), "--trajectory", '{"name": "dwell-spatial", "duration": 0.3}')
+    row = next(line for line in cablebot(*limp).out.splitlines() if " task " in line)
+    assert "fails unloaded" in row
+    assert "position error reaches its bound of 10 mm at t = 0.0" in row
+    result = cablebot(*limp, "--json").data[0]
+    assert (result["payload"], result["total_mass"], result["feasible"]) == (None, None, [])
+
+
+def test_policy_for_other_robots_runs_with_a_note(cablebot):
+    other = ("dlcc", "CableBot-FlexSpatial-v0", "--policy", "fl", "--trajectory", HANG, "--criterion", "task")
+    ended = cablebot(*other, "--payload-max", "1", "--resolution", "1")
+    note = "note: fl is designed for CableBot-Planar-v0, CableBot-Spatial-v0, not for CableBot-FlexSpatial-v0\n"
+    assert (ended.status, ended.err) == (0, note)
+
+
+def test_out_has_json_and_figures(cablebot, tmp_path):
+    folder = tmp_path / "new" / "results"
+    ended = cablebot("dlcc", PLANAR, "--policy", "fl", "--criterion", "task", "--out", folder, "--json")
+    assert names(folder) == ["path-task.png", "result.json", "torques-task.png"]
+    assert (folder / "result.json").read_text(encoding="utf-8") == ended.out
+    for name in ("path-task.png", "torques-task.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+        assert name in ended.err
+
+
+@pytest.mark.usefixtures("no_work")
+def test_unwritable_folder_is_found_before_the_work(cablebot, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("kept", encoding="utf-8")
+    for below in ("", "sub/deeper"):
+        assert "cannot write to folder" in cablebot(*QUICK, "--out", file / below).message(2)
+    assert file.read_text(encoding="utf-8") == "kept"
+
+
+@pytest.mark.parametrize("after", [0, 1], ids=["first criterion", "figure"])
+def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monkeypatch, after):
+    (tmp_path / "result.json").write_text("old", encoding="utf-8")
+
+    def interrupt(*arguments, **_):
+        if after:  # in the figure
+            arguments[1].write_bytes(b"\x89PNG half")
+        raise KeyboardInterrupt
+
+    target = "matplotlib.figure.Figure.savefig" if after else "cablebot_gym.evaluation.evaluator.evaluate_dlcc"
+    monkeypatch.setattr(target, interrupt)
+    ended = cablebot(*QUICK, "--out", tmp_path)
+    assert ended.status == 130
+    assert "interrupted" in ended.err
+    assert [name for name in names(tmp_path) if name != "work"] == ["result.json"]
+    assert after or (tmp_path / "result.json").read_text(encoding="utf-8") == "old"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("raises", ("RuntimeError", "t = 0.020 s", "payloads of 0 to 10 kg", f"lost (cli_toys.py, line {LOST})")),
+        ("nan", ("returned NaN or infinity", "t = 0.020 s", "payload of 0 kg")),
+    ],
+)
+def test_error_of_a_policy_names_payload_and_time(cablebot, toys, name, words):
+    line = cablebot("dlcc", PLANAR, "--policy", toys(name), "--out", "new").message(1)
+    assert line.startswith(f"cablebot: policy '{toys(name)}'")
+    assert all(part in line for part in words)
+    assert "no factory today" in cablebot("dlcc", PLANAR, "--policy", toys("unmakeable")).message(2)
+
+
+@pytest.fixture(scope="module")
+def result():
+    motion = {"name": "dwell-spatial", "duration": 0.05}
+    options = {"draws": 60, "probability": 0.9, "trajectory": motion, "payload_max": 3.0, "resolution": 0.5}
+    return evaluate_dlcc("fl", SPATIAL, uncertainty="table6", **options)
+
+
+def test_table_over_draws_has_draws_counts_and_bound(result, capsys):
+    changes = {"payload": 1.5, "total_mass": 11.5, "assured_payload": 1.25, "resolution": 0.05}
+    changed = dataclasses.replace(result, failures={"position": 7, "slack": 2}, policy="a[b]", **changes)
+    print_payloads([changed, dataclasses.replace(result, assured_payload=None)], ["paper"])
+    text = " ".join(capsys.readouterr().out.split())
+    for part in (
+        f"{SPATIAL}, a[b], dwell-spatial, payload known, table6, 60 draws",
+        "1.500 kg │ 11.500 kg │ position in 7, slack in 2 of 60 draws; ",
+        "resolution 50 g",
+        "required success rate: 90% of the draws",
+        "task: assured payload 1.25 kg (95%/90% lower tolerance bound)",
+        "task: no assured payload with 95% confidence from 60 draws",
+        "the scan ended at 3 kg: try a larger --payload-max",
+    ):
+        assert part in text

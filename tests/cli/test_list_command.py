@@ -1,0 +1,67 @@
+"""``cablebot list``."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import env_robot
+from cablebot_gym.policies import policy_entries
+from cablebot_gym.robots import find_robot
+from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
+from cablebot_gym.uncertainty import (
+    PARAMETERS,
+    UNCERTAINTIES,
+    ExternalWrench,
+    ParameterDistribution,
+    SensorNoise,
+    find_uncertainty,
+)
+
+
+@pytest.fixture
+def data(cablebot):
+    return cablebot("list", "--json").data
+
+
+def test_json_has_every_name(data):
+    assert data["env_ids"] == list(ENV_IDS)
+    assert data["trajectories"] == trajectory_names()
+    assert data["uncertainties"] == list(UNCERTAINTIES)
+    assert data["uncertain_parameters"] == list(PARAMETERS)
+    assert [policy["name"] for policy in data["policies"]] == list(policy_entries())
+    fl = {"name": "fl", "kind": "classical", "env_ids": ["CableBot-Planar-v0", "CableBot-Spatial-v0"]}
+    assert fl in data["policies"]
+
+
+def test_text_has_every_name_field_and_unit(cablebot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "110")
+    text = cablebot("list").out
+    assert max(map(len, text.splitlines())) <= 110
+    words = set(text.replace("(", " ").split())
+    kinds = [*(type(make()) for make in TRAJECTORIES.values()), ParameterDistribution, ExternalWrench, SensorNoise]
+    fields = {field.name for kind in kinds for field in dataclasses.fields(kind)} - {"name"}
+    for expected in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries(), fields):
+        assert set(expected) <= words
+    assert {parameter.unit for parameter in PARAMETERS.values()} <= words
+
+
+def test_listed_defaults_make_the_named_trajectory(data):
+    for name, entries in data["trajectory_fields"].items():
+        given = {key: entry["default"] for key, entry in entries.items()}
+        named = TRAJECTORIES[name]()
+        assert find_trajectory({"name": name, **given}, named.coordinates) == named
+
+
+def test_listed_fields_make_the_named_uncertainty(data):
+    for name, entries in data["uncertainty_fields"].items():
+        for env_id in ENV_IDS:
+            given = {}
+            for path, entry in entries.items():
+                if env_id in entry["env_ids"]:
+                    group, _, key = path.partition(".")
+                    given.setdefault(group, {})[key] = entry["value"]
+            robot = find_robot(env_robot(env_id))
+            assert find_uncertainty(given, robot) == find_uncertainty(name, robot)

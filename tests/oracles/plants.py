@@ -1,0 +1,246 @@
+"""Robots without symmetry, random states, and what the tests of the physics compute from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from cablebot_gym import kinematics
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.plant import Plant, pack_parameters
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Transmission
+
+UNEQUAL = SPATIAL.replace(
+    name="unequal",
+    inertia=(0.9, 0.3, 0.7),
+    motors=Motors(stall_torque=(8.0, 9.0, 10.0, 11.0, 12.0, 13.0), free_speed=(50.0, 60.0, 70.0, 80.0, 90.0, 100.0)),
+    transmission=Transmission(
+        pulley_radius=(0.03, 0.04, 0.05, 0.06, 0.07, 0.08),
+        pulley_inertia=(4e-4, 6e-4, 8e-4, 1e-3, 1.2e-3, 0.0),
+        damping=(0.0, 0.01, 0.02, 0.03, 0.04, 0.05),
+    ),
+)
+"""Every motor and axis different, one pulley without inertia."""
+
+QUAD = PLANAR.replace(
+    name="quad",
+    base_anchors=((-0.6, -0.3), (0.5, -0.4), (0.4, 0.5), (-0.5, 0.6)),
+    motors=Motors(stall_torque=(4.0, 5.0, 6.0, 7.0), free_speed=(50.0, 60.0, 70.0, 80.0)),
+    transmission=Transmission(
+        pulley_radius=(0.03, 0.04, 0.05, 0.06), pulley_inertia=(4e-4, 0.0, 8e-4, 1e-3), damping=(0.0, 0.01, 0.02, 0.03)
+    ),
+    home_pose=(0.05, 0.1),
+)
+"""Four cables, every motor different, one pulley without inertia."""
+
+FLEX_UNEQUAL = UNEQUAL.replace(
+    name="flex-unequal",
+    transmission=UNEQUAL.transmission.replace(
+        stiffness=(2.0, 3.0, 4.0, 5.0, 6.0, 7.0),
+        motor_inertia=(9e-4, 8e-4, 7e-4, 6e-4, 5e-4, 4e-4),
+        motor_damping=(0.0, 0.005, 0.01, 0.015, 0.02, 0.025),
+    ),
+)
+FLEX_QUAD = QUAD.replace(
+    name="flex-quad",
+    transmission=QUAD.transmission.replace(
+        stiffness=(2.0, 3.0, 4.0, 5.0), motor_inertia=(8e-4, 6e-4, 4e-4, 5e-4), motor_damping=(0.0, 0.01, 0.02, 0.03)
+    ),
+)
+NINE = PLANAR.replace(
+    name="nine",
+    base_anchors=tuple((math.cos(k * math.tau / 9), math.sin(k * math.tau / 9)) for k in range(9)),
+    transmission=Transmission(pulley_radius=0.05, pulley_inertia=0.8),
+)
+"""So many cables and so much pulley inertia that changing all wrong cables at once goes round in circles."""
+
+
+def each_of(*robots):
+    return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
+
+
+rigid_robots = each_of(QUAD, UNEQUAL)
+flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
+every_robot = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
+papers_flexible = each_of(FLEX_PLANAR, FLEX_SPATIAL)
+both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
+
+
+@dataclasses.dataclass
+class State:
+    """A batch of states (N, ...); angle and speed of the motors are zero for a rigid robot."""
+
+    pose: np.ndarray
+    velocity: np.ndarray
+    angle: np.ndarray
+    speed: np.ndarray
+
+    def __getitem__(self, members):
+        return State(*(value[members] for value in vars(self).values()))
+
+    def moved(self, rate, time):
+        """The state after a time at a rate, itself a state."""
+        return State(*(one + time * other for one, other in zip(vars(self).values(), vars(rate).values(), strict=True)))
+
+
+def random_states(robot, count, seed=1, reach=0.6):
+    """States that slacken many cables, springs wound and unwound by 0.02 to 3 rad; and actions, some beyond ± 1."""
+    rng = np.random.default_rng(seed)
+    pose = rng.uniform(*(reach * (robot.pose_bounds - robot.home) + robot.home), (count, robot.coordinates))
+    velocity, actions = rng.uniform(-1, 1, pose.shape), rng.uniform(-0.7, 1.2, (count, robot.cables))
+    if not robot.flexible:
+        return State(pose, velocity, np.zeros_like(actions), np.zeros_like(actions)), actions
+    twist = np.geomspace(0.02, 3.0, 200)[rng.integers(200, size=actions.shape)]
+    twist *= rng.choice([-1.0, 1.0, 1.0], twist.shape)
+    angle = textbook.pulley_angle(robot, pose) + twist
+    return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
+
+
+def held_states(robot, pose, velocity=0.0, minimum=20.0):
+    """States of a flexible robot whose springs hold it, and the torques that hold the springs."""
+    pose = np.atleast_2d(pose)
+    velocity = np.broadcast_to(velocity, pose.shape)
+    angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=minimum)
+    torques = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
+    return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity)), torques
+
+
+def off_centre(robot):
+    """A pose without symmetry, and a velocity in all coordinates."""
+    if robot.planar:
+        return np.array([0.05, 0.02]), np.array([0.3, -0.4])
+    return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array([0.2, -0.3, 0.1, 0.4, -0.3, 0.5])
+
+
+def free_motors(robot):
+    """Motors whose torque limits do not depend on the speed: an action of τ/τ_s holds the torque τ."""
+    return robot.replace(motors=Motors(stall_torque=robot.motors.stall_torque, free_speed=1e100))
+
+
+def with_transmission(robot, **changes):
+    return robot.replace(transmission=robot.transmission.replace(**changes))
+
+
+def loaded_plant(robot, state, cable="bilateral", mass=None):
+    """A plant at these states, with one total mass or one for each robot."""
+    count = len(state.pose)
+    plant, every = Plant(robot, count, cable=cable), np.arange(count)
+    rows = np.tile(pack_parameters(robot), (count, 1))
+    rows[:, kernel.MASS] = robot.mass if mass is None else mass
+    plant.set_parameters(every, rows)
+    plant.set_state(every, state.pose, state.velocity)
+    if robot.flexible:
+        plant.set_motors(every, state.angle, state.speed)
+    return plant
+
+
+def state_of(plant):
+    return State(plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed)
+
+
+def record_of(plant):
+    """The whole record, a row for each robot."""
+    tiles = plant.record.reshape(plant.record.shape[0], -1, plant.lanes)
+    return tiles.transpose(0, 2, 1).reshape(plant.width, -1)[: plant.count].copy()
+
+
+def no_reference(robot):
+    """References and their ends for runs in which nobody reads the errors."""
+    return np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64)
+
+
+def evaluated(plant, torques):
+    """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥ 2."""
+    robot = plant.robot
+    first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
+    plant._write(plant.record, first, np.arange(plant.count), torques, kernel.CABLE_RECORDS)
+    found = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
+    kind = ("flexible_" if robot.flexible else "") + ("planar" if robot.planar else "spatial")
+    evaluate = getattr(kernel, f"evaluate_{kind}")
+    evaluate(plant._cables, plant.unilateral, plant._parameters, plant.record, plant._scratch, found)
+    return plant._read(found, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
+
+
+def advance(plant, torques, duration, substeps):
+    """Constant torques of free motors; nobody reads the errors."""
+    plant.set_action(np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables)))
+    plant.advance(*no_reference(plant.robot), substeps=substeps, step=duration / substeps)
+
+
+def motion_accelerations(robot, state, torques, cable="bilateral", mass=None):
+    """Ẍ and β̈′ of :meth:`Plant.advance`: differences of its velocities, forward and backward."""
+    robot, h = free_motors(robot), 4e-5
+    platform, motors = 0.0, 0.0
+    for multiple, weight in ((1, 45), (-1, -45), (2, -9), (-2, 9), (3, 1), (-3, -1)):
+        plant = loaded_plant(robot, state, cable, mass)
+        advance(plant, torques, multiple * h, 8)
+        platform = platform + weight * (plant.velocity - state.velocity) / (60 * h)
+        motors = motors + weight * (plant.motor_speed - state.speed) / (60 * h)
+    return platform, motors
+
+
+def spring_torques(robot, state, cable):
+    """Torques K (β′ − β) of the springs; those of unilateral cables cannot push."""
+    twist = state.angle - textbook.pulley_angle(robot, state.pose)
+    return robot.stiffness * (np.maximum(twist, 0.0) if cable == "unilateral" else twist)
+
+
+def pulley_torques(robot, state, torques, cable):
+    """The torques that turn the pulleys: of the motors, or of the springs."""
+    return spring_torques(robot, state, cable) if robot.flexible else torques
+
+
+def drive_speed(robot, state):
+    """Speed of the motors."""
+    return state.speed if robot.flexible else textbook.pulley_speed(robot, state.pose, state.velocity)
+
+
+def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
+    """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′ (Eq. 4)."""
+    at_pulley = pulley_torques(robot, state, torques, cable)
+    mass = robot.mass if mass is None else mass
+    platform, tension = textbook.forward_dynamics(robot, mass, state.pose, state.velocity, at_pulley, cable=cable)
+    motors = 0.0 * state.speed
+    if robot.flexible:
+        motors = (torques - at_pulley - robot.motor_damping * state.speed) / robot.motor_inertia
+    return State(state.velocity, platform, state.speed, motors), tension
+
+
+def take_up_torques(robot, state, torques, acceleration, tension, cable):
+    """u = r T − κ + J β̈ + c β̇, the torque with which a slack cable is wound up."""
+    winding = textbook.pulley_acceleration(robot, state.pose, state.velocity, acceleration)
+    damping = robot.damping * textbook.pulley_speed(robot, state.pose, state.velocity)
+    at_pulley = pulley_torques(robot, state, torques, cable)
+    return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
+
+
+def energies(robot, state, cable="bilateral", mass=None):
+    """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs, each (N,)."""
+    mass = robot.mass if mass is None else mass
+    kinetic = mass / 2 * np.sum(state.velocity[..., : 2 if robot.planar else 3] ** 2, axis=-1)
+    potential = 0.0 * kinetic
+    if not robot.planar:
+        to_omega = kinematics.euler_rate_matrix(state.pose[..., 3:])
+        omega = np.einsum("...ij,...j->...i", to_omega, state.velocity[..., 3:])
+        kinetic = kinetic + np.sum(np.array(robot.inertia) * omega**2, axis=-1) / 2
+        potential = -mass * robot.gravity * state.pose[..., 2]
+    pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
+    kinetic = kinetic + np.sum(robot.pulley_inertia * pulley**2, axis=-1) / 2
+    if robot.flexible:
+        kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
+        potential = potential + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
+    return kinetic, potential
+
+
+def worst_relative_error(found, expected):
+    size = np.maximum(1.0, np.linalg.norm(expected, axis=-1))
+    return np.max(np.linalg.norm(found - expected, axis=-1) / size)
+
+
+def differentiated(function, step):
+    """d/dt at 0 by central differences of fourth order."""
+    one, two = (function(k * step) - function(-k * step) for k in (1, 2))
+    return (8 * one - two) / (12 * step)

@@ -1,0 +1,483 @@
+"""The compiled plant against itself in other batch sizes, the textbook, a Python loop over its steps, and energy."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from oracles.plants import (
+    FLEX_QUAD,
+    FLEX_UNEQUAL,
+    NINE,
+    QUAD,
+    UNEQUAL,
+    State,
+    advance,
+    both_cables,
+    differentiated,
+    drive_speed,
+    energies,
+    evaluated,
+    every_robot,
+    free_motors,
+    held_states,
+    loaded_plant,
+    motion_accelerations,
+    no_reference,
+    off_centre,
+    papers_flexible,
+    pulley_torques,
+    random_states,
+    record_of,
+    rigid_robots,
+    state_of,
+    take_up_torques,
+    textbook_rates,
+    with_transmission,
+    worst_relative_error,
+)
+
+from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.plant import Plant, pack_parameters
+from cablebot_gym.robots import PLANAR
+
+# --- one lane and a tile of lanes ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [2, 33])
+@both_cables
+@every_robot
+def test_lane_of_a_batch_has_the_bits_of_a_robot_alone(robot, cable, count):
+    """Over slack, clipped motors, unequal masses and wrenches, own references and a reset of the last lane half way."""
+    state, _ = random_states(robot, count, seed=count)
+    mass = robot.mass * np.linspace(1, 1.6, count)
+    rng = np.random.default_rng(7)
+    demands = rng.uniform(-0.7, 1.3, (8, count, robot.cables))
+    references, ends = rng.uniform(*robot.pose_bounds, (3, 25, robot.coordinates)), np.array([24, 11, 19])
+    trajectory_index = np.arange(count) % 3
+    late = count - 1
+    force, moment = rng.uniform(-8, 8, (count, 2 if robot.planar else 3)), rng.uniform(-2, 2, (count, 3))
+
+    def run(members):
+        plant = loaded_plant(robot, state[members], cable, mass[members])
+        assert plant.lanes == (1 if len(members) == 1 else kernel.LANES)  # else a tile is compared with a tile
+        plant.trajectory_index[: len(members)] = trajectory_index[members]
+        plant.set_wrench(np.arange(len(members)), force[members], moment[members])
+        records = []
+        for step, demand in enumerate(demands):
+            if step == 4 and late in members:
+                at = np.flatnonzero(members == late)
+                plant.set_state(at, state.pose[:1], state.velocity[:1])
+                plant.set_motors(at, state.angle[:1], state.speed[:1])
+            plant.set_action(demand[members])
+            plant.advance(references, ends, substeps=3, step=5e-4 if robot.flexible else 2e-3)
+            records.append(record_of(plant))
+        return np.stack(records)
+
+    tiled = run(np.arange(count))
+    slack = tiled[:, :, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS]
+    assert count == 2 or 0.02 < np.mean(slack > 0) < 0.98
+    assert np.all(np.isfinite(tiled))
+    for lane in range(count):
+        np.testing.assert_array_equal(run(np.array([lane]))[:, 0], tiled[:, lane])
+
+
+@rigid_robots
+def test_reset_leaves_nothing_of_the_earlier_run(robot):
+    state, demand = random_states(robot, 5)
+    references = np.random.default_rng(2).uniform(*robot.pose_bounds, (1, 30, robot.coordinates))
+
+    def run(plant):
+        for step in range(4):
+            plant.set_action(demand * (1 - 0.3 * step))
+            plant.advance(references, np.array([29]), substeps=4, step=2e-3)
+        return record_of(plant)
+
+    plant = loaded_plant(robot, state, "unilateral")
+    fresh, first = record_of(plant), run(plant)
+    plant.set_state(np.arange(5), state.pose, state.velocity)
+    np.testing.assert_array_equal(record_of(plant), fresh)
+    np.testing.assert_array_equal(run(plant), first)
+
+
+@pytest.mark.parametrize("count", [1, 2, 65])
+def test_memory_starts_at_cache_lines(count):
+    """Otherwise the plant loses a fifth of its speed, by the luck of the allocation."""
+    for plant in [Plant(PLANAR, count) for _ in range(5)]:  # so that a lucky allocation will not do
+        for memory in (plant._parameters, plant.record, plant._scratch):
+            assert memory.ctypes.data % 64 == 0
+
+
+# --- equations ----------------------------------------------------------------------------------------------------
+
+
+@both_cables
+@every_robot
+def test_accelerations_tensions_and_taut_sets_are_those_of_the_textbook(robot, cable):
+    """Against brute force over all taut sets. Reached: 4e-15, flexible 1e-14, and 1e-13 by differences."""
+    state, demand = random_states(robot, 300, seed=11)
+    mass, torques = robot.mass * np.linspace(1, 2, 300), demand * robot.stall_torque
+    found, pulled = evaluated(loaded_plant(robot, state, cable, mass), torques)
+    expected, tension = textbook_rates(robot, state, torques, cable, mass)
+    if cable == "unilateral":
+        assert 0.1 < np.mean(tension == 0) < 0.9
+        np.testing.assert_array_equal(pulled == 0, tension == 0)
+    assert worst_relative_error(found, expected.velocity) <= 5e-14
+    assert worst_relative_error(pulled, tension) <= 5e-14
+    if robot.flexible:
+        torques = np.clip(torques, -0.9 * robot.stall_torque, 0.9 * robot.stall_torque)
+        expected, _ = textbook_rates(robot, state, torques, cable, mass)
+        assert worst_relative_error(motion_accelerations(robot, state, torques, cable, mass)[1], expected.speed) < 1e-10
+
+
+def complementarity(robot, state, at_pulley):
+    """M and b of ``M T = b + u/r``, 0 ≤ T ⟂ u ≥ 0."""
+    structure = textbook.jacobian(robot, state.pose)
+    inertia, damping = (value / robot.pulley_radius**2 for value in (robot.pulley_inertia, robot.damping))
+    compliance = structure @ np.linalg.inv(textbook.mass_matrix(robot, robot.mass, state.pose))
+    matrix = np.eye(robot.cables) + inertia[:, None] * (compliance @ np.swapaxes(structure, 1, 2))
+    rate = np.einsum("nij,nj->ni", textbook.jacobian_rate(robot, state.pose, state.velocity), state.velocity)
+    free = np.einsum("nij,nj->ni", compliance, textbook.bias(robot, robot.mass, state.pose, state.velocity))
+    vector = at_pulley / robot.pulley_radius + damping * np.einsum("nij,nj->ni", structure, state.velocity)
+    return matrix, vector + inertia * (rate - free)
+
+
+def wrong_after(changes, matrix, vector):
+    """Whether a taut set is still wrong after so many changes of all wrong cables at once, all taut at first."""
+    taut = np.ones(vector.shape, bool)
+    for _ in range(changes + 1):
+        tension = np.linalg.solve(
+            np.where(taut[:, :, None], matrix, np.eye(taut.shape[1])), np.where(taut, vector, 0)[..., None]
+        )[..., 0]
+        right = np.where(taut, tension > 0, np.einsum("nij,nj->ni", matrix, tension) < vector)
+        wrong = np.any(right != taut, axis=1)
+        taut = right
+    return wrong
+
+
+@pytest.mark.parametrize(
+    ("robot", "changes", "least_fraction"),
+    [(QUAD, 1, 0.02), (UNEQUAL, 1, 0.02), (NINE, 10, 5e-4), (FLEX_QUAD, 0, 0.02), (FLEX_UNEQUAL, 0, 0.02)],
+    ids=lambda value: getattr(value, "name", None),
+)
+def test_tensions_and_take_up_torques_are_complementary(robot, changes, least_fraction):
+    """0 ≤ T ⟂ u ≥ 0 from the accelerations alone, u = r T − κ + J β̈ + c β̇.
+
+    The sample holds states in which dropping the negative tensions once is wrong, and for nine cables states in which
+    changing all wrong cables at once never ends: there the least-index rule has to find the solution.
+    """
+    count = 20_000 if robot is NINE else 5_000
+    state, _ = random_states(robot, count, seed=12, reach=1.0)
+    torques = np.random.default_rng(12).uniform(-1, 1, state.angle.shape) * robot.stall_torque
+    at_pulley = pulley_torques(robot, state, torques, "unilateral")
+    matrix, vector = complementarity(robot, state, at_pulley)
+    assert np.mean(wrong_after(changes, matrix, vector)) > least_fraction
+    acceleration, tension = evaluated(loaded_plant(robot, state, "unilateral"), torques)
+    take_up = take_up_torques(robot, state, torques, acceleration, tension, "unilateral")
+    size = 1 + np.abs(robot.pulley_radius * tension).max() + np.abs(vector * robot.pulley_radius).max(axis=1)
+    taut = tension > 0
+    assert tension.min() >= 0
+    if robot.flexible:
+        assert np.any(taut & (at_pulley == 0))  # only the pulley's inertia pulls
+        assert np.any(~taut & (at_pulley > 0))  # the spring pulls, yet the pulley lags behind
+    assert np.min(np.where(taut, 0, take_up) / size[:, None]) >= -1e-11
+    assert np.max(np.abs(np.where(taut, take_up, 0)) / size[:, None]) <= 1e-11
+    expected = (np.einsum("nij,nj->ni", matrix, tension) - vector) * robot.pulley_radius
+    np.testing.assert_allclose(take_up / size[:, None], expected / size[:, None], rtol=0, atol=1e-11)
+
+
+@rigid_robots
+def test_remembered_slack_cables_do_not_change_the_result(robot):
+    """Which cables were slack a moment ago only speeds the search up."""
+    state, demand = random_states(robot, 40, seed=4)
+    ends = []
+    for remembered in (0.0, 1.0):
+        plant = loaded_plant(robot, state, "unilateral")
+        tiles = plant.record.reshape(plant.record.shape[0], -1, plant.lanes)
+        tiles[:, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS] = remembered
+        plant.set_action(demand)
+        plant.advance(*no_reference(robot), substeps=5, step=2e-3)
+        ends.append(record_of(plant))
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+# --- integration --------------------------------------------------------------------------------------------------
+
+
+@every_robot
+def test_integrator_has_order_four(robot):
+    """In all parts of the state, under constant torques that keep the cables taut. Reached: 3.9 to 4.26."""
+    robot = free_motors(robot)
+    pose, velocity = off_centre(robot)
+    if robot.flexible:
+        duration, coarsest = 0.1, 64
+        state, torques = held_states(robot, pose, velocity)
+        torques = 0.8 * torques
+    else:
+        duration, coarsest = 0.16, 8
+        state = State(pose[None], velocity[None], *np.zeros((2, 1, robot.cables)))
+        torques = 0.3 * robot.stall_torque
+
+    def end(substeps):
+        plant = loaded_plant(robot, state)
+        advance(plant, torques, duration, substeps)
+        return list(vars(state_of(plant)).values())[: 4 if robot.flexible else 2]
+
+    fine = end(4096)
+    errors = [
+        np.array([np.abs(value - exact).max() for value, exact in zip(end(coarsest * 2**k), fine, strict=True)])
+        for k in range(4)
+    ]
+    assert errors[-1].min() > 1e-13  # above rounding, or the order means nothing
+    for coarse, halved in pairwise(errors):
+        order = np.log2(coarse / halved)
+        assert np.all((order > 3.7) & (order < 4.5)), order
+
+
+def python_period(robot, mass, state, action, substeps, step, cable):
+    """States at all physics steps of a control period, and the torques applied in each."""
+    line, states, applied = robot.speed_slope, [state], []
+    request = robot.stall_torque * action - line * drive_speed(robot, state)
+    for _ in range(substeps):
+        start = states[-1]
+        drop = line * drive_speed(robot, start)
+        torque = np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop)
+        rates = [textbook_rates(robot, start, torque, cable, mass)[0]]
+        for fraction in (0.5, 0.5, 1.0):
+            rates.append(textbook_rates(robot, start.moved(rates[-1], fraction * step), torque, cable, mass)[0])
+        end = start
+        for rate, weight in zip(rates, (1, 2, 2, 1), strict=True):
+            end = end.moved(rate, weight * step / 6)
+        states.append(end)
+        applied.append(torque)
+    return states, np.stack(applied)
+
+
+@both_cables
+@every_robot
+def test_control_period_is_that_of_a_python_loop(robot, cable):
+    """Request held over the period, line moving with the speed; peaks over the ends of all physics steps."""
+    substeps, step, count, space = 10, 5e-4 if robot.flexible else 2e-3, 6, 2 if robot.planar else 3
+    state, action = random_states(robot, count, seed=5)
+    mass = robot.mass * np.linspace(1, 1.5, count)
+    references = state.pose[:, None] + np.random.default_rng(6).normal(0, 0.05, (count, 31, robot.coordinates))
+    plant = loaded_plant(robot, state, cable, mass)
+    plant.trajectory_index[:count] = np.arange(count)
+    peak_steps = []
+    for period in range(3):
+        plant.set_action(action)
+        plant.advance(references, np.full(count, 30), substeps=substeps, step=step)
+        states, applied = python_period(robot, mass, state, action, substeps, step, cable)
+        assert period > 0 or np.abs(applied - applied[0]).max() > 0.01  # some motor reaches its limit on the way
+        tensions = [textbook_rates(robot, states[k], applied[k], cable, mass)[1] for k in range(substeps)]
+        at_start = {kernel.TORQUE: applied[0], kernel.SPEED: drive_speed(robot, state), kernel.TENSION: tensions[0]}
+        for row, expected in at_start.items():
+            np.testing.assert_allclose(plant.per_cable(row), expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(plant.per_cable(kernel.SLACK), np.sum(np.stack(tensions) <= 0, axis=0))
+        lines = references[:, 10 * period + 1 : 10 * period + 11].swapaxes(0, 1)
+        errors = np.stack([end.pose for end in states[1:]]) - lines
+        distance = np.linalg.norm(errors[..., :space], axis=-1)
+        record = record_of(plant)
+        np.testing.assert_allclose(record[:, kernel.POSITION_PEAK], distance.max(axis=0), rtol=0, atol=1e-13)
+        turned = np.abs(errors[..., space:]).max(axis=(0, 2), initial=0)
+        np.testing.assert_allclose(record[:, kernel.ROTATION_PEAK], turned, rtol=0, atol=1e-13)
+        peak_steps.extend(distance.argmax(axis=0))
+        state = states[-1]
+        ends = vars(state_of(plant)).values() if robot.flexible else (plant.pose, plant.velocity)
+        for found, expected in zip(ends, vars(state).values(), strict=False):
+            np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-12)
+        state = State(
+            plant.pose,
+            plant.velocity,
+            *((plant.motor_angle, plant.motor_speed) if robot.flexible else (state.angle, state.speed)),
+        )
+    assert len(set(peak_steps)) > 3  # the peak is not always at the end or the start
+
+
+@rigid_robots
+def test_reference_stays_at_the_last_line(robot):
+    """Behind the end of a trajectory stands another one or nothing; here it is not a number."""
+    count, end, space = 3, 5, 2 if robot.planar else 3
+    state, demand = random_states(robot, count, seed=8)
+    references = np.full((2, 20, robot.coordinates), np.nan)
+    references[:, : end + 1] = state.pose[0] + np.linspace(0, 0.3, end + 1)[:, None]
+    plant = loaded_plant(robot, state, "unilateral")
+    plant.trajectory_index[:count] = 1
+    for period in range(5):
+        plant.set_action(demand)
+        plant.advance(references, np.array([19, end]), substeps=2, step=1e-3)
+        if period >= 3:  # lines 7 and 8 on
+            error = np.linalg.norm((plant.pose - references[1, end])[:, :space], axis=1)
+            found = record_of(plant)[:, kernel.POSITION_PEAK]
+            assert np.all(found >= error - 1e-12)
+            assert np.all(found <= error + 0.01)  # as far as it moves in one step
+
+
+@every_robot
+def test_torques_end_at_the_torque_speed_lines(robot):
+    """Actions beyond ± 1 give exactly U⁺ and U⁻, those between exactly the request; the raw action is recorded."""
+    state, _ = random_states(robot, 40, seed=9)
+    action = np.random.default_rng(1).choice([-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5], (40, robot.cables))
+    plant = loaded_plant(robot, state, "unilateral")
+    plant.set_action(action)
+    plant.advance(*no_reference(robot), substeps=2, step=1e-4)
+    speed, torque = plant.per_cable(kernel.SPEED), plant.per_cable(kernel.TORQUE)
+    np.testing.assert_allclose(speed, drive_speed(robot, state), rtol=1e-12, atol=1e-12)
+    drop = robot.speed_slope * speed
+    assert np.abs(drop).max() > 0.3
+    np.testing.assert_array_equal(torque, robot.stall_torque * np.clip(action, -1, 1) - drop)
+    np.testing.assert_array_equal(plant.per_cable(kernel.DEMAND), action)
+
+
+# --- external wrench ----------------------------------------------------------------------------------------------
+
+
+def wrench_rows(plant):
+    """Force and moment of all lanes in memory, the padding included, shape (width, 6)."""
+    tiles = plant._parameters.reshape(len(plant.record), -1, plant.lanes)
+    return tiles[:, kernel.FORCE : kernel.FIRST_CABLE_PARAMETER].transpose(0, 2, 1).reshape(plant.width, 6)
+
+
+def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
+    """It survives a reset; the padding does as the last robot does; no moment is left behind."""
+    state, demand = random_states(UNEQUAL, 33, seed=14)
+    plant = loaded_plant(UNEQUAL, state, "unilateral")
+    assert not wrench_rows(plant).any()
+    pushed = np.array([4, 32])
+    plant.set_wrench(pushed, np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), np.array([[7.0, 8.0, 9.0]] * 2))
+    expected = np.zeros((plant.width, 6))
+    expected[4], expected[32:] = [1, 2, 3, 7, 8, 9], [4, 5, 6, 7, 8, 9]
+    plant.set_action(demand)
+    plant.advance(*no_reference(UNEQUAL), substeps=2, step=1e-3)
+    plant.set_state(np.arange(33), state.pose, state.velocity)
+    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    plant.set_wrench(pushed[:1], np.array([[1.0, 0.0, 0.0]]))
+    expected[4] = [1, 0, 0, 0, 0, 0]
+    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    plant.set_parameters(pushed[1:], pack_parameters(UNEQUAL)[None])
+    expected[32:] = 0
+    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    planar = Plant(PLANAR, 2)
+    planar.set_wrench(np.arange(2), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    np.testing.assert_array_equal(wrench_rows(planar)[:2], [[1, 2, 0, 0, 0, 0], [3, 4, 0, 0, 0, 0]])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@rigid_robots
+def test_work_of_a_constant_force_becomes_energy(robot, count):
+    """The undriven, undamped plant gains F·Δp: the force neither turns nor pauses. Reached: 1e-11 J of 24 J."""
+    robot = with_transmission(free_motors(robot), damping=0.0)
+    mass, space = 1.3 * robot.mass, 2 if robot.planar else 3
+    pose, velocity, force = robot.home + 0.05, np.full(robot.coordinates, 0.4), np.array([25.0, -40.0, 30.0])[:space]
+    if not robot.planar:
+        pose[2] += 0.25
+    start = State(*(np.tile(value, (count, 1)) for value in (pose, velocity)), *np.zeros((2, count, robot.cables)))
+    plant = loaded_plant(robot, start, mass=mass)
+    plant.set_wrench(np.arange(count), np.tile(force, (count, 1)))
+    advance(plant, np.zeros(robot.cables), 0.3, 300)
+    work = (plant.pose - pose)[:, :space] @ force
+    assert np.abs(work).min() > 0.5
+    gained = sum(energies(robot, state_of(plant), mass=mass)) - sum(energies(robot, start, mass=mass))
+    np.testing.assert_allclose(gained, work, rtol=0, atol=1e-9)
+
+
+# --- energy -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["undriven", "held"])
+@papers_flexible
+def test_flexible_plant_keeps_its_energy_at_the_default_step(robot, held):
+    """Over 1 s, wound springs let go; or swinging under constant torques, whose potential is −Σ τ β′."""
+    step = make_settings(robot=robot, count=1).physics_step
+    robot = free_motors(robot)
+    state, torques = held_states(robot, *off_centre(robot))
+    torques = torques if held else 0 * torques
+    plant = loaded_plant(robot, state)
+    total, kinetic = [], []
+    for _ in range(round(1 / step) + 1):
+        now = state_of(plant)
+        moving, stored = energies(robot, now)
+        kinetic.append(moving[0])
+        total.append(moving[0] + stored[0] - np.sum(torques * now.angle))
+        advance(plant, torques, step, 1)
+    drift = np.abs(np.array(total) - total[0]).max()
+    assert max(kinetic) > 0.1
+    assert drift < 1e-6 * max(kinetic)
+
+
+@both_cables
+@every_robot
+def test_power_is_balanced_also_with_slack_cables(robot, cable):
+    """d/dt E = Σ τ β̇′ + Σ u β̇ − Σ c β̇² − Σ c′ β̇′², with u from complementarity; rigid with β′ = β and c′ = 0."""
+    damping = tuple(np.linspace(0.01, 0.05, robot.cables).tolist())
+    robot = with_transmission(robot, damping=damping, **({"motor_damping": damping[::-1]} if robot.flexible else {}))
+    state, action = random_states(robot, 200, seed=10)
+    torques, mass = action * robot.stall_torque, 1.2 * robot.mass
+    platform, tension = evaluated(loaded_plant(robot, state, cable, mass), torques)
+    rate, _ = textbook_rates(robot, state, torques, cable, mass)
+    take_up = take_up_torques(robot, state, torques, platform, tension, cable)
+    np.testing.assert_allclose(take_up if cable == "bilateral" else take_up[tension > 0], 0, atol=1e-10)
+    pulley, motor = textbook.pulley_speed(robot, state.pose, state.velocity), drive_speed(robot, state)
+    supplied = np.sum(np.where(tension == 0, take_up, 0.0) * pulley, axis=1)
+    spent = np.sum(robot.damping * pulley**2, axis=1)
+    if robot.flexible:
+        spent += np.sum(robot.motor_damping * state.speed**2, axis=1)
+    if cable == "unilateral":
+        assert np.mean(np.abs(supplied)) > 1  # without it the balance is off by watts
+    power = np.sum(torques * motor, axis=1) + supplied - spent
+
+    def energy(time):
+        rates = State(state.velocity + time / 2 * platform, platform, state.speed + time / 2 * rate.speed, rate.speed)
+        return sum(energies(robot, state.moved(rates, time), cable, mass))
+
+    size = 1 + np.sum(np.abs(torques * motor), axis=1)
+    change = differentiated(energy, 4e-5 if robot.flexible else 2e-4)
+    np.testing.assert_allclose(change / size, power / size, rtol=0, atol=1e-8)
+
+
+# --- helpers and broken states ------------------------------------------------------------------------------------
+
+
+def test_sine_and_cosine_are_right_to_the_last_digit():
+    """Over ± 100 rad and near multiples of π/2: 1 ulp, and 1.2e-16 absolute.
+
+    Closer than 1e-9 to a zero the reduction's last digit shows (3e-27 at π/2), and relative errors mean nothing.
+    """
+    quarter = np.arange(-63, 64) * (math.pi / 2)
+    near = (quarter[:, None] + np.array([-1e-3, -1e-6, -1e-8, 0.0, 1e-8, 1e-6, 1e-3])).ravel()
+    for angle in np.concatenate([np.linspace(-100, 100, 20_001), near, np.linspace(-math.pi, math.pi, 9)]).tolist():
+        for found, expected in zip(kernel._sincos(angle), (math.sin(angle), math.cos(angle)), strict=True):
+            assert abs(found - expected) <= 1.2e-16
+            if abs(expected) > 1e-9:
+                assert abs(found - expected) <= 2 * math.ulp(expected)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("row", ["pose", "velocity", "angle", "demand"])
+@rigid_robots
+def test_state_that_is_not_finite_ends_the_search_and_spares_its_neighbours(robot, row, bad):
+    """It shows in the state and in the position error, and the other lanes keep every bit."""
+    state, demand = random_states(robot, 33, seed=13)
+    references, sick = np.zeros((1, 50, robot.coordinates)), [3, 32]
+
+    def run(pose, velocity, demand):
+        plant = loaded_plant(robot, State(pose, velocity, state.angle, state.speed), "unilateral")
+        for _ in range(3):
+            plant.set_action(demand)
+            plant.advance(references, np.array([49]), substeps=5, step=2e-3)
+        return record_of(plant)
+
+    healthy = run(state.pose, state.velocity, demand)
+    spoilt = {"pose": state.pose.copy(), "velocity": state.velocity.copy(), "demand": demand.copy()}
+    for lane in sick:
+        spoilt["pose" if row == "angle" else row][lane, -1 if row == "angle" else 0] = bad
+    found = run(**spoilt)
+    others = np.setdiff1d(np.arange(33), sick)
+    np.testing.assert_array_equal(found[others], healthy[others])
+    if row == "demand" and np.isinf(bad):  # clipped like any other action above 1
+        assert np.all(np.isfinite(found[sick, kernel.POSE : kernel.POSE + robot.coordinates]))
+    else:
+        assert not np.any(np.isfinite(found[sick, kernel.POSITION_PEAK]))
