@@ -10,24 +10,18 @@ from functools import cache
 
 
 @contextmanager
-def _lasting() -> Iterator[None]:
-    """Exempts the objects that are made here from garbage collection, and all others that exist at the end.
-
-    Numba makes half a million objects, which stay until the process ends. Their collections take a third of the time of
-    a process that makes an environment and ends.
-    """
+def _collection_paused() -> Iterator[None]:
+    """Pauses garbage collection while numba makes half a million objects that stay until the process ends."""
     enabled = gc.isenabled()
-    gc.collect()
     gc.disable()
     try:
         yield
     finally:
         if enabled:
-            gc.freeze()
             gc.enable()
 
 
-with _lasting():
+with _collection_paused():
     from numba import njit
     from numba.core import event, registry
 
@@ -48,7 +42,7 @@ def load_numba() -> None:
     ensure_blas = linalg.ensure_blas
     linalg.ensure_blas = lambda: None
     try:
-        with _lasting():
+        with _collection_paused():
             registry.cpu_target.target_context.refresh()
     finally:
         linalg.ensure_blas = ensure_blas
