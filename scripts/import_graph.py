@@ -96,7 +96,7 @@ def draw(graph: dict[str, set[str]]) -> Figure:
 
 
 if __name__ == "__main__":
-    mpl.rcParams["svg.hashsalt"] = "imports"
+    mpl.rcParams |= {"svg.hashsalt": "imports", "svg.fonttype": "none"}
     path = ROOT / "docs" / "imports.svg"
     draw(reduced(import_graph())).savefig(path, transparent=True, metadata={"Date": None})
     path.write_text(re.sub(r" +$", "", path.read_text(encoding="utf-8"), flags=re.M), encoding="utf-8")

@@ -68,32 +68,18 @@ UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and p
     ("robot", "changes", "message"),
     [
         (PLANAR, {"base_anchors": ()}, "base_anchors must be one"),
-        (PLANAR, {"base_anchors": (*THREE, (0.0, 0.0, 1.0))}, "base_anchors must be one"),
-        (PLANAR, {"platform_anchors": PLATFORM}, "platform_anchors must be empty"),
-        (PLANAR, {"inertia": (1.0, 1.0, 1.0)}, "inertia must be empty"),
         (SPATIAL, {"base_anchors": SIX[:5]}, "six cables, not 5"),
-        (SPATIAL, {"platform_anchors": ()}, "platform_anchors must be one"),
-        (SPATIAL, {"platform_anchors": ((NAN, 0.0, 0.0), *PLATFORM[1:])}, "platform_anchors must be finite"),
-        (SPATIAL, {"inertia": (1.0, 1.0)}, "inertia must be"),
-        (SPATIAL, {"inertia": (0.5, 0.0, 0.5)}, "inertia must be finite and greater than 0"),
         (SPATIAL, {"inertia": (0.3, 0.1, 0.1)}, "no principal moment may exceed the sum"),
-        (SPATIAL, {"home_pose": (0.0, 0.0, 0.1)}, "home_pose must be 6 coordinates"),
-        (PLANAR, {"workspace": ((-1.0, 1.0),)}, "workspace must be 2 pairs"),
         (PLANAR, {"workspace": ((-1.0, 1.0), (1.0, -1.0))}, "workspace must have low < high"),
-        (PLANAR, {"workspace": ((-1.0, 1.0), (-1.0, INF))}, "workspace must be finite"),
         (SPATIAL, {"workspace": (*WIDE, (0, 1), (-1, 1), (-1.6, 1), (-1, 1))}, "θ must stay within"),
         (PLANAR, {"base_anchors": (*THREE, THREE[1])}, "cables 2 and 4 coincide"),
         (WALLED, {"home_pose": (0.31, 0.0)}, "home_pose .* outside the workspace"),
         (PLANAR, {"base_anchors": (*THREE, (0.0, 0.0))}, "zero length at home_pose"),
-        (PLANAR, {"mass": (1.0, 2.0)}, "mass must be a finite number greater than 0"),
         (SPATIAL, {"gravity": -1.0}, "gravity must be a finite number at least 0"),
-        (PLANAR, {"transmission": {"pulley_radius": 0.05}}, "transmission needs the key 'pulley_inertia'"),
         (PLANAR, {"home_pose": (0.4, 0.3), "workspace": WIDE}, "do not surround home_pose"),
-        (PLANAR, {"base_anchors": ((-0.5, 0.0), (0.5, 0.0), (0.0, 1.0)), "home_pose": (0.1, 0.0)}, "do not surround"),
         (PLANAR, {"base_anchors": ((-1.0, 0.0), (1.0, 0.0)), "workspace": WIDE}, "do not surround home_pose"),
         (SPATIAL, {"platform_anchors": UPRIGHT}, "no positive tensions hold"),
         (SPATIAL, {"home_pose": (0.0, 0.0, 0.1, 0.0, 0.8, 0.9)}, "no positive tensions hold home_pose"),
-        (SPATIAL, {"gravity": 0.0}, "no positive tensions hold home_pose"),
     ],
 )
 def test_impossible_robot_raises(robot, changes, message):
@@ -224,7 +210,6 @@ def test_robot_survives_json(robot):
     [
         ({"payload": 1.0}, "unknown key of robot 'payload'; choose one of name, .*workspace"),
         ({"motors": {"stall_torque": 1.0}}, "motors needs the key 'free_speed'"),
-        ({"motors": 3.0}, "motors must be a dict"),
         ({"base_anchors": 3.0}, "base_anchors must be"),
     ],
 )
@@ -237,24 +222,15 @@ def test_wrong_data_raise(change, message):
 
 
 def test_copy_has_its_own_arrays():
-    names = ("base", "home", "pulley_radius", "speed_slope", "pose_bounds")
-    before = [getattr(SPATIAL, name) for name in names]
+    before = SPATIAL.base, SPATIAL.pulley_radius, SPATIAL.speed_slope
     changed = SPATIAL.replace(
         base_anchors=tuple((2 * x, 2 * y, z) for x, y, z in SPATIAL.base_anchors),
-        home_pose=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0),
         transmission=Transmission(pulley_radius=0.1, pulley_inertia=1e-3),
         motors=Motors(stall_torque=3.0, free_speed=2.0),
     )
-    for name, old in zip(names, before, strict=True):
-        assert not np.array_equal(old, getattr(changed, name))
+    after = changed.base, changed.pulley_radius, changed.speed_slope
+    assert not any(np.array_equal(old, new) for old, new in zip(before, after, strict=True))
     np.testing.assert_array_equal(changed.speed_slope, np.full(6, 1.5))
-
-
-def test_motors_keep_their_order():
-    np.testing.assert_array_equal(UNEQUAL.pulley_radius, [0.03, 0.04, 0.05, 0.06, 0.07, 0.08])
-    np.testing.assert_array_equal(UNEQUAL.pulley_inertia, [4e-4, 6e-4, 8e-4, 1e-3, 1.2e-3, 0.0])
-    np.testing.assert_array_equal(UNEQUAL.damping, [0.0, 0.01, 0.02, 0.03, 0.04, 0.05])
-    np.testing.assert_allclose(UNEQUAL.speed_slope, [8 / 50, 9 / 60, 10 / 70, 11 / 80, 12 / 90, 13 / 100], rtol=1e-15)
 
 
 def test_robot_cannot_be_changed():

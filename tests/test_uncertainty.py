@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.plants import each_of, with_transmission
+from oracles.plants import each_of
 from scipy import stats
 
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
@@ -115,14 +115,10 @@ def test_deviation_is_a_fraction_or_an_amount():
     [
         ({"low": 0.2, "high": -0.2}, "low must not exceed high"),
         ({"low": math.nan, "high": 1}, "low must be a finite number, not nan"),
-        ({"low": True, "high": 1}, "low must be a finite number, not True"),
         ({"low": -1, "high": 1, "std": 0.1}, "a uniform one has none"),
         ({"low": -1, "high": 1, "distribution": "normal"}, "a normal distribution needs std"),
-        ({"low": -1, "high": 1, "distribution": "normal", "std": 0.0}, "std must be a finite number greater than 0"),
         ({"low": -1, "high": 1, "distribution": "cauchy"}, "unknown distribution 'cauchy'; choose one of uniform"),
         ({"low": 9, "high": 10, "distribution": "normal", "std": 1.0}, "eight std"),
-        ({"low": -10, "high": -9, "distribution": "normal", "std": 1.0}, "eight std"),
-        ({"low": 0, "high": 1, "each": "no"}, "each must be True or False, not 'no'"),
     ],
 )
 def test_impossible_distribution_raises(fields, message):
@@ -223,43 +219,27 @@ def tenth(low=-0.1, high=0.1, **more):
 
 
 FLAT_BALL = SPATIAL.replace(inertia=(0.5, 0.5, 0.5))
-WEAKLY_DAMPED = with_transmission(SPATIAL, damping=(0.01,) * 5 + (0.001,))
 IMPOSSIBLE_PARAMETERS: list[tuple[Any, str, Any, str]] = [
     (SPATIAL, "platform_mass", tenth(-1.0), "smallest platform_mass of 'spatial' must be .* greater than 0 kg, not 0"),
-    (PLANAR, "motor_strength", tenth(-1.0), "smallest motor_strength of 'planar' must be .* greater than 0"),
     (FLEX_PLANAR, "stiffness", tenth(-3.0, 0, relative=False), "smallest stiffness"),
-    (FLEX_PLANAR, "motor_inertia", tenth(-1.0, 0), "smallest motor_inertia"),
     (SPATIAL, "damping", tenth(-0.02, 0.02, relative=False), "smallest damping .* at least 0 .* not -0.01"),
-    (WEAKLY_DAMPED, "damping", tenth(-0.005, 0.0, relative=False), "smallest damping"),
-    (PLANAR, "pulley_inertia", tenth(-1.1), "smallest pulley_inertia"),
     (PLANAR, "payload", tenth(-1.1), "low of payload must be a finite number at least -1"),
     (PLANAR, "base_anchors", tenth(), "base_anchors: a position has no relative deviation"),
-    (SPATIAL, "platform_inertia", tenth(), "platform_inertia: one moment can exceed"),
     (SPATIAL, "platform_inertia", tenth(-0.2, 0.0, relative=False, each=False), "platform_inertia: one moment"),
     (FLAT_BALL, "platform_inertia", tenth(-0.4, 0.4), "platform_inertia: one moment can exceed"),
-    (PLANAR, "colour", tenth(), "unknown key of parameters 'colour'; choose one of platform_mass"),
     (SPATIAL, "stiffness", tenth(), "'spatial' has no parameter stiffness"),
-    (FLEX_PLANAR, "platform_inertia", tenth(), "has no parameter platform_inertia"),
     (PLANAR, "platform_mass", 0.1, "distribution of platform_mass must be a dict with the keys low, high"),
-    (PLANAR, "platform_mass", {"low": 0.1}, "distribution of platform_mass needs the key 'high'"),
 ]
 IMPOSSIBLE: list[tuple[Any, Any, str]] = [
     *((robot, {"parameters": {name: value}}, message) for robot, name, value, message in IMPOSSIBLE_PARAMETERS),
-    (PLANAR, {"parameters": ["platform_mass"]}, "parameters must be a dict"),
-    (PLANAR, {"delay": -1}, "delay must be an integer of at least 0"),
-    (PLANAR, {"delay": 2.0}, "delay must be an integer"),
     (PLANAR, {"delay": LONGEST_DELAY + 1}, f"delay must be an integer of at least 0 and at most {LONGEST_DELAY}"),
     (PLANAR, {"noise": 1.0}, "unknown key of uncertainty 'noise'; choose one of parameters, wrench, sensors, delay"),
     (PLANAR, "table6+noise", "unknown uncertainty 'noise'; choose one of none, table6, sensors, or join"),
     (PLANAR, "table6+table6", "'table6.table6' defines parameters twice"),
-    (PLANAR, 6, "uncertainty must be a dict"),
     (PLANAR, {"wrench": {"force_mean": [1, 2, 3]}}, "force_mean needs 2 components for 'planar'"),
-    (SPATIAL, {"wrench": {"moment_std": [1, 2]}}, "moment_std needs 3 components for 'spatial'"),
-    (SPATIAL, {"wrench": {"force_mean": [1, 2, 3, 4]}}, "force_mean must be one number or one per axis"),
     (PLANAR, {"wrench": {"force_std": -1.0}}, "force_std must be finite and at least 0"),
     (PLANAR, {"wrench": {"correlation_time": 0.0}}, "correlation_time must be a finite number greater than 0 s"),
     (PLANAR, {"wrench": {"factor": [1.1, 0.9]}}, "factor must be .low, high. with low ≤ high"),
-    (PLANAR, {"wrench": {"force": 1.0}}, "unknown key of wrench 'force'; choose one of force_mean"),
     (PLANAR, {"sensors": {"position": -1e-3}}, "sensors.position must be a finite number at least 0"),
 ]
 
@@ -274,11 +254,8 @@ def test_impossible_uncertainty_raises(robot, data, message):
     ("robot", "name", "distribution"),
     [
         (SPATIAL, "payload", tenth(-1.0)),
-        (SPATIAL, "payload", tenth(-5.0, relative=False)),
-        (SPATIAL, "damping", tenth(-1.0)),
         (SPATIAL, "platform_mass", tenth(-0.999)),
         (SPATIAL, "platform_inertia", tenth(-0.9, 3.0, each=False)),
-        (SPATIAL, "platform_inertia", tenth(0.0, 0.5, each=False, relative=False)),
         (FLAT_BALL, "platform_inertia", tenth(-0.3, 0.3)),
     ],
 )

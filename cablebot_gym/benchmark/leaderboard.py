@@ -7,20 +7,11 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
+from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.cells import Record, cell_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.scores import BestKnown, best_known_payloads, leaderboards, payload_maps, scores
 from cablebot_gym.benchmark.suites import find_suite
-from cablebot_gym.benchmark.tables import (
-    failures,
-    fallbacks,
-    leaderboard_rows,
-    map_note,
-    map_rows,
-    map_title,
-    motion_title,
-    task_title,
-)
 
 
 def results_json(suite: str, command: str, records: Sequence[Record]) -> str:
@@ -86,15 +77,17 @@ def markdown(suite: str, command: str, records: Sequence[Record]) -> str:
         text += f"\n## {env_id}\n"
         for leaderboard in boards:
             if leaderboard.env_id == env_id:
-                title, (head, *rows) = motion_title(leaderboard), leaderboard_rows(leaderboard)
+                title, (head, *rows) = tables.motion_title(leaderboard), tables.leaderboard_rows(leaderboard)
                 rows = [[f"`{policy}`", *entries] for policy, *entries in rows]
                 text += f"\n{title[0].upper()}{title[1:]}:\n\n{_table([head, *rows])}"
     for payload_map in payload_maps(records):
-        note = map_note(payload_map)
-        text += f"\n## {map_title(payload_map)}\n\n{_table(map_rows(payload_map))}" + (f"\n{note}\n" if note else "")
+        note = tables.map_note(payload_map)
+        text += f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}" + (
+            f"\n{note}\n" if note else ""
+        )
     if references := list(best_known_payloads(records).values()):
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
-    notes = [*failures(records), *fallbacks(records)]
+    notes = [*tables.failures(records), *tables.fallbacks(records)]
     if notes:
         text += "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
     used = "; ".join(
@@ -121,7 +114,7 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
         if best.raised_by:
             note = f"raised to {best.payload:.3f} kg, the DLCC of {best.raised_by}*"
         numbers = ["–" if value is None else f"{value:.3f}" for value in (*payloads, upper)]
-        rows.append([best.cell.env_id, task_title(best.cell), *numbers, note])
+        rows.append([best.cell.env_id, tables.task_title(best.cell), *numbers, note])
     return _table(rows)
 
 

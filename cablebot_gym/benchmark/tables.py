@@ -11,19 +11,9 @@ from typing import Any
 
 from rich.table import Table
 
+from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.maps import varied_texts
-from cablebot_gym.benchmark.scores import (
-    BestKnown,
-    Column,
-    Leaderboard,
-    PayloadMap,
-    Score,
-    best_known_payloads,
-    leaderboards,
-    payload_maps,
-    scores,
-)
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.console import results_console
 
@@ -35,7 +25,7 @@ _CSV_FIELDS = (
 )
 
 
-def heading(column: Column) -> str:
+def heading(column: scores.Column) -> str:
     """Heading of a column: payload model, uncertainty and, if it is not ``task``, the criterion."""
     words = [
         payload_model_text(column.payload_known, column.model_payload_factor),
@@ -44,7 +34,7 @@ def heading(column: Column) -> str:
     return ", ".join([*words, "paper criterion [kg]"] if column.criterion == "paper" else words)
 
 
-def motion_title(leaderboard: Leaderboard) -> str:
+def motion_title(leaderboard: scores.Leaderboard) -> str:
     """Title of a table: its motion or its family of motions."""
     if leaderboard.motions > 1:
         return f"{leaderboard.motions} held-out motions, {leaderboard.motion}: median and worst fraction"
@@ -54,7 +44,7 @@ def motion_title(leaderboard: Leaderboard) -> str:
     return f"held-out motion {leaderboard.motion}" + ("" if number is None else f" {number}")
 
 
-def entry_text(leaderboard: Leaderboard, policy: str, column: Column) -> str:
+def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
     """Table entry of a policy in a column: payload [kg] and fraction, or the fractions of several motions."""
     entry = leaderboard.entries.get((policy, column), ())
     if not entry:
@@ -73,7 +63,7 @@ def entry_text(leaderboard: Leaderboard, policy: str, column: Column) -> str:
     return text if fraction is None else f"{text}, {fraction.median:.0%}"
 
 
-def leaderboard_rows(leaderboard: Leaderboard) -> list[list[str]]:
+def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
     """Head and rows of a table: one row per policy."""
     head = ["policy", *map(heading, leaderboard.columns)]
     return [head] + [
@@ -82,13 +72,13 @@ def leaderboard_rows(leaderboard: Leaderboard) -> list[list[str]]:
     ]
 
 
-def map_title(payload_map: PayloadMap) -> str:
+def map_title(payload_map: scores.PayloadMap) -> str:
     """Title of the table of a map."""
     conditions = ", ".join([payload_map.env_id, "the paper's circle", "payload known", *payload_map.constants])
     return f"{conditions}: payload by {payload_map.axis.label}"
 
 
-def map_rows(payload_map: PayloadMap) -> list[list[str]]:
+def map_rows(payload_map: scores.PayloadMap) -> list[list[str]]:
     """The table of a map: a row of parameter values, a row of best known payloads, if any, and one row per policy."""
     rows = [["", *(f"{value * payload_map.axis.scale:g}" for value in payload_map.values)]]
     if any(best is not None for best in payload_map.best_known):
@@ -97,7 +87,7 @@ def map_rows(payload_map: PayloadMap) -> list[list[str]]:
     return rows + [[policy, *map(_map_entry, entries)] for policy, entries in payload_map.policies.items()]
 
 
-def map_note(payload_map: PayloadMap) -> str:
+def map_note(payload_map: scores.PayloadMap) -> str:
     """One sentence on the cases with saturated motors; empty if the results do not contain them."""
     found = [score for entries in payload_map.policies.values() for score in entries if score is not None]
     saturated = [
@@ -106,7 +96,7 @@ def map_note(payload_map: PayloadMap) -> str:
     return f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases." if saturated else ""
 
 
-def _map_entry(score: Score | None) -> str:
+def _map_entry(score: scores.Score | None) -> str:
     """Payload and fraction; without a best known payload, the payload with more digits and its limiting violation."""
     if score is None or score.error is not None:
         return "–" if score is None else "error"
@@ -123,7 +113,7 @@ def task_title(cell: Cell) -> str:
     return ", ".join([motion, *varied_texts(cell)])
 
 
-def best_known_text(best: BestKnown) -> str:
+def best_known_text(best: scores.BestKnown) -> str:
     """One line about a best known payload."""
     motion = task_title(best.cell)
     if best.payload is None:
@@ -136,7 +126,7 @@ def best_known_text(best: BestKnown) -> str:
 def failures(records: Sequence[Record]) -> list[str]:
     """One sentence per distinct error of a policy."""
     lines: dict[str, None] = {}
-    for score in scores(records):
+    for score in scores.scores(records):
         if score.error is not None:
             lines[f"{score.cell.policy} failed on {score.cell.env_id}: {score.error}"] = None
     return list(lines)
@@ -145,7 +135,7 @@ def failures(records: Sequence[Record]) -> list[str]:
 def fallbacks(records: Sequence[Record]) -> list[str]:
     """One sentence per policy and environment with fallbacks at the DLCC."""
     groups: dict[tuple[str, str], list[float]] = {}
-    for score in scores(records):
+    for score in scores.scores(records):
         if (number := score.result.get("fallbacks")) is not None:
             groups.setdefault((score.cell.policy, score.cell.env_id), []).append(number)
     return [
@@ -159,7 +149,7 @@ def fallbacks(records: Sequence[Record]) -> list[str]:
 def print_benchmark(records: Sequence[Record]) -> None:
     """Prints the tables, the best known payloads and the notes."""
     console = results_console()
-    boards, maps = leaderboards(records), payload_maps(records)
+    boards, maps = scores.leaderboards(records), scores.payload_maps(records)
     tables = [(f"{board.env_id}, {motion_title(board)}", leaderboard_rows(board)) for board in boards]
     for title, (head, *rows) in [*tables, *((map_title(one), map_rows(one)) for one in maps)]:
         console.print(title, highlight=False)
@@ -173,7 +163,7 @@ def print_benchmark(records: Sequence[Record]) -> None:
         "Entries: payload [kg] and its fraction of the best known payload, task criterion. Best known payloads:",
         highlight=False,
     )
-    references = list(best_known_payloads(records).values())
+    references = list(scores.best_known_payloads(records).values())
     for line in [*map(best_known_text, references), *failures(records), *fallbacks(records)]:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
     if any(best.raised_by for best in references):
@@ -185,11 +175,11 @@ def csv_text(records: Sequence[Record]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, _CSV_FIELDS, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(csv_row(score) for score in scores(records))
+    writer.writerows(csv_row(score) for score in scores.scores(records))
     return text.getvalue()
 
 
-def csv_row(score: Score) -> dict[str, Any]:
+def csv_row(score: scores.Score) -> dict[str, Any]:
     """One score as a row of :func:`csv_text`."""
     cell, result, violation = score.cell, score.result, score.result.get("violation") or {}
     values = {name: getattr(source, name) for source in (cell, score) for name in _CSV_FIELDS if hasattr(source, name)}

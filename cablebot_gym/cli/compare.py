@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import (
-    Draws,
-    EnvId,
-    Json,
-    check_figure_folder,
-    counted,
-    episode_options,
-    note_unsupported,
-    split_names,
-)
+from cablebot_gym.cli import options
 from cablebot_gym.utils.console import notes_console, print_table, progress, results_console
 
 if TYPE_CHECKING:
@@ -38,9 +29,9 @@ _COLUMNS = (
 """Quantity, heading and factor of the unit of each column."""
 
 
-@episode_options()
+@options.episode_options()
 def compare(
-    env_id: EnvId,
+    env_id: options.EnvId,
     policies: Annotated[
         str,
         typer.Option(
@@ -50,9 +41,9 @@ def compare(
     ],
     episode: dict[str, Any],
     payload: Annotated[float, typer.Option(help="Payload [kg].")] = 0.0,
-    draws: Draws = None,
+    draws: options.Draws = None,
     out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")] = None,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Compare the errors, torques and margins of several policies with one payload over the same draws.
 
@@ -64,9 +55,9 @@ def compare(
     from cablebot_gym.robots import find_robot
     from cablebot_gym.utils.files import atomic_write_text
 
-    check_figure_folder(out, "comparison.json", "comparison.png")
-    names, robot = split_names(policies), find_robot(env_robot(env_id))
-    note_unsupported(names, env_id)
+    options.check_figure_folder(out, "comparison.json", "comparison.png")
+    names, robot = options.split_names(policies), find_robot(env_robot(env_id))
+    options.note_unsupported(names, env_id)
     loaded = [load_policy(name, robot) for name in names]
     with progress("comparing") as step:
         comparison = compare_policies(
@@ -91,7 +82,7 @@ def print_comparison(comparison: Comparison) -> None:
     from cablebot_gym.task import payload_model_text
 
     model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
-    uncertainty = f"{counted(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
+    uncertainty = f"{options.counted(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
     environment = described(comparison.env_id, comparison.task.robot.name)
     columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.planar]
     rows = [["policy", "success rate", *(heading for _, heading, _ in columns)]]
@@ -119,7 +110,7 @@ def print_comparison(comparison: Comparison) -> None:
         print(f"± and brackets: {CONFIDENCE:.0%} confidence over draws")
     if ended := sum(int(one.ended.sum()) for one in comparison.metrics):
         rule = "the remaining steps count with the termination radius as error"
-        print(f"{counted(ended, 'episode')} ended early: {rule}")
+        print(f"{options.counted(ended, 'episode')} ended early: {rule}")
 
 
 def _change(fraction: Estimate) -> str:

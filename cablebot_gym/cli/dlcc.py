@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import (
-    Draws,
-    EnvId,
-    Json,
-    PolicyName,
-    check_figure_folder,
-    counted,
-    episode_options,
-    note_unsupported,
-)
+from cablebot_gym.cli import options
 from cablebot_gym.utils.console import notes_console, print_table, progress
 
 if TYPE_CHECKING:
@@ -33,10 +24,10 @@ class CriterionChoice(StrEnum):
     both = "both"
 
 
-@episode_options()
+@options.episode_options()
 def dlcc(
-    env_id: EnvId,
-    policy: PolicyName,
+    env_id: options.EnvId,
+    policy: options.PolicyName,
     episode: dict[str, Any],
     criterion: Annotated[
         CriterionChoice,
@@ -53,7 +44,7 @@ def dlcc(
         float | None,
         typer.Option(help="Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several."),
     ] = None,
-    draws: Draws = None,
+    draws: options.Draws = None,
     probability: Annotated[
         float, typer.Option(help="Required success rate: the fraction of the draws that must carry the payload.")
     ] = 0.95,
@@ -61,7 +52,7 @@ def dlcc(
         float, typer.Option(help="Confidence of the assured payload, a lower tolerance bound.")
     ] = 0.95,
     out: Annotated[Path | None, typer.Option(help="Folder for result.json and figures.")] = None,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find the largest payload that a policy carries along a trajectory (DLCC).
 
@@ -80,14 +71,14 @@ def dlcc(
     from cablebot_gym.robots import find_robot
     from cablebot_gym.utils.files import atomic_write_text
 
-    check_figure_folder(out, "result.json")
+    options.check_figure_folder(out, "result.json")
     loaded = load_policy(policy, find_robot(env_robot(env_id)))
-    note_unsupported([policy], env_id)
+    options.note_unsupported([policy], env_id)
     chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
     inapplicable = []
     if criterion is CriterionChoice.both and not getattr(loaded, "unsaturated_actions", False):
         chosen, inapplicable = ["task"], ["paper"]
-    options: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "payload_max": payload_max,
         "resolution": resolution,
         "draws": draws,
@@ -98,7 +89,7 @@ def dlcc(
     results = []
     for name in chosen:
         with progress(f"{name} criterion") as step:
-            results.append(evaluate_dlcc(loaded, env_id, criterion=name, progress=step, **options, **episode))
+            results.append(evaluate_dlcc(loaded, env_id, criterion=name, progress=step, **settings, **episode))
     text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
     if out is not None:
         from cablebot_gym.plotting.figures import save_figures
@@ -127,7 +118,7 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
     words += [first.environment["trajectory"].get("name", "")]
     words += [payload_model_text(first.payload_known, first.model_payload_factor)]
     words += [first.uncertainty] if first.uncertainty is not None else []
-    words += [counted(first.draws, "draw")] if first.uncertainty is not None or first.draws > 1 else []
+    words += [options.counted(first.draws, "draw")] if first.uncertainty is not None or first.draws > 1 else []
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     for result in results:
         failures = ", ".join(f"{kind} in {number}" for kind, number in result.failures.items())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Iterator
 from dataclasses import MISSING, fields, is_dataclass
+from importlib.resources import files
 from typing import Any
 
 from cablebot_gym.cli.options import Json
@@ -13,38 +15,10 @@ from cablebot_gym.utils.console import print_table
 _WIDTH = 110
 """Largest width of the tables [columns]."""
 
-_TRAJECTORY_UNITS = {
-    "duration": "s",
-    "radius": "m",
-    "amplitude": "m",
-    "center": "m, rad",
-    "pose": "m, rad",
-    "start": "m, rad",
-    "end": "m, rad",
-    "reach": "m, rad",
-    "acceleration": "m/s², rad/s²",
-}
-"""Unit of each trajectory field that has one, for lengths and for angles."""
-
-_UNCERTAINTY_UNITS = {
-    "low": "fraction",
-    "high": "fraction",
-    "mean": "fraction",
-    "std": "fraction",
-    "force_mean": "N",
-    "force_std": "N",
-    "moment_mean": "N·m",
-    "moment_std": "N·m",
-    "correlation_time": "s",
-    "position": "m",
-    "rotation": "rad",
-    "velocity": "m/s",
-    "rotation_rate": "rad/s",
-    "motor_angle": "rad",
-    "motor_speed": "rad/s",
-    "delay": "control steps",
-}
-"""Unit of each uncertainty field that has one. Parameters are fractions of their nominal values if ``relative``."""
+_UNITS: dict[str, dict[str, str]] = tomllib.loads(
+    (files("cablebot_gym.cli") / "units.toml").read_text(encoding="utf-8")
+)
+"""Unit of each field of trajectories and uncertainties that has one."""
 
 
 def list_(as_json: Json = False) -> None:
@@ -93,7 +67,7 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     found = {}
     for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
         if field.name != "name":
-            unit = _TRAJECTORY_UNITS.get(field.name, "")
+            unit = _UNITS["trajectory"].get(field.name, "")
             unit = unit.partition(",")[0] if getattr(trajectory, "coordinates", None) == 2 else unit
             # A field whose default is None gets its value from the other fields.
             default = None if field.default is None else getattr(trajectory, field.name)
@@ -128,9 +102,9 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
     for group in ("wrench", "sensors"):
         part = getattr(uncertainty, group)
         for field in () if part is None else fields(part):
-            found[f"{group}.{field.name}"] = (getattr(part, field.name), _UNCERTAINTY_UNITS.get(field.name, ""))
+            found[f"{group}.{field.name}"] = (getattr(part, field.name), _UNITS["uncertainty"].get(field.name, ""))
     if uncertainty.delay:
-        found["delay"] = (uncertainty.delay, _UNCERTAINTY_UNITS["delay"])
+        found["delay"] = (uncertainty.delay, _UNITS["uncertainty"]["delay"])
     return found
 
 
@@ -173,8 +147,8 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     for group, kind in groups.items():
         for item in fields(kind):
             default = "required" if item.default is MISSING else _json_text(item.default)
-            rows.append([group, item.name, default, _UNCERTAINTY_UNITS.get(item.name, "")])
-    rows.append(["delay", "–", "0", _UNCERTAINTY_UNITS["delay"]])
+            rows.append([group, item.name, default, _UNITS["uncertainty"].get(item.name, "")])
+    rows.append(["delay", "–", "0", _UNITS["uncertainty"]["delay"]])
     note = 'Fractions refer to the nominal value; with "relative": false, the unit is that of the parameter.'
     yield "uncertainty-fields", f"Fields of an uncertainty in JSON\n{note}", _without_repeats(rows)
 

@@ -8,13 +8,7 @@ from cablebot_gym.policies.loading import (
     policy_entries,
     policy_entry,
 )
-from cablebot_gym.policies.protocol import (
-    Policy,
-    PolicyEntry,
-    PolicyError,
-    as_policy,
-    name_of,
-)
+from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, name_of
 
 __all__ = [
     "ENTRY_POINT_GROUP",

@@ -13,19 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, Record, canonical
 from cablebot_gym.benchmark.maps import varied_fields
-from cablebot_gym.benchmark.scores import (
-    BestKnown,
-    Column,
-    Leaderboard,
-    PayloadMap,
-    Score,
-    best_known_payloads,
-    leaderboards,
-    payload_maps,
-    scores,
-)
 from cablebot_gym.benchmark.tables import best_known_text, failures, fallbacks, heading, motion_title, task_title
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
@@ -87,8 +77,8 @@ def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[R
 def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
     """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
     records = merge_records(sources)
-    all_scores = scores(records)
-    references = [best for best in best_known_payloads(records).values() if not varied_fields(best.cell)]
+    all_scores = scores.scores(records)
+    references = [best for best in scores.best_known_payloads(records).values() if not varied_fields(best.cell)]
     by_key = {record.cell.key: record for record in records}
     robots, motions = _Unique(), _Unique()
 
@@ -106,7 +96,7 @@ def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] 
         reason = NO_EPISODE if score.result.get("applicable", True) else NOT_APPLICABLE
         cells.append(entry(score.cell, "unloaded" if score.payload is None else "DLCC", _facts(score), reason))
     indices = {score.cell.key: index for index, score in enumerate(all_scores)}
-    boards, rows = leaderboards(records), []
+    boards, rows = scores.leaderboards(records), []
     for leaderboard in boards:
         rows += [_row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries]
         motion = leaderboard.env_id, leaderboard.motion
@@ -120,14 +110,16 @@ def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] 
         "cells": cells,
         "robots": robots.values,
         "motions": motions.values,
-        "maps": [_map(payload_map) for payload_map in payload_maps(records)],
+        "maps": [_map(payload_map) for payload_map in scores.payload_maps(records)],
         "notes": _notes(sources, records),
         "rate": RATE,
         "levels": LEVELS,
     }
 
 
-def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]], boards: Sequence[Leaderboard]) -> int:
+def _start(
+    rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]], boards: Sequence[scores.Leaderboard]
+) -> int:
     """Index of the row that the page opens: the largest payload in the first column of the first leaderboard.
 
     A row without an episode is opened only if none of these rows has one.
@@ -160,7 +152,9 @@ class _Unique:
         return self._indices[key]
 
 
-def _row(leaderboard: Leaderboard, policy: str, column: Column, indices: Mapping[str, int]) -> dict[str, Any]:
+def _row(
+    leaderboard: scores.Leaderboard, policy: str, column: scores.Column, indices: Mapping[str, int]
+) -> dict[str, Any]:
     entry = leaderboard.entries[policy, column]
     fraction = leaderboard.fraction(policy, column)
     applicable = all(score.result.get("applicable", True) for score in entry)
@@ -179,7 +173,9 @@ def _row(leaderboard: Leaderboard, policy: str, column: Column, indices: Mapping
     }
 
 
-def _best_row(leaderboard: Leaderboard, group: Sequence[BestKnown], indices: Sequence[int]) -> dict[str, Any]:
+def _best_row(
+    leaderboard: scores.Leaderboard, group: Sequence[scores.BestKnown], indices: Sequence[int]
+) -> dict[str, Any]:
     verified = all(best.result.get("verified") for best in group)
     payload = median(best.result["payload"] for best in group) if verified else None
     fraction = median(best.result["payload"] / (best.payload or 1.0) for best in group) if verified else None
@@ -191,7 +187,7 @@ def _best_row(leaderboard: Leaderboard, group: Sequence[BestKnown], indices: Seq
     }
 
 
-def _conditions(leaderboard: Leaderboard, policy: str, column: Column) -> dict[str, Any]:
+def _conditions(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> dict[str, Any]:
     return {
         "key": _row_key(leaderboard, policy, column),
         "id": leaderboard.env_id,
@@ -202,11 +198,11 @@ def _conditions(leaderboard: Leaderboard, policy: str, column: Column) -> dict[s
     }
 
 
-def _row_key(leaderboard: Leaderboard, policy: str, column: Column) -> str:
+def _row_key(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
     return canonical([leaderboard.env_id, leaderboard.motion, policy, heading(column)])
 
 
-def _note(entry: Sequence[Score], applicable: bool, failed: bool) -> str:
+def _note(entry: Sequence[scores.Score], applicable: bool, failed: bool) -> str:
     """Reason for a missing fraction; empty if there is a fraction or if another column states the reason."""
     if not applicable:
         return "does not declare unsaturated_actions"
@@ -214,7 +210,7 @@ def _note(entry: Sequence[Score], applicable: bool, failed: bool) -> str:
     return "" if failed or searched else "no best known payload"
 
 
-def _interval(entry: Sequence[Score]) -> list[float] | None:
+def _interval(entry: Sequence[scores.Score]) -> list[float] | None:
     """Fractions of the worst and best motion; with draws, those of the assured payload and the DLCC.
 
     The assured payload is a 95/95 lower tolerance bound.
@@ -228,7 +224,7 @@ def _interval(entry: Sequence[Score]) -> list[float] | None:
     return [(score.result.get("assured_payload") or 0.0) / score.best_known, score.score]
 
 
-def _violation_text(entry: Sequence[Score]) -> str:
+def _violation_text(entry: Sequence[scores.Score]) -> str:
     """Limiting violation for one motion; the kinds of violation and their counts for several motions."""
     violations = [violation for score in entry if (violation := limiting_violation(score)) is not None]
     if len(entry) == 1:
@@ -248,7 +244,7 @@ def _code(cell: Cell) -> str:
     return f"import cablebot_gym\nfrom {module} import {name}\n\nprint({name}(\n{inner}))"
 
 
-def _facts(score: Score) -> list[list[str]]:
+def _facts(score: scores.Score) -> list[list[str]]:
     result, cell = score.result, score.cell
     if score.error is not None:
         return [["Error", score.error]]
@@ -273,7 +269,7 @@ def _facts(score: Score) -> list[list[str]]:
     return facts
 
 
-def limiting_violation(score: Score) -> Violation | None:
+def limiting_violation(score: scores.Score) -> Violation | None:
     """Limiting violation of a score with the bound of its cell; None without a violation."""
     data = score.result.get("violation")
     if not data:
@@ -318,8 +314,8 @@ def _motion(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _map(payload_map: PayloadMap) -> dict[str, Any]:
-    def payload(score: Score | None) -> float | None:
+def _map(payload_map: scores.PayloadMap) -> dict[str, Any]:
+    def payload(score: scores.Score | None) -> float | None:
         return None if score is None or score.error is not None else score.payload or 0.0
 
     return {
@@ -335,7 +331,7 @@ def _map(payload_map: PayloadMap) -> dict[str, Any]:
 
 
 def _notes(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str, Any]]:
-    references = [best_known_text(best) for best in best_known_payloads(records).values()]
+    references = [best_known_text(best) for best in scores.best_known_payloads(records).values()]
     sections = {
         "Commands": [f"suite {source.suite}: {source.command}" for source in sources],
         "Best known payloads": references or ["none in these results"],

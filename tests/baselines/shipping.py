@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
 
+import train_shipped as script
 from cards.card import read_cards
 
 from cablebot_baselines.learned.bundle import Bundle
@@ -26,10 +25,6 @@ PAYLOADS = {0: 2.0, 1: None, 2: 2.8, 3: 2.4, 4: 2.6}
 IN_TRAINING = {0: 2.0, 1: None, 2: 2.9, 3: 2.7, 4: 2.5}
 """Payload of each seed in its evaluations during training; the median belongs to another seed than in PAYLOADS."""
 
-_spec = importlib.util.spec_from_file_location("train_shipped", ROOT / "scripts" / "train_shipped.py")
-script = sys.modules["train_shipped"] = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(script)
-
 
 def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
     """Writes a finished run of ``apg-circle`` whose network outputs nearly zero; ``changes`` are of its card."""
@@ -47,8 +42,8 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "wall_s": 60.0 + seed,
         "threads": 1,
         "versions": {"python": "3.11", "torch": "2"},
-        "evaluation": {"criterion": "task", "resolution": 0.05},
         "planner_output_used": False,
+        "evaluation": {"criterion": "task", "resolution": 0.05},
         "curve": [{"timesteps": 350, "wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)}],
         "base_payload_kg": 1.4,
     }

@@ -12,15 +12,14 @@ from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
+PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 LAWS = {
-    "CableBot-Planar-v0": FeedbackLinearization(PLANAR),
-    "CableBot-Spatial-v0": FeedbackLinearization(SPATIAL),
-    "CableBot-FlexPlanar-v0": Composite(FLEX_PLANAR, gains=(800.0, 30.0), spring_damping=0.5),
-    "CableBot-FlexSpatial-v0": Composite(FLEX_SPATIAL),
+    PLANAR_ID: FeedbackLinearization(PLANAR),
+    SPATIAL_ID: FeedbackLinearization(SPATIAL),
+    FLEX_ID: Composite(FLEX_SPATIAL),
 }
-SPATIAL_ID, FLEX_ID = "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 
 
 def run(law, env, *, steps=None):
@@ -97,14 +96,6 @@ def test_estimate_and_limits_hold_with_sensor_noise(entry, env_id):
     np.testing.assert_allclose(estimates[-1], 10.0 + payload, atol=0.1)
 
 
-def test_wrong_model_mass_is_corrected():
-    """A platform 10 % heavier than the model, known payload: fl leaves its error bounds, this law does not."""
-    env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=SPATIAL.replace(mass=11.0), payload=1.0)
-    kept, estimates, _ = run(ADAPTIVE.factory(SPATIAL), env)
-    assert kept.all()
-    assert estimates[-1][0] == pytest.approx(12.0, abs=0.1)
-
-
 # --- allocation -------------------------------------------------------------------------------------------------------
 
 
@@ -123,12 +114,10 @@ def test_allocation_solves_the_bounded_least_squares_problem():
     np.testing.assert_allclose(allocate(within, slope[:5]), within, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "law", [FeedbackLinearization(SPATIAL), Composite(FLEX_SPATIAL)], ids=lambda law: type(law).__name__
-)
-def test_torque_slope_is_the_derivative_of_the_torques(law):
+@pytest.mark.parametrize("env_id", [SPATIAL_ID, FLEX_ID])
+def test_torque_slope_is_the_derivative_of_the_torques(env_id):
     """Torques are affine in the reference's acceleration."""
-    env_id = FLEX_ID if law.robot.flexible else SPATIAL_ID
+    law = LAWS[env_id]
     observation, _ = gym.make(env_id, initial_error=np.array([0.02, 0.01, -0.02, 0.1, 0.1, -0.1])).reset(seed=0)
     blocks, mass = law.split(observation), np.array(12.0)
     base = law.torques(blocks, mass)[0]
@@ -154,11 +143,9 @@ def test_law_declares_whether_it_saturates_its_actions():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("entry", "env_id", "payload"),
-    [(ADAPTIVE, "CableBot-Planar-v0", 1.93), (ADAPTIVE, SPATIAL_ID, 4.97), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
+    ("entry", "env_id", "payload"), [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)]
 )
 def test_dlcc_with_unknown_payload(entry, env_id, payload):
     """With a known payload, fl has 1.92 and 4.03 kg, and the best other law for joint springs 4.63 kg."""
-    law = entry.factory(LAWS[env_id].robot)
-    result = evaluate_dlcc(law, env_id, payload_known=False, resolution=0.02)
+    result = evaluate_dlcc(entry.factory(LAWS[env_id].robot), env_id, payload_known=False, resolution=0.02)
     assert result.payload == pytest.approx(payload, abs=0.05)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cablebot_baselines.classical import ADAPTIVE_COMPOSITE, COMPOSITE, COMPOSITE_TUNED, Composite, FourthOrder, MotorPD
+from cablebot_baselines.classical import ADAPTIVE_COMPOSITE, COMPOSITE, Composite, FourthOrder, MotorPD
 from cablebot_baselines.classical.flexible import Motion
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
@@ -28,26 +28,17 @@ def with_stiffness(stiffness: float, mass: float) -> Robot:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("law", "env_id", "payload"),
+    ("law", "env_id", "known", "payload"),
     [
-        ("composite", FLEX_SPATIAL_ID, 4.54),
-        ("motor-pd", FLEX_SPATIAL_ID, 4.10),
-        ("fl4", FLEX_SPATIAL_ID, 4.63),
-        ("motor-pd", FLEX_PLANAR_ID, 1.93),
+        ("composite", FLEX_SPATIAL_ID, True, 4.54),
+        ("motor-pd", FLEX_SPATIAL_ID, True, 4.10),
+        ("fl4", FLEX_SPATIAL_ID, True, 4.63),
+        ("motor-pd", FLEX_PLANAR_ID, True, 1.93),
+        ("composite-tuned", FLEX_PLANAR_ID, False, 0.25),
     ],
 )
-def test_dlcc_is_that_of_independent_runs(law: str, env_id: str, payload: float) -> None:
-    result = evaluate_dlcc(law, env_id, resolution=0.02)
-    assert result.payload == pytest.approx(payload, abs=0.04)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("robot", "env_id", "payload"), [(FLEX_SPATIAL, FLEX_SPATIAL_ID, 1.61), (FLEX_PLANAR, FLEX_PLANAR_ID, 0.25)]
-)
-def test_dlcc_of_the_tuned_composite_law_with_unknown_payload(robot: Robot, env_id: str, payload: float) -> None:
-    """With the paper's gains 0.39 kg on the spatial robot; the planar one fails unloaded."""
-    result = evaluate_dlcc(COMPOSITE_TUNED.factory(robot), env_id, payload_known=False, resolution=0.02)
+def test_dlcc_is_that_of_independent_runs(law: str, env_id: str, known: bool, payload: float) -> None:
+    result = evaluate_dlcc(law, env_id, payload_known=known, resolution=0.02)
     assert result.payload == pytest.approx(payload, abs=0.04)
 
 
@@ -102,7 +93,7 @@ def test_damping_of_the_papers_springs_is_not_reduced_at_500_hz() -> None:
 
 
 @pytest.mark.parametrize("frequency", [100.0, 500.0, 2000.0])
-@pytest.mark.parametrize("stiffness", [1.0, 30.0, 300.0, 800.0, 1000.0, 1500.0, 3000.0, 1e4])
+@pytest.mark.parametrize("stiffness", [1.0, 300.0, 1000.0, 3000.0, 1e4])
 def test_sampled_spring_damping_is_stable(stiffness: float, frequency: float) -> None:
     """A rotor on a spring whose other end hardly moves, with constant torque per period and the outer loop's K_D."""
     robot = with_stiffness(stiffness, 10.0)
@@ -120,29 +111,19 @@ def test_stiff_springs_are_stable_in_the_loop(entry: PolicyEntry, stiffness: flo
     assert record_rollout(entry.factory(robot), FLEX_SPATIAL_ID, payload=4.0, robot=robot).verdict.carried
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_rigid_robot_raises(law: str) -> None:
-    with pytest.raises(ValueError, match="needs joint springs"):
-        LAWS[law](SPATIAL)
-
-
 @pytest.mark.parametrize(
-    ("law", "keywords", "message"),
+    ("law", "robot", "keywords", "message"),
     [
-        (Composite, {"gains": (30.0, -1.0)}, "gains must be"),
-        (Composite, {"spring_damping": -1.0}, "spring_damping must be"),
-        (MotorPD, {"frequency": 0.0}, "frequency must be"),
-        (MotorPD, {"damping_ratio": 0.0}, "damping_ratio must be"),
-        (FourthOrder, {"poles": (-1, -2, -3)}, "four stable poles"),
-        (FourthOrder, {"poles": (-1, -2, -3, 4)}, "four stable poles"),
-        (FourthOrder, {"poles": (-1 + 1j, -2, -3, -4)}, "four stable poles"),
+        (Composite, SPATIAL, {}, "needs joint springs"),
+        (FourthOrder, FLEX_PLANAR, {}, "as many cables as coordinates"),
+        (Composite, FLEX_SPATIAL, {"gains": (30.0, -1.0)}, "gains must be"),
+        (Composite, FLEX_SPATIAL, {"spring_damping": -1.0}, "spring_damping must be"),
+        (MotorPD, FLEX_SPATIAL, {"frequency": 0.0}, "frequency must be"),
+        (MotorPD, FLEX_SPATIAL, {"damping_ratio": 0.0}, "damping_ratio must be"),
+        (FourthOrder, FLEX_SPATIAL, {"poles": (-1, -2, -3)}, "four stable poles"),
+        (FourthOrder, FLEX_SPATIAL, {"poles": (-1 + 1j, -2, -3, -4)}, "four stable poles"),
     ],
 )
-def test_invalid_arguments_raise(law, keywords, message) -> None:
+def test_invalid_arguments_raise(law, robot, keywords, message) -> None:
     with pytest.raises(ValueError, match=message):
-        law(FLEX_SPATIAL, **keywords)
-
-
-def test_fourth_order_law_rejects_a_planar_robot() -> None:
-    with pytest.raises(ValueError, match="as many cables as coordinates"):
-        FourthOrder(FLEX_PLANAR)
+        law(robot, **keywords)

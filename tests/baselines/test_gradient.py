@@ -17,7 +17,7 @@ from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.runs import BEST, EVALUATIONS, HYPERPARAMS, LAST, Interrupted, TrainingResult
+from cablebot_baselines.learned.runs import BEST, HYPERPARAMS, LAST, Interrupted, TrainingResult
 from cablebot_baselines.learned.steering import Shift, Steering
 from cablebot_gym.cli import app as cli
 from cablebot_gym.envs import env_robot
@@ -103,7 +103,7 @@ def test_invalid_training_is_rejected():
         made(PLANAR, Shift(), features=("rbf_time", "shift"))
     with pytest.raises(ValueError, match="softness is for planar robots, but 'spatial' is spatial"):
         made(SPATIAL, Shift(), softness=(1.0,) * 5)
-    for wrong in ({"iterations": 0}, {"instants": 1}, {"action_limit": 0.0}, {"lighter": 1.0}, {"softness": (1.0,)}):
+    for wrong in ({"iterations": 0}, {"lighter": 1.0}, {"softness": (1.0,)}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             GradientSettings(**wrong)
 
@@ -153,10 +153,6 @@ def trained(tmp_path_factory, config):
     return train_gradient(PLANAR, out=tmp_path_factory.mktemp("trained") / "run", config=config, seed=3)
 
 
-def arrays(out):
-    return np.concatenate([array.ravel() for array in Bundle.load(out / LAST).network.weights])
-
-
 def test_short_run_carries_far_more_than_its_base(trained):
     bundle = Bundle.load(trained.out / BEST)
     policy = LearnedPolicy(bundle, find_robot(env_robot(PLANAR)))
@@ -165,7 +161,6 @@ def test_short_run_carries_far_more_than_its_base(trained):
     assert payload > 1.5 * trained.base_payload_kg > 1.0
     assert (bundle.card["seed"], bundle.card["planner_output_used"]) == (3, False)
     assert bundle.card["command"] == f"cablebot train {PLANAR} --algo gradient --config small.yaml --seed 3 --threads 1"
-    assert len((trained.out / EVALUATIONS).read_text(encoding="utf-8").splitlines()) == 3
 
 
 @pytest.mark.slow
@@ -186,30 +181,26 @@ def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, 
         cli.main()
     assert ended.value.code in (0, None)
     assert json.loads(capsys.readouterr().out)["evaluations"][-1]["payload_kg"] == trained.evaluations[-1].payload_kg
-    np.testing.assert_array_equal(arrays(out), arrays(trained.out))
+    for one, other in zip(*(Bundle.load(folder / LAST).network.weights for folder in (out, trained.out)), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_run_that_cannot_be_resumed_is_rejected(trained, tmp_path, config):
     out = shutil.copytree(trained.out, tmp_path / "run")
     with pytest.raises(ValueError, match="--resume"):
         train_gradient(PLANAR, out=out, config=config)
-    for options in ({"seed": 7}, {"config": Path("gradient")}):
-        with pytest.raises(ValueError, match="another"):
-            train_gradient(PLANAR, out=out, resume=True, **options)
-    state = TrainingResult.load(out).checkpoint / "training.npz"
-    state.write_bytes(state.read_bytes()[:300])
+    with pytest.raises(ValueError, match="another"):
+        train_gradient(PLANAR, out=out, resume=True, config=Path("gradient"))
+    (TrainingResult.load(out).checkpoint / "training.npz").write_bytes(b"damaged")
     with pytest.raises(ValueError, match="no file was changed"):
         train_gradient(PLANAR, out=out, resume=True)
 
 
 def test_invalid_configuration_is_rejected():
     held_out = {"named": [{"name": "loop-planar", "seed": FIRST_HELD_OUT_SEED}]}
-    validation = {"loops": VALIDATION[0] + 1}
-    for motions in ("circle", {}, {"loop": 3}, validation, held_out):
-        with pytest.raises(ValueError, match=r"motions|loops"):
-            make_gradient_config(PLANAR, SMALL | {"motions": motions})
-    for change in ({"tensoin": 3.0}, {"steering": {"kind": "residual"}}, {"features": ["nonsense"]}):
-        with pytest.raises(ValueError, match=r"tensoin|kind shift|nonsense"):
+    motions = ({"motions": value} for value in ("circle", {"loops": VALIDATION[0] + 1}, held_out))
+    for change in (*motions, {"tensoin": 3.0}, {"steering": {"kind": "residual"}}, {"features": ["nonsense"]}):
+        with pytest.raises(ValueError, match=r"motions|loops|tensoin|kind shift|nonsense"):
             make_gradient_config(PLANAR, SMALL | change)
 
 
@@ -218,18 +209,13 @@ def test_validation_loops_differ_from_training_loops():
     both = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
     assert [one.name for one in both.trajectories] == ["loop-planar", "loop-planar", "paper-planar", "line-planar"]
     assert both.trajectories[-1].duration == 2.0
-    assert [one.seed for one in both.trajectories[:2]] == [0, 1]
-    assert [one.seed for one in both.validation] == list(VALIDATION)
-    named = make_gradient_config(PLANAR, SMALL | {"motions": {"named": [line]}})
-    assert [one.name for one in named.validation] == ["line-planar"]
+    assert [one.seed for one in (*both.trajectories[:2], *both.validation)] == [0, 1, *VALIDATION]
 
 
-@pytest.mark.parametrize(
-    "name", ["gradient", "gradient-margin", pytest.param("gradient-loops", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)])
 def test_shipped_configurations_do_not_use_held_out_motions(name):
     for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
         config = make_gradient_config(env_id, plain)
-        seeds = {getattr(motion, "seed", 0) for motion in (*config.trajectories, *config.validation)}
+        seeds = [getattr(motion, "seed", 0) for motion in (*config.trajectories, *config.validation)]
         assert max(seeds) < FIRST_HELD_OUT_SEED
-        assert not {getattr(motion, "seed", None) for motion in config.trajectories} & set(VALIDATION)
+        assert not set(seeds[: len(config.trajectories)]) & set(VALIDATION)

@@ -10,8 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_baselines.learned import load_bundle
-from cablebot_baselines.learned.base import Base, find_base
+from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import FORMAT, Bundle
 from cablebot_baselines.learned.features import RBF_COUNT, TIME_CONSTANTS
 from cablebot_baselines.learned.network import Network
@@ -21,7 +20,6 @@ from cablebot_baselines.learned.steering import (
     Residual,
     Shift,
     Steering,
-    find_action_mapping,
 )
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import PolicyCell, compute
@@ -48,14 +46,8 @@ CASES = {
         Shift(action_period=0.014, degree=4, preview=0.1, fraction=0.5),
         FEATURES,
     ),
-    "springs": (FLEX_PLANAR_ID, Base(law="motor-pd"), Shift(action_period=0.01, degree=5), FEATURES),
     "residual": (SPATIAL_ID, Base(), Residual(action_period=0.006), RESIDUAL_FEATURES),
-    "residual, springs": (
-        FLEX_SPATIAL_ID,
-        Base(law="composite", estimates_payload=True),
-        Residual(),
-        RESIDUAL_FEATURES,
-    ),
+    "springs": (FLEX_SPATIAL_ID, Base(law="composite", estimates_payload=True), Residual(), RESIDUAL_FEATURES),
 }
 """Environment, base law, action mapping and features."""
 
@@ -144,19 +136,6 @@ def steer(steering, rows, actions):
     return {name: np.array([blocks[name] for blocks in given]) for name in given[0]}, np.array(observed)
 
 
-# --- the spline -------------------------------------------------------------------------------------------------------
-
-
-def test_spline_weights_equal_the_closed_form():
-    u = np.linspace(0.0, 1.0, 11)
-    cubic = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
-    square = [(1 - u) ** 2, -2 * u**2 + 2 * u + 1, u**2]
-    for shift, factor, expected in ((Shift(), 6, cubic), (Shift(degree=2), 2, square)):
-        weights = shift.weights(0.04 * u, 0.04)
-        assert weights.shape == (11, 5, shift.degree + 1)
-        np.testing.assert_allclose(weights[:, 0], np.transpose(expected) / factor, atol=1e-14)
-
-
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
 def test_spline_is_a_smooth_partition_of_unity(degree):
     """Its derivatives equal difference quotients, and it is continuous at its knots up to order degree − 1."""
@@ -197,11 +176,8 @@ def test_shift_stays_within_the_error_bounds(env_id):
 def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
     """Σⱼ j B(u − j) = u − (degree + 1)/2: the delay is (degree + 1)/2 action periods minus the preview."""
     action_period, steps = 0.02, 120
-    steering = steering_of(
-        FLEX_SPATIAL_ID,
-        base=Base(law="composite"),
-        action_mapping=Shift(action_period=action_period, degree=degree, preview=preview),
-    )
+    action_mapping = Shift(action_period=action_period, degree=degree, preview=preview)
+    steering = steering_of(FLEX_SPATIAL_ID, base=Base(law="composite"), action_mapping=action_mapping)
     start, speed = np.array([0.3, -0.2, 0.1, 0.05, -0.02, 0.01]), np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
     times = np.arange(steps) * PERIOD
     given, _ = steer(steering, line(FLEX_SPATIAL, start, speed, times), np.zeros((steps, 6)))
@@ -213,19 +189,6 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
         np.testing.assert_allclose(given[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order)
 
 
-@pytest.mark.parametrize(("degree", "preview"), [(2, 0.0), (5, 0.0), (3, 0.05)])
-def test_acceleration_is_the_mean_over_a_control_period(degree, preview):
-    steps, action_mapping = 60, Shift(action_period=0.01, degree=degree, preview=preview)
-    steering = steering_of(SPATIAL_ID, action_mapping=action_mapping)
-    actions = np.random.default_rng(degree).uniform(-1, 1, (steps, 6))
-    rest = line(SPATIAL, np.zeros(6), np.zeros(6), np.arange(steps))
-    given, _ = steer(steering, rest, actions)
-    velocity = given["reference_velocity"]
-    mean = np.diff(velocity, axis=0) / PERIOD
-    np.testing.assert_allclose(given["reference_acceleration"][:-1], mean, atol=1e-9)
-    assert np.abs(mean).max() > 1
-
-
 def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
     action_mapping, steps = Shift(action_period=0.01, degree=5), 40
     steering = steering_of(FLEX_PLANAR_ID, base=Base(law="motor-pd"), action_mapping=action_mapping)
@@ -234,27 +197,12 @@ def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
     observation_layout(FLEX_PLANAR).split(rows)["reference_snap"][:] = 7.0
     given, _ = steer(steering, rows, actions)
     points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(ErrorBounds(), 2)
-    expected = [
-        action_mapping.weights(np.array(step % 5 * PERIOD), 0.01) @ points[step // 5 : step // 5 + 6]
-        for step in range(steps)
-    ]
-    for order, name in enumerate(DERIVATIVES):
-        own = 7.0 if name == "snap" else 0.0
-        np.testing.assert_allclose(
-            given[f"reference_{name}"], np.array(expected)[:, order] + own, rtol=1e-9, atol=1e-9 / 0.01**order
-        )
-
-
-def test_actions_between_decisions_have_no_effect():
-    steering, steps = steering_of(action_mapping=Shift(action_period=0.01)), 30
-    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (steps, 2))
-    other = actions + 0.3
-    other[::5] = actions[::5]
-    rows = np.zeros((steps, 21))
-    one, _ = steer(steering_of(action_mapping=Shift(action_period=0.01)), rows, actions)
-    two, _ = steer(steering, rows, other)
-    assert steering.periods == 5
-    np.testing.assert_array_equal(one["reference_pose"], two["reference_pose"])
+    for step in range(steps):
+        weights = action_mapping.weights(np.array(step % 5 * PERIOD), 0.01)
+        expected = weights @ points[step // 5 : step // 5 + 6] + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
+        for order, name in enumerate(DERIVATIVES):
+            result = given[f"reference_{name}"][step]
+            np.testing.assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
 
 
 def test_action_period_is_rounded_to_control_periods():
@@ -278,15 +226,12 @@ def test_residual_adds_the_clipped_action_of_the_last_decision():
         np.testing.assert_allclose(added, 0.25 * np.clip(actions[step // 3 * 3], -1, 1), atol=1e-12)
 
 
-# --- observation of a learner -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("degree", "preview"), [(2, 0.0), (5, 0.0), (3, 0.05)])
-def test_observed_shift_is_that_of_the_present_instant(degree, preview):
+def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
+    """Rigid robots' laws get the mean acceleration of each control period."""
     action_mapping, steps = Shift(action_period=0.01, degree=degree, preview=preview), 60
-    steering = steering_of(
-        SPATIAL_ID, action_mapping=action_mapping, features=("error", "shift", "actions", "shift_velocity")
-    )
+    features = ("error", "shift", "actions", "shift_velocity")
+    steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=features)
     actions = np.random.default_rng(degree).uniform(-0.5, 0.5, (steps, 6))
     rows = line(SPATIAL, np.full(6, 0.1), np.linspace(-1, 1, 6), np.arange(steps) * PERIOD)
     layout = observation_layout(SPATIAL)
@@ -299,6 +244,8 @@ def test_observed_shift_is_that_of_the_present_instant(degree, preview):
     expected = given["reference_velocity"] - blocks["reference_velocity"]
     np.testing.assert_allclose(rate * bounds / 0.01, expected, atol=1e-11)
     np.testing.assert_allclose(error, given["reference_pose"] - blocks["pose"], atol=1e-13)
+    mean = np.diff(given["reference_velocity"], axis=0) / PERIOD
+    np.testing.assert_allclose(given["reference_acceleration"][:-1], mean, atol=1e-9)
     taken = actions[::5].copy()
     taken[:, :3] /= np.maximum(np.linalg.norm(taken[:, :3], axis=1, keepdims=True), 1)
     points = np.concatenate([np.zeros((degree, 6)), taken])
@@ -308,9 +255,7 @@ def test_observed_shift_is_that_of_the_present_instant(degree, preview):
 
 
 def test_time_features_start_with_the_episode():
-    steering = steering_of(
-        features=("time_since_start", "rbf_time", "time_to_go_decays"), action_mapping=Shift(action_period=0.02)
-    )
+    steering = steering_of(features=("time_since_start", "rbf_time", "time_to_go_decays"))
     assert steering.inputs == 2 * len(TIME_CONSTANTS) + RBF_COUNT
     rows = np.zeros((30, 21))
     observation_layout(PLANAR).split(rows)["time_to_go"][:, 0] = 1.0 - np.arange(30) * PERIOD
@@ -319,9 +264,6 @@ def test_time_features_start_with_the_episode():
     np.testing.assert_allclose(learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12)
     np.testing.assert_allclose(learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12)
     assert np.argmax(learner[0, len(TIME_CONSTANTS) : -len(TIME_CONSTANTS)]) == 0
-
-
-# --- the policy -------------------------------------------------------------------------------------------------------
 
 
 @each_case
@@ -334,13 +276,10 @@ def test_episodes_of_a_batch_are_independent(case):
     policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
     policy.reset(tasks)
     together = run(policy, rows, starts)
-    alone = np.stack([run(policy, rows[:, index], starts[:, index]) for index in range(envs)], axis=1)
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9 * np.abs(alone).max())
     for index, begun in enumerate((0, 7, 23, 38)):
         fresh = run(policy, rows[begun:, index])
-        np.testing.assert_allclose(together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(alone).max())
+        np.testing.assert_allclose(together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(together).max())
     assert np.ptp(together, axis=1).max() > 0.01
-    np.testing.assert_array_equal(run(policy, rows, starts), together)
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if not getattr(CASES[case][2], "preview", 0)])
@@ -355,110 +294,62 @@ def test_zero_network_equals_the_base_law(case):
     assert np.any(run(LearnedPolicy(bundle_of(case), robot), rows) != run(law, rows))
 
 
-def test_tasks_that_differ_or_have_another_robot_are_rejected():
+def test_tasks_of_a_batch_have_the_same_error_bounds():
     policy = LearnedPolicy(bundle_of(), PLANAR)
-    assert not policy.unsaturated_actions
-    policy.reset(tasks_of(PLANAR_ID, robot=PLANAR.replace(mass=1.1, name="heavier")))
     tasks = [*tasks_of(PLANAR_ID), *tasks_of(PLANAR_ID, error_bounds=ErrorBounds(position=0.02))]
     with pytest.raises(ValueError, match="same error bounds and control frequency"):
         policy.reset(tasks)
-    wide = PLANAR.replace(base_anchors=1.01 * PLANAR.base, name="wide")
-    with pytest.raises(ValueError, match="Build the law from the task's robot"):
-        policy.reset(tasks_of(PLANAR_ID, robot=wide))
 
 
-# --- the file ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("case", ["preview", "residual, springs"])
+@pytest.mark.parametrize("case", ["preview", "springs"])
 def test_saved_bundle_equals_the_bundle(case, tmp_path):
     bundle, path = bundle_of(case), tmp_path / "made" / "bundle.zip"
     bundle.save(path)
     loaded = Bundle.load(path)
     for name in ("env_id", "base", "action_mapping", "features", "card"):
         assert getattr(loaded, name) == getattr(bundle, name)
-    arrays = loaded.network.to_arrays()
-    for name, array in bundle.network.to_arrays().items():
-        np.testing.assert_array_equal(arrays[name], array, strict=True)
     loaded.save(tmp_path / "again.zip")
     assert (tmp_path / "again.zip").read_bytes() == path.read_bytes()
 
 
-def test_policy_of_a_file_has_the_given_robot(saved, tmp_path):
+def test_policy_of_a_file_has_the_given_robot(saved):
     heavier = PLANAR.replace(mass=1.2, name="heavier")
     policy = load_policy(str(saved), heavier)
-    assert isinstance(policy, LearnedPolicy)
     assert policy.robot is heavier
     with pytest.raises(ValueError, match="evaluate it on the environment that it was trained on"):
         load_policy(str(saved), SPATIAL)
-    (tmp_path / "other.zip").write_bytes(b"no zip")
-    assert load_bundle(tmp_path / "other.zip", PLANAR) is None
 
 
-def rewrite(path, change):
-    """Changes the arrays and the JSON ``data`` of a bundle in place."""
-    with np.load(path) as file:
+def test_invalid_bundle_is_rejected(saved):
+    """Also one whose arrays would be unpickled, which could execute code."""
+    content = saved.read_bytes()
+    with np.load(saved) as file:
         arrays = {name: file[name] for name in file.files}
     data = json.loads(str(arrays["bundle"]))
-    change(arrays, data)
-    arrays["bundle"] = np.array(json.dumps(data))
-    with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)
-
-
-DAMAGE = {
-    "newer format": (lambda arrays, data: data.update(format=FORMAT + 1), "is newer than 1: upgrade"),
-    "other observation": (lambda arrays, data: data["observation"].pop(), "but its environment has"),
-    "NaN": (lambda arrays, data: arrays["weight0"].fill(np.nan), "numbers must be finite"),
-    "pickle": (lambda arrays, data: arrays.update(mean=np.array([print], object)), "allow_pickle=False"),
-}
-"""Changes of a bundle and part of the error message."""
-
-
-@pytest.mark.parametrize("name", DAMAGE)
-def test_invalid_bundle_is_rejected(saved, name):
-    change, message = DAMAGE[name]
-    rewrite(saved, change)
-    with pytest.raises(ValueError, match=f"policy bundle '.*' cannot be used: .*{message}"):
-        Bundle.load(saved)
-
-
-def test_flipped_bytes_are_detected(saved, tmp_path):
-    """A bundle with a wrong byte is rejected in one line, or gives the same policy."""
-    content, path = saved.read_bytes(), tmp_path / "flipped.zip"
-    observation, _ = gym.make(PLANAR_ID).reset(seed=0)
-    expected, messages = load_policy(str(saved), PLANAR).predict(observation)[0], []
-    places = range(0, len(content), 61)
-    for place in places:
-        path.write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
-        try:
-            policy = load_policy(str(path), PLANAR)
-        except ValueError as error:
-            messages.append(str(error))
-        else:
-            np.testing.assert_array_equal(policy.predict(observation)[0], expected)
-    assert len(messages) > 0.8 * len(places)
-    assert all(text.startswith("policy ") and "\n" not in text for text in messages)
-
-
-# --- parameters -------------------------------------------------------------------------------------------------------
+    cases = (
+        ({"bundle": np.array(json.dumps(data | {"format": FORMAT + 1}))}, "is newer than 1: upgrade"),
+        ({"bundle": np.array(json.dumps(data | {"observation": data["observation"][1:]}))}, "but its environment has"),
+        ({"weight0": np.full_like(arrays["weight0"], np.nan)}, "numbers must be finite"),
+        ({"mean": np.array([print], object)}, "allow_pickle=False"),
+    )
+    for changes, message in cases:
+        with saved.open("wb") as file:
+            np.savez_compressed(file, **(arrays | changes))
+        with pytest.raises(ValueError, match=f"policy bundle '.*' cannot be used: .*{message}"):
+            Bundle.load(saved)
+    saved.write_bytes(content[: len(content) // 2])
+    with pytest.raises(ValueError, match="policy "):
+        load_policy(str(saved), PLANAR)
 
 
 @pytest.mark.parametrize(
     "make",
     [
         lambda: Shift(action_period=0),
-        lambda: Residual(action_period=np.nan),
-        lambda: Shift(degree=3.0),
         lambda: Shift(preview=0.03),
         lambda: Base(gains=(1, -1)),
-        lambda: Base(frequency=100.0),
-        lambda: Base(minimum_tension=-1),
         lambda: Base(allocates=True),
         lambda: Base(law="composite").make(PLANAR),
-        lambda: find_base({"law": "fl", "gain": 3}),
-        lambda: find_action_mapping({"action_period": 0.1}),
-        lambda: find_action_mapping({"kind": "residual", "degree": 3}),
         lambda: steering_of(features=("motor_angle",)),
         lambda: steering_of(features=("shift",), action_mapping=Residual()),
     ],
@@ -492,58 +383,35 @@ def test_inconsistent_network_is_rejected():
 
 def test_network_equals_its_layers():
     draw = np.random.default_rng(0)
-    first, last = draw.normal(size=(3, 2)), draw.normal(size=(4, 3))
-    network = Network(
-        mean=np.array([1.0, 2.0]),
-        scale=np.array([2.0, 1e-9]),
-        weights=(first, last),
-        biases=(np.full(3, 0.1), np.full(4, -0.2)),
-        squash="none",
-    )
+    first, last, x = draw.normal(size=(3, 2)), draw.normal(size=(4, 3)), np.array([3.0, 1.0])
+    normalisation = {"mean": np.array([1.0, 2.0]), "scale": np.array([2.0, 1e-9])}
+    biases = (np.full(3, 0.1), np.full(4, -0.2))
     values = last @ np.tanh(first @ np.array([1.0, -10.0]) + 0.1) - 0.2
-    np.testing.assert_allclose(network(np.array([3.0, 1.0])), values, rtol=1e-12)
-    squashed = dataclasses.replace(network, squash="tanh")
-    np.testing.assert_allclose(squashed(np.array([3.0, 1.0])), np.tanh(values), rtol=1e-12)
-
-
-# --- in an evaluation -------------------------------------------------------------------------------------------------
+    for squash, expected in (("none", values), ("tanh", np.tanh(values))):
+        network = Network(weights=(first, last), biases=biases, squash=squash, **normalisation)
+        np.testing.assert_allclose(network(x), expected, rtol=1e-12)
 
 
 def test_bundle_is_evaluated_by_name_and_cell(tmp_path):
-    path, steering = tmp_path / "zero.zip", steering_of()
-    network = network_of(steering, scale=0.0)
-    Bundle(env_id=PLANAR_ID, base=Base(), action_mapping=Shift(), features=FEATURES, network=network).save(path)
-    expected = evaluate_dlcc("fl", PLANAR_ID, trajectory=DWELL, resolution=0.1).payload
-    assert expected > 0
-    assert evaluate_dlcc(str(path), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload == expected
+    path, bundle = tmp_path / "zero.zip", bundle_of(scale=0.0)
+    bundle.save(path)
+    expected = evaluate_dlcc(bundle.base.make(PLANAR), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload
+    assert evaluate_dlcc(str(path), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload == expected > 0
     assert find_policies([str(path)], [PLANAR_ID]) == {PLANAR_ID: (str(path),)}
     cell = PolicyCell(env_id=PLANAR_ID, trajectory=DWELL, policy=str(path), resolution=0.1)
     assert compute(cell).result["payload"] == expected
-    record = compute(dataclasses.replace(cell, env_id=SPATIAL_ID, trajectory={"name": "dwell-spatial"}))
-    assert "evaluate it on the environment that it was trained on" in record.error
 
 
 def test_stored_result_depends_on_the_bundle_and_its_code(saved, monkeypatch):
     cell = PolicyCell(env_id=PLANAR_ID, trajectory=DWELL, policy=str(saved))
     before = cell.source
-    code_hash.source_hash.cache_clear()
-    assert cell.source == before
     bundle_of(seed=2).save(saved)
     code_hash.source_hash.cache_clear()
     assert cell.source != before
     read, original = set(), code_hash._parsed.__wrapped__
-
-    def meaning(path, name):
-        read.add(name)
-        return original(path, name)
-
-    monkeypatch.setattr(code_hash, "_parsed", meaning)
+    monkeypatch.setattr(code_hash, "_parsed", lambda path, name: read.add(name) or original(path, name))
     code_hash.source_hash.cache_clear()
     assert cell.source
-    monkeypatch.undo()
-    code_hash.source_hash.cache_clear()
-    assert {
-        f"cablebot_baselines.learned.{name}" for name in ("bundle", "policy", "steering", "features", "network")
-    } <= read
-    assert {"cablebot_baselines.classical.law", "cablebot_baselines.classical.adaptive"} <= read
-    assert not read & {"cablebot_baselines.learned.vec_env", "cablebot_baselines.learned.differentiable"}
+    used = {f"cablebot_baselines.learned.{name}" for name in ("bundle", "policy", "steering", "features", "network")}
+    assert used | {"cablebot_baselines.classical.law", "cablebot_baselines.classical.adaptive"} <= read
+    assert "cablebot_baselines.learned.vec_env" not in read

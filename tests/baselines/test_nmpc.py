@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import sys
-from dataclasses import replace
+from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -70,23 +69,14 @@ def test_plan_uses_the_error_bounds_of_the_task(policies):
     assert 0.003 < rollout(policies[PLANAR_ID], vector(PLANAR_ID, 1, payload=1.5), steps=300)[1][0] < 0.01
 
 
-def test_plan_uses_the_weights_of_the_tuning():
-    """A plan that weights the errors alone stays on the reference."""
-    policy = NonlinearMPC(PLANAR, tuning=replace(TUNING["planar"], error_weight=1e4))
-    assert rollout(policy, vector(PLANAR_ID, 1, payload=1.0), steps=150)[1][0] < 2e-3
-
-
 # --- batch and state --------------------------------------------------------------------------------------------------
 
 
-def test_actions_are_reproducible_and_need_no_task(policies):
-    """A memory of the solver or of the policy would change the second run; the observation contains the reference."""
+def test_actions_are_reproducible(policies):
+    """A memory of the solver or of the policy would change the second run."""
     env = vector(PLANAR_ID, 1, payload=2.5)
     expected = rollout(policies[PLANAR_ID], env, steps=30)[2]
     np.testing.assert_array_equal(rollout(policies[PLANAR_ID], env, steps=30)[2], expected)
-    without_reset = NMPC.factory(PLANAR)
-    without_reset.reset = lambda tasks: None
-    np.testing.assert_array_equal(rollout(without_reset, env, steps=30)[2], expected)
 
 
 @pytest.mark.parametrize("env_id", ROBOTS)
@@ -99,7 +89,6 @@ def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
         action, together = policy.predict(observation, state=together)
         for index in range(3):
             single, alone[index] = policy.predict(observation[index], state=alone[index])
-            assert single.shape == (policy.robot.cables,)
             np.testing.assert_allclose(single, action[index], rtol=0, atol=1e-12)
         observation, *_ = env.step(action)
 
@@ -126,11 +115,10 @@ def test_new_episode_starts_without_a_plan_and_state_is_not_modified(policies):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("env_id", "start", "later"), [(PLANAR_ID, 7e-4, 4e-5), (SPATIAL_ID, 4e-4, 2e-5)])
-def test_preview_interpolates_the_reference_across_its_jump(policies, env_id, start, later):
+def test_preview_interpolates_the_reference_across_its_jump(policies):
     """From t = 0.31 s on the horizon contains the circle's jump of acceleration, which one observation alone misses by
     2 cm."""
-    policy, env = policies[env_id], vector(env_id, 1, termination_radius=10.0)
+    policy, env = policies[PLANAR_ID], vector(PLANAR_ID, 1, termination_radius=10.0)
     observation, _ = env.reset(seed=0)
     task = env.unwrapped.tasks[0]
     ahead, state, errors = np.linspace(0.0, HORIZON, 41), None, []
@@ -141,8 +129,8 @@ def test_preview_interpolates_the_reference_across_its_jump(policies, env_id, st
             true = task.trajectory(step / task.control_frequency + ahead).position
             errors.append(np.abs(previewed - true).max())
         observation, *_ = env.step(action)
-    assert max(errors) < start
-    assert max(errors[10:]) < later
+    assert max(errors) < 7e-4
+    assert max(errors[10:]) < 4e-5
 
 
 def test_preview_rests_after_the_end_of_the_reference(policies):
@@ -160,27 +148,21 @@ def test_preview_rests_after_the_end_of_the_reference(policies):
 # --- the program ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
-def test_planned_motion_keeps_the_limits_between_its_instants(robot):
+def test_planned_motion_keeps_the_limits_between_its_instants():
     """By the textbook's inverse dynamics, where the reference asks for more than the motors have."""
-    tuning = TUNING["planar" if robot.planar else "spatial"]
-    program, n = HorizonProgram(robot, tuning), robot.coordinates
-    home = np.r_[0.1, 0.0] if robot.planar else np.r_[0.1, 0.0, 0.1, 0.1, 0.1, 0.1]
-    direction = np.eye(n)[1]
-    mass = robot.mass + (2.5 if robot.planar else 6.0)
+    program, home, zero, mass = HorizonProgram(PLANAR, TUNING["planar"]), np.array([0.1, 0.0]), np.zeros(2), 3.5
 
     def reference(times):
-        return home + 0.02 * np.sin(2 * np.pi * times / HORIZON)[:, None] ** 2 * direction
+        return home + 0.02 * np.sin(2 * np.pi * times / HORIZON)[:, None] ** 2 * [0.0, 1.0]
 
-    requested, zero = reference(program.instants), np.zeros(n)
+    requested = reference(program.instants)
     keywords = {"mass": mass, "error_bounds": ErrorBounds(position=0.03), "iterations": 8}
     plan = program.plan(requested, home, zero, requested, zero, **keywords)
     fine = np.linspace(0.0, HORIZON, 201)
     pose, velocity, acceleration = program.basis(fine) @ plan
-    needed = textbook.inverse_dynamics(
-        robot, mass, pose, velocity, acceleration, minimum=tuning.margins.tension, strict=False
-    )
-    action = (needed.torques + robot.speed_slope * needed.speeds) / robot.stall_torque
+    minimum = TUNING["planar"].margins.tension
+    needed = textbook.inverse_dynamics(PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False)
+    action = textbook.normalised_action(PLANAR, needed.torques, needed.speeds)
     assert np.abs(action).max() < 1.02
     assert np.linalg.norm((pose - reference(fine))[:, :3], axis=1).max() < 0.03
     np.testing.assert_allclose(pose[0], home, atol=1e-12)
@@ -249,23 +231,15 @@ def test_last_plan_bridges_failures_until_its_end(failing):
 
 
 def test_exception_of_casadi_is_a_fallback(monkeypatch):
-    policy = NMPC.factory(PLANAR)
-
-    def fails():
-        raise RuntimeError("an assertion of CasADi's")
-
-    monkeypatch.setattr(policy.program._quadratic, "_evaluate", fails)
-    kept, *_ = rollout(policy, vector(PLANAR_ID, 1), steps=20)
-    assert kept.all()
+    policy, failure = NMPC.factory(PLANAR), RuntimeError("an assertion of CasADi's")
+    monkeypatch.setattr(policy.program._quadratic, "_evaluate", Mock(side_effect=failure))
+    assert rollout(policy, vector(PLANAR_ID, 1), steps=20)[0].all()
     assert policy.fallbacks == 4
 
 
-@pytest.mark.parametrize("env_id", ROBOTS)
-def test_platform_far_from_the_reference_is_one_fallback_per_episode(env_id, monkeypatch):
-    policy = NMPC.factory(ROBOTS[env_id])
-    plan, solved = policy.program.plan, []
-    monkeypatch.setattr(policy.program, "plan", lambda *a, **k: solved.append(1) or plan(*a, **k))
-    env = vector(env_id, 1)
+def test_platform_far_from_the_reference_is_one_fallback_per_episode(monkeypatch):
+    policy, env = NMPC.factory(PLANAR), vector(PLANAR_ID, 1)
+    monkeypatch.setattr(policy.program, "plan", lambda *_, **__: pytest.fail("planned"))
     observation, _ = env.reset(seed=0)
     policy.reset(env.unwrapped.tasks)
     observation[:, observation_layout(policy.robot).slices()["pose"].start] += 0.05
@@ -273,7 +247,6 @@ def test_platform_far_from_the_reference_is_one_fallback_per_episode(env_id, mon
     for _ in range(3 * STEPS_PER_PLAN):
         action, state = policy.predict(observation, state=state)
         assert np.isfinite(action).all()
-    assert not solved
     assert policy.fallbacks == 1
     policy.predict(observation, state=state, episode_start=np.array([True]))
     assert policy.fallbacks == 2
@@ -282,11 +255,8 @@ def test_platform_far_from_the_reference_is_one_fallback_per_episode(env_id, mon
 # --- invalid input ----------------------------------------------------------------------------------------------------
 
 
-def test_unsupported_robots_and_missing_casadi_raise(policies, monkeypatch):
+def test_unsupported_robots_raise(policies):
     with pytest.raises(ValueError, match="built for robot"):
         policies[PLANAR_ID].reset(vector(SPATIAL_ID, 1).unwrapped.tasks)
     with pytest.raises(ValueError, match="joint springs"):
         NonlinearMPC(FLEX_PLANAR)
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
-        NonlinearMPC(PLANAR)

@@ -15,13 +15,11 @@ ID, FLEX_ID = "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 GAINS = (30.0, 20.0)
 
 
-def errors_with(outer_loop, mass_factor=1.1, trajectory="paper-spatial", initial_error=(0.0,) * 6, steps=500):
+def errors_with(outer_loop, mass_factor=1.1, initial_error=(0.0,) * 6, steps=500):
     """Position error, V and ‖s‖ at every control instant of a robot whose mass differs from the model."""
     law = FeedbackLinearization(SPATIAL)
     law.outer = outer_loop
-    env = gym.make(
-        ID, robot=SPATIAL.replace(mass=10.0 * mass_factor), trajectory=trajectory, initial_error=initial_error
-    )
+    env = gym.make(ID, robot=SPATIAL.replace(mass=10.0 * mass_factor), initial_error=initial_error)
     observation, _ = env.reset(seed=0)
     record = []
     for _ in range(steps):
@@ -46,17 +44,14 @@ def plain_error():
     return errors_with(RobustPD(gains=GAINS, boundary_layer=np.inf))[0].mean()
 
 
-@pytest.mark.parametrize("gains", [GAINS, (1.0, 1e-3)])
-@pytest.mark.parametrize("q", [1.0, 7, [[2.0, -0.3], [-0.3, 0.5]]])
-def test_lyapunov_matrix_solves_its_equation(gains, q):
-    loop = RobustPD(gains=gains, q=q)
-    a, p = np.array([[0.0, 1.0], [-gains[0], -gains[1]]]), loop.lyapunov
-    expected = np.asarray(q) * np.eye(2) if np.ndim(q) == 0 else np.asarray(q)
-    np.testing.assert_allclose(a.T @ p + p @ a, -expected, atol=1e-9 * np.abs(p).max())
+@pytest.mark.parametrize(("q", "matrix"), [(7, 7 * np.eye(2)), ([[2.0, -0.3], [-0.3, 0.5]],) * 2])
+def test_lyapunov_matrix_solves_its_equation(q, matrix):
+    a, p = np.array([[0.0, 1.0], [-30.0, -20.0]]), RobustPD(gains=GAINS, q=q).lyapunov
+    np.testing.assert_allclose(a.T @ p + p @ a, -np.array(matrix), atol=1e-9 * np.abs(p).max())
     assert np.linalg.eigvalsh(p)[0] > 0
 
 
-@pytest.mark.parametrize("layer", [1e-4, 0.02, 1e3])
+@pytest.mark.parametrize("layer", [1e-4, 1e3])
 def test_term_equals_the_corrected_equations(layer):
     """Eq. 34–36 over all twelve errors at once, with block matrices."""
     rng = np.random.default_rng(0)
@@ -77,11 +72,10 @@ def test_term_equals_the_corrected_equations(layer):
     np.testing.assert_allclose(loop(batch)[0], expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("trajectory", "mass_factor"), [("dwell-spatial", 1.1), ("paper-spatial", 0.9)])
-def test_lyapunov_function_decreases_outside_the_boundary_layer(trajectory, mass_factor):
+def test_lyapunov_function_decreases_outside_the_boundary_layer():
     error = np.array([0.02, -0.01, 0.02, 0.05, -0.03, 0.05])
     loop = RobustPD(gains=GAINS, boundary_layer=1e-4)
-    _, value, length = errors_with(loop, mass_factor, trajectory, error, steps=250)
+    _, value, length = errors_with(loop, 0.9, error, steps=250)
     reached = int(np.argmax(length < loop.boundary_layer))
     assert reached > 5
     assert np.all(np.diff(value[: reached + 1]) < 0)
@@ -91,9 +85,9 @@ def test_printed_sign_increases_the_error(plain_error):
     assert errors_with(WrongSign(gains=GAINS))[0].mean() > 3 * plain_error
 
 
-@pytest.mark.parametrize(("layer", "reduction"), [(1e-2, 0.19), (1e-3, 0.68), (1e-4, 0.95)])
+@pytest.mark.parametrize(("layer", "reduction"), [(1e-2, 0.19), (1e-3, 0.68)])
 def test_error_decreases_with_the_boundary_layer(layer, reduction, plain_error):
-    """Independent runs: 19, 68 and 95 % less mean error at 10 % too much mass."""
+    """Independent runs: 19 and 68 % less mean error at 10 % too much mass."""
     robust = errors_with(RobustPD(gains=GAINS, boundary_layer=layer))[0].mean()
     assert 1 - robust / plain_error == pytest.approx(reduction, abs=0.02)
 
@@ -118,13 +112,10 @@ def test_parameters_take_effect_and_an_infinite_layer_removes_the_term(law, plai
     ("name", "value", "message"),
     [
         ("boundary_layer", 0.0, "boundary_layer must be greater than 0"),
-        ("boundary_layer", np.nan, "boundary_layer must be greater than 0"),
         ("zeta", 1.0, "zeta must be"),
         ("phi", -1.0, "phi must be"),
-        ("q", 0.0, "symmetric and positive definite"),
         ("q", [[1.0, 0.5], [0.2, 1.0]], "symmetric and positive definite"),
         ("q", [1.0, 1.0], "q must be a positive number or a 2×2 matrix"),
-        ("gains", (30.0, 0.0), "gains must be"),
     ],
 )
 def test_invalid_parameters_raise(name, value, message):
@@ -134,12 +125,7 @@ def test_invalid_parameters_raise(name, value, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("law", "payload"),
-    [
-        (FeedbackLinearization(SPATIAL), 0.39),
-        (Robust(SPATIAL, zeta=0.3, phi=3.0), 2.85),
-        (ROBUST_TUNED.factory(SPATIAL), 4.58),
-    ],
+    ("law", "payload"), [(Robust(SPATIAL, zeta=0.3, phi=3.0), 2.85), (ROBUST_TUNED.factory(SPATIAL), 4.58)]
 )
 def test_dlcc_with_unknown_payload_is_that_of_independent_runs(law, payload):
     result = evaluate_dlcc(law, ID, payload_known=False, resolution=0.02)
@@ -151,13 +137,9 @@ def test_dlcc_with_unknown_payload_is_that_of_independent_runs(law, payload):
 def test_error_reduction_with_the_papers_uncertainty(law, robot):
     """Table 6 with a known payload of 1 kg: the paper's "more than 60 %" less, at ε = 1e-3."""
     plain = Composite(robot) if robot.flexible else FeedbackLinearization(robot)
+    env_id = FLEX_ID if robot.flexible else ID
     compared = compare_policies(
-        [plain, law(robot)],
-        FLEX_ID if robot.flexible else ID,
-        names=["plain", "robust"],
-        uncertainty="table6",
-        payload=1.0,
-        draws=200,
+        [plain, law(robot)], env_id, names=["plain", "robust"], uncertainty="table6", payload=1.0, draws=200
     )
     assert compared.reduction(1, "mean_error").mean == pytest.approx(0.67, abs=0.03)
     assert compared.reduction(1, "max_error").mean == pytest.approx(0.65, abs=0.03)

@@ -107,14 +107,6 @@ def test_chosen_exceptions_are_results_and_others_are_raised(address):
         run(address, {"one": raises}, returned=())
 
 
-@pytest.mark.slow
-def test_error_names_the_module_that_a_worker_cannot_import(address, monkeypatch):
-    module = type(os)("only_here")
-    module.task = type("task", (), {"__module__": "only_here", "__qualname__": "task"})
-    monkeypatch.setitem(sys.modules, "only_here", module)
-    assert "No module named 'only_here'" in str(run(address, {"one": module.task()})["one"])
-
-
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense", "host:port"])
 def test_address_without_cluster_raises_at_once(address):
     pytest.importorskip("ray")

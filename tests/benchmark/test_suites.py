@@ -83,10 +83,6 @@ def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     assert [name for name, entry in policy_entries().items() if entry.slow] == ["nmpc"]
 
 
-def test_smoke_suite_has_six_cells_for_one_policy():
-    assert len(cells("smoke", ["fl"])) == 6
-
-
 def test_policies_are_assigned_to_the_environments_that_they_support():
     assert find_policies(["fl", "motor-pd", "fl"], ENV_IDS) == {
         PLANAR: ("fl",),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,11 +29,10 @@ pytestmark = pytest.mark.usefixtures("cache")
 
 PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexPlanar-v0"
 LINE = {"name": "line-planar", "duration": 0.4}
-HANG = {"name": "dwell-spatial", "duration": 0.1}
 
 
-@pytest.fixture(scope="module")
-def quick():
+@contextmanager
+def coarse_search() -> Iterator[None]:
     """One coarse mesh after the first, and no certificate, which has its own tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(best_known, "MESH_TOLERANCE", 1.0)
@@ -40,14 +41,20 @@ def quick():
         yield
 
 
+@pytest.fixture
+def quick() -> Iterator[None]:
+    with coarse_search():
+        yield
+
+
 @pytest.fixture(scope="module")
-def line(quick) -> tuple[BestKnownPayload, list[str]]:
-    """A short line of the planar robot, and the progress messages."""
-    messages: list[str] = []
-    return find_best_known(PLANAR_ID, trajectory=LINE, cache=False, progress=messages.append), messages
+def line() -> BestKnownPayload:
+    """A short line of the planar robot."""
+    with coarse_search():
+        return find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def circle() -> BestKnownPayload:
     """The paper's circle of the planar robot."""
     return find_best_known(PLANAR_ID, cache=False)
@@ -62,43 +69,28 @@ def replay(payload: float, actions: Any, *, env_id: str = PLANAR_ID, trajectory:
 
 
 def test_replay_verifies_the_actions(line) -> None:
-    found, messages = line
-    assert found.verified
-    assert 0.97 * found.program_payload < found.payload <= found.program_payload
-    assert found.total_mass == PLANAR.mass + found.payload
-    assert found.payload > exact_payload(PLANAR, find_trajectory(LINE, 2)).payload
-    verdict = replay(found.payload, found.actions)
+    assert line.verified
+    assert 0.97 * line.program_payload < line.payload <= line.program_payload
+    assert line.total_mass == PLANAR.mass + line.payload
+    assert line.payload > exact_payload(PLANAR, find_trajectory(LINE, 2)).payload
+    verdict = replay(line.payload, line.actions)
     assert verdict.carried
     assert 0.0097 < verdict.position_peak <= 0.01
-    assert (found.actions.shape, np.abs(found.actions).max() <= 1) == ((200, 3), True)
-    for word in ("starts", "so far", "replaying", "upper bound"):
-        assert any(word in text for text in messages)
+    assert (line.actions.shape, np.abs(line.actions).max() <= 1) == ((200, 3), True)
 
 
 def test_replay_fails_beyond_the_limits(line) -> None:
-    found, _ = line
-    late = np.roll(found.actions, 1, axis=0)
-    tighter = {"error_bounds": {"position": 0.0095}}
-    for verdict in (
-        replay(1.05 * found.payload, found.actions),
-        replay(found.payload, 0.97 * found.actions),
-        replay(found.payload, late),
-        replay(found.payload, found.actions, **tighter),
-    ):
-        assert not verdict.carried
-        assert verdict.violation is not None
+    assert not replay(1.05 * line.payload, line.actions).carried
+    assert not replay(line.payload, 0.97 * line.actions).carried
+    assert not replay(line.payload, np.roll(line.actions, 1, axis=0)).carried
+    assert not replay(line.payload, line.actions, error_bounds={"position": 0.0095}).carried
 
 
 def test_json_has_no_motion(line) -> None:
-    found, _ = line
-    data = json.loads(found.to_json(), parse_constant=pytest.fail)
-    assert data == json.loads(json.dumps(found.to_dict()))
+    data = json.loads(line.to_json(), parse_constant=pytest.fail)
     assert data["environment"]["trajectory"]["name"] == "line-planar"
-    assert data["environment"]["robot"] == json.loads(json.dumps(PLANAR.to_dict()))
-    assert data["error_bounds"] == {"position": 0.01, "rotation": None}
     assert not {"motion", "actions"} & set(data)
     assert 0 < data["margins"]["position"] <= 0.01 * 0.01
-    assert "99.000 kg" in str(found)
 
 
 # --- the paper's circle and other robots ------------------------------------------------------------------------------
@@ -111,20 +103,16 @@ def test_circle_lies_between_policies_and_certificate(circle: BestKnownPayload) 
     assert 0.99 * circle.program_payload < circle.payload <= circle.program_payload
     assert circle.upper is not None
     assert circle.program_payload < circle.upper["payload"] < 1.03 * circle.payload
-    for policy in ("fl", "robust-tuned"):
-        carried = evaluate_dlcc(policy, PLANAR_ID, payload_known=True, resolution=0.05).payload
-        assert carried is not None
-        assert 0 < carried < circle.payload
+    carried = evaluate_dlcc("fl", PLANAR_ID, payload_known=True, resolution=0.05).payload
+    assert carried is not None
+    assert 0 < carried < circle.payload
     assert circle.payload > 2 * exact_payload(PLANAR, find_trajectory("paper-planar", 2)).payload
     assert replay(circle.payload, circle.actions, trajectory="paper-planar").carried
-    heavier = replay(1.03 * circle.payload, circle.actions, trajectory="paper-planar")
-    assert not heavier.carried
 
 
 @pytest.mark.slow
 def test_meshes_are_refined_until_the_payload_is_stable(circle: BestKnownPayload) -> None:
     counts, payloads = zip(*circle.meshes, strict=True)
-    assert len(counts) >= 2
     assert np.all(np.array(counts[1:]) == 2 * np.array(counts[:-1]))
     change = np.abs(np.diff(payloads)) / payloads[1:]
     assert change[-1] < 0.005
@@ -134,13 +122,11 @@ def test_meshes_are_refined_until_the_payload_is_stable(circle: BestKnownPayload
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_hang_in_a_narrow_tube_has_the_static_payload() -> None:
-    static = exact_payload(SPATIAL, find_trajectory(HANG, 6)).payload
-    bounds = {"position": 1e-5, "rotation": 1e-5}
-    tight = find_best_known(SPATIAL_ID, trajectory=HANG, error_bounds=bounds, cache=False)
+def test_hang_within_narrow_bounds_has_the_static_payload() -> None:
+    hang, bounds = {"name": "dwell-spatial", "duration": 0.1}, {"position": 1e-5, "rotation": 1e-5}
+    tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
     assert tight.verified
-    assert tight.payload == pytest.approx(static, rel=2e-3)
-    assert (tight.error_bounds, tight.upper) == (bounds, None)
+    assert tight.payload == pytest.approx(exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3)
 
 
 @pytest.mark.slow
@@ -148,9 +134,9 @@ def test_hang_in_a_narrow_tube_has_the_static_payload() -> None:
 def test_flexible_joints_reduce_the_payload(line) -> None:
     found = find_best_known(FLEX_ID, trajectory=LINE, cache=False)
     assert found.verified
-    assert 0.97 * found.program_payload < found.payload < line[0].payload
+    assert 0.97 * found.program_payload < found.payload < line.payload
     assert replay(found.payload, found.actions, env_id=FLEX_ID).carried
-    assert not replay(1.05 * found.payload, found.actions, env_id=FLEX_ID).carried
+    assert found.upper is None
 
 
 @pytest.mark.slow
@@ -164,15 +150,15 @@ def test_arguments_reach_the_program(line) -> None:
     assert found.environment["control_frequency"] == 200.0
     assert found.environment["robot"]["motors"]["stall_torque"] == 5.5
     assert found.error_bounds["position"] == 0.12
-    assert found.payload > 1.05 * line[0].payload
+    assert found.payload > 1.05 * line.payload
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_result_is_reproducible(line) -> None:
     again = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert again.to_dict() == line[0].to_dict()
-    np.testing.assert_array_equal(again.actions, line[0].actions)
+    assert again.to_dict() == line.to_dict()
+    np.testing.assert_array_equal(again.actions, line.actions)
 
 
 @pytest.mark.slow
@@ -197,7 +183,6 @@ def test_unverified_result_says_so_and_a_failed_fine_mesh_is_skipped(monkeypatch
     )
     found = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
     assert not found.verified
-    assert "not verified" in str(found)
 
 
 def test_best_of_several_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,7 +202,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, line) -> list[Any]:
 
     def solve(case: Any, _: Any) -> BestKnownPayload:
         calls.append(case)
-        return dataclasses.replace(line[0], payload=float(len(calls)))
+        return dataclasses.replace(line, payload=float(len(calls)))
 
     monkeypatch.setattr(best_known._Case, "solve", solve)
     return calls
@@ -230,9 +215,9 @@ def test_cached_result_equals_the_computed_one(solved: list[Any], cache: Path, l
     first, second = find_best_known(PLANAR_ID), find_best_known(PLANAR_ID)
     assert len(solved) == 2
     assert first.to_json() == second.to_json() == cached_best_known(PLANAR_ID).to_json()
-    assert second.meshes == line[0].meshes
-    np.testing.assert_array_equal(second.actions, line[0].actions)
-    np.testing.assert_array_equal(second.motion(0.3).position, line[0].motion(0.3).position)
+    assert second.meshes == line.meshes
+    np.testing.assert_array_equal(second.actions, line.actions)
+    np.testing.assert_array_equal(second.motion(0.3).position, line.motion(0.3).position)
 
 
 def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
@@ -252,15 +237,6 @@ def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
     assert len(solved) == len(problems)
 
 
-def test_cached_result_of_another_form_is_replaced(solved: list[Any], cache: Path) -> None:
-    find_best_known(PLANAR_ID)
-    (path,) = cache.iterdir()
-    with np.load(path) as file:
-        other_form = dict(file) | {"result": np.array(json.dumps({"payload": 5.0}))}
-    np.savez(path, **other_form)
-    assert find_best_known(PLANAR_ID).payload == 2.0
-
-
 # --- bad input --------------------------------------------------------------------------------------------------------
 
 
@@ -271,7 +247,6 @@ def test_cached_result_of_another_form_is_replaced(solved: list[Any], cache: Pat
         ({"env_id": "CableBot-Planar-v1"}, "CableBot-Planar-v0"),
         ({"robot": SPATIAL}, "does not fit CableBot-Planar-v0: use CableBot-Spatial-v0"),
         ({"trajectory": {"name": "circle-planar", "radius": 0.7}}, r"leaves the workspace of 'planar' at t = .*: x = "),
-        ({"control_frequency": float("nan")}, "control_frequency must be a finite number"),
         ({"control_frequency": 0.4}, "control_frequency must be a finite number greater than 0.5 Hz"),
     ],
 )

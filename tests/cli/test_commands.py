@@ -14,9 +14,8 @@ from pathlib import Path
 
 import pytest
 import typer
-from cli.conftest import Ended, names
+from cli.conftest import names
 
-from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
 from cablebot_gym.utils import console
 
@@ -54,18 +53,8 @@ def test_help_has_valid_examples_and_a_text_for_every_option(cablebot, name):
     assert line == f"cablebot: No such option: --no-such-option. Example: cablebot {examples[0]}\n"
 
 
-def test_help_lists_every_command_with_its_first_sentence(cablebot, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    text = cablebot("--help").out
-    assert max(map(len, text.splitlines())) <= 80
-    words = " ".join(text.split())
-    for name, command in COMMANDS.items():
-        sentence = re.match(r".+?\.(?=\s|$)", " ".join(command.help.split()))[0]
-        assert f" {name} {sentence}" in words
-    for status, meaning in ((0, "success"), (1, "failure"), (2, "invalid input"), (130, "interrupted")):
-        assert f" {status} {meaning}" in words
-    valid = cablebot("nosuch").message(2).partition("The commands are ")[2]
-    assert valid == ", ".join([*cli.BUILT_IN, "reproduce", "train"]) + ".\n"
+def test_help_lists_every_command(cablebot):
+    assert set(COMMANDS) <= set(cablebot("--help").out.split())
 
 
 def test_commands_of_the_readme_are_valid():
@@ -80,43 +69,29 @@ def test_commands_of_the_readme_are_valid():
 FL = ("dlcc", SPATIAL, *POLICY)
 MISTAKES = [
     (("nosuch",), "nosuch"),
-    (("list", "more"), ""),
     (("dlcc", "CableBot-Cubic-v0", *POLICY), "choose one of CableBot-Planar-v0, CableBot-Spatial-v0"),
     (("dlcc", SPATIAL, "--policy", "lqr"), "unknown policy 'lqr'; choose one of "),
-    (("dlcc", SPATIAL, "--policy", "nowhere.zip"), "'nowhere.zip' does not exist"),
     (("dlcc", SPATIAL, "--policy", "os:nosuch"), "'os' has no attribute 'nosuch'"),
-    (("dlcc", SPATIAL, "--policy", "nowhere.to:find"), "No module named 'nowhere'"),
     ((*FL, "--criterion", "both of them"), "--criterion"),
     ((*FL, "--trajectory", "spiral"), "unknown trajectory 'spiral'; choose one of paper-spatial"),
     ((*FL, "--trajectory", "{"), "--trajectory is not valid JSON"),
-    ((*FL, "--position-bound", "0"), "position"),
     ((*FL, "--payload-max", "-1"), "payload-max"),
-    ((*FL, "--resolution", "0"), "resolution"),
     ((*FL, "--control-frequency", "0"), "control-frequency"),
-    ((*FL, "--seed", "-1"), "seed"),
-    ((*FL, "--uncertainty", "table5"), "unknown uncertainty 'table5'"),
     ((*FL, "--uncertainty", "table6", "--draws", "2.5"), "--draws"),
     ((*FL, "--draws", "4"), "all 4 draws would be equal"),
-    ((*FL, "--confidence", "0"), "confidence"),
     ((*FL, "--out", "file/below"), "cannot write to folder"),
     (("compare", SPATIAL), "--policies"),
-    (("compare", SPATIAL, "--policies", " , "), "there is no policy to compare"),
     (("compare", SPATIAL, "--policies", "fl, fl"), "every policy needs its own name"),
     ((*ROLLOUT[:-2],), "--out"),
-    ((*ROLLOUT, "--payload", "nan"), "payload"),
     ((*ROLLOUT[:-1], "file/run.csv"), "cannot write to folder"),
     (("watch", PLANAR), "give either --policy with one name, or --policies with several"),
     (("video", PLANAR, "video.gif", *POLICY, "--size", "100000x100000"), ""),
-    (("video", PLANAR, "file/video.gif", *POLICY), "cannot write to folder"),
     (("benchmark", "--suite", "huge"), "unknown suite 'huge'; choose one of smoke, standard, full"),
-    (("benchmark", "--policies", "nosuch"), "unknown policy 'nosuch'"),
     (("benchmark", "--workers", "-1"), "workers must be"),
     (("benchmark", "--ray", "auto", "--workers", "1"), "--workers and --ray exclude each other"),
-    (("benchmark", "--out", "file/below"), "cannot write to folder"),
     (("train", PLANAR, "--out", "file/below"), ""),
     (("reproduce", "--only", "fig4"), "unknown part 'fig4'"),
     (("reproduce", "--minimum-tension", "-1"), "minimum-tension"),
-    (("reproduce", "--planar-apex", "sideways"), "sideways"),
 ]
 
 
@@ -157,11 +132,6 @@ def test_progress_in_a_log_has_the_time_left(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "recording: 104 of 200 episodes, 96 s left"
     assert 8 < len(lines) < 20
-    with console.progress("computing") as step:
-        step(1, 4, "first part")
-        now[0] += 300.0
-        step(2, 4)
-    assert capsys.readouterr().err == "first part: 50%, 10 min left\n"
 
 
 # --- processes --------------------------------------------------------------------------------------------------------
@@ -171,26 +141,12 @@ START = f"import signal, cablebot_gym.cli.app as c; signal.signal({int(signal.SI
 
 
 @pytest.mark.slow
-def test_installed_module_runs():
-    command = [sys.executable, "-m", "cablebot_gym.cli.app", "list", "--json"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert Ended(ran.returncode, ran.stdout, ran.stderr).data["env_ids"] == list(ENV_IDS)
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
-@pytest.mark.parametrize(
-    ("typed", "words"),
-    [
-        (("dlcc", PLANAR, *POLICY), "paper criterion"),
-        (("video", PLANAR, "video.gif", *POLICY, "--speed", "10"), "frames"),
-    ],
-    ids=["dlcc", "video"],
-)
-def test_terminal_shows_a_bar_with_the_time_left(tmp_path, typed, words):
+def test_terminal_shows_a_bar_with_the_time_left(tmp_path):
     terminal, end = os.openpty()
-    command, environment = [sys.executable, "-m", "cablebot_gym.cli.app", *typed], os.environ | {"TERM": "xterm"}
-    ran = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=end, cwd=tmp_path, env=environment, text=True)
+    command = [sys.executable, "-m", "cablebot_gym.cli.app", "dlcc", PLANAR, *POLICY]
+    pipes = {"stdout": subprocess.PIPE, "stderr": end, "text": True}
+    ran = subprocess.Popen(command, cwd=tmp_path, env=os.environ | {"TERM": "xterm"}, **pipes)
     os.close(end)
     shown = b""
     try:
@@ -201,7 +157,7 @@ def test_terminal_shows_a_bar_with_the_time_left(tmp_path, typed, words):
     os.close(terminal)
     out, _ = ran.communicate()
     assert ran.returncode == 0, shown
-    assert all(part in shown.decode() for part in (words, "━", "left"))
+    assert all(part in shown.decode() for part in ("paper criterion", "━", "left"))
     assert "\x1b" not in out
 
 
@@ -216,30 +172,19 @@ def is_alive(group):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize(
-    ("typed", "finished", "words"),
-    [
-        (("reproduce", "--only", "fig3,scan"), "fig3.svg", "--only scan"),
-        (
-            ("benchmark", "--suite", "standard", "--ids", PLANAR, "--policies", "fl"),
-            "cells/*-fl-*",
-            "Resume with: cablebot benchmark --suite standard",
-        ),
-    ],
-    ids=["reproduce", "benchmark"],
-)
-def test_interrupt_keeps_results_and_leaves_no_process(tmp_path, typed, finished, words):
-    command = [sys.executable, "-c", START + "c.main()", *typed, "--workers", "2", "--out", str(tmp_path)]
+def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
+    typed = ("reproduce", "--only", "fig3,scan", "--workers", "2", "--out", str(tmp_path))
+    command = [sys.executable, "-c", START + "c.main()", *typed]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, start_new_session=True, **pipes)
     deadline = time.monotonic() + 120
-    while not any(tmp_path.glob(finished)) and time.monotonic() < deadline:
+    while not (tmp_path / "fig3.svg").exists() and time.monotonic() < deadline:
         time.sleep(0.1)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert words in " ".join(err.split())
+    assert "--only scan" in " ".join(err.split())
     while is_alive(process.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not is_alive(process.pid)

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 from cli.conftest import LOST, names
-
-from cablebot_gym.cli.dlcc import print_payloads
-from cablebot_gym.evaluation import evaluate_dlcc
 
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 HANG = '{"name": "dwell-spatial", "duration": 0.05}'
@@ -106,13 +101,6 @@ def test_policy_that_fails_unloaded_has_no_payload(cablebot, toys):
     assert (result["payload"], result["total_mass"], result["feasible"]) == (None, None, [])
 
 
-def test_policy_for_other_robots_runs_with_a_note(cablebot):
-    other = ("dlcc", "CableBot-FlexSpatial-v0", "--policy", "fl", "--trajectory", HANG, "--criterion", "task")
-    ended = cablebot(*other, "--payload-max", "1", "--resolution", "1")
-    note = "note: fl is designed for CableBot-Planar-v0, CableBot-Spatial-v0, not for CableBot-FlexSpatial-v0\n"
-    assert (ended.status, ended.err) == (0, note)
-
-
 def test_out_has_json_and_figures(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
     ended = cablebot("dlcc", PLANAR, "--policy", "fl", "--criterion", "task", "--out", folder, "--json")
@@ -123,31 +111,24 @@ def test_out_has_json_and_figures(cablebot, tmp_path):
         assert name in ended.err
 
 
-@pytest.mark.usefixtures("no_work")
-def test_unwritable_folder_is_found_before_the_work(cablebot, tmp_path):
-    file = tmp_path / "file"
-    file.write_text("kept", encoding="utf-8")
-    for below in ("", "sub/deeper"):
-        assert "cannot write to folder" in cablebot(*QUICK, "--out", file / below).message(2)
-    assert file.read_text(encoding="utf-8") == "kept"
+def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monkeypatch):
+    (tmp_path / "path-task.png").write_text("old", encoding="utf-8")
 
-
-@pytest.mark.parametrize("after", [0, 1], ids=["first criterion", "figure"])
-def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monkeypatch, after):
-    (tmp_path / "result.json").write_text("old", encoding="utf-8")
-
-    def interrupt(*arguments, **_):
-        if after:  # in the figure
-            arguments[1].write_bytes(b"\x89PNG half")
+    def interrupt(figure, path, **_):
+        path.write_bytes(b"\x89PNG half")
         raise KeyboardInterrupt
 
-    target = "matplotlib.figure.Figure.savefig" if after else "cablebot_gym.evaluation.evaluator.evaluate_dlcc"
-    monkeypatch.setattr(target, interrupt)
-    ended = cablebot(*QUICK, "--out", tmp_path)
-    assert ended.status == 130
-    assert "interrupted" in ended.err
-    assert [name for name in names(tmp_path) if name != "work"] == ["result.json"]
-    assert after or (tmp_path / "result.json").read_text(encoding="utf-8") == "old"
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupt)
+    assert "interrupted" in cablebot(*QUICK, "--out", tmp_path).message(130)
+    assert [name for name in names(tmp_path) if name.endswith("png")] == ["path-task.png"]
+    assert (tmp_path / "path-task.png").read_text(encoding="utf-8") == "old"
+
+
+def test_table_over_draws_has_their_number_and_the_assured_payload(cablebot):
+    text = " ".join(cablebot(*(one for one in DRAWN if one != "--json")).out.split())
+    assert "payload known, table6, 4 draws" in text
+    assert "required success rate: 50% of the draws" in text
+    assert "assured payload" in text
 
 
 @pytest.mark.parametrize(
@@ -162,27 +143,3 @@ def test_error_of_a_policy_names_payload_and_time(cablebot, toys, name, words):
     assert line.startswith(f"cablebot: policy '{toys(name)}'")
     assert all(part in line for part in words)
     assert "no factory today" in cablebot("dlcc", PLANAR, "--policy", toys("unmakeable")).message(2)
-
-
-@pytest.fixture(scope="module")
-def result():
-    motion = {"name": "dwell-spatial", "duration": 0.05}
-    options = {"draws": 60, "probability": 0.9, "trajectory": motion, "payload_max": 3.0, "resolution": 0.5}
-    return evaluate_dlcc("fl", SPATIAL, uncertainty="table6", **options)
-
-
-def test_table_over_draws_has_draws_counts_and_bound(result, capsys):
-    changes = {"payload": 1.5, "total_mass": 11.5, "assured_payload": 1.25, "resolution": 0.05}
-    changed = dataclasses.replace(result, failures={"position": 7, "slack": 2}, policy="a[b]", **changes)
-    print_payloads([changed, dataclasses.replace(result, assured_payload=None)], ["paper"])
-    text = " ".join(capsys.readouterr().out.split())
-    for part in (
-        f"{SPATIAL}, a[b], dwell-spatial, payload known, table6, 60 draws",
-        "1.500 kg │ 11.500 kg │ position in 7, slack in 2 of 60 draws; ",
-        "resolution 50 g",
-        "required success rate: 90% of the draws",
-        "task: assured payload 1.25 kg (95%/90% lower tolerance bound)",
-        "task: no assured payload with 95% confidence from 60 draws",
-        "the scan ended at 3 kg: try a larger --payload-max",
-    ):
-        assert part in text

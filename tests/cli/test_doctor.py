@@ -75,14 +75,6 @@ def test_plant_that_moves_under_static_torques_is_a_fault(monkeypatch):
     assert all("moves by" in finding.text for finding in wrong)
 
 
-def test_unwritable_cache_is_a_fault(monkeypatch, tmp_path):
-    monkeypatch.setenv("CABLEBOT_CACHE", str(tmp_path / "kept"))
-    monkeypatch.setattr(doctor.os, "access", lambda path, mode: path != tmp_path)
-    finding = findings()["plans and best known payloads"]
-    assert finding.ok is False
-    assert str(tmp_path / "kept") in finding.text
-
-
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])
 def test_exit_status_is_1_for_faults_only(monkeypatch, capsys, good, status):
     monkeypatch.setattr("sys.argv", ["cablebot", "doctor"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 
 from cablebot_gym import ENV_IDS
@@ -11,14 +9,7 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
-from cablebot_gym.uncertainty import (
-    PARAMETERS,
-    UNCERTAINTIES,
-    ExternalWrench,
-    ParameterDistribution,
-    SensorNoise,
-    find_uncertainty,
-)
+from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, find_uncertainty
 
 
 @pytest.fixture
@@ -36,14 +27,9 @@ def test_json_has_every_name(data):
     assert fl in data["policies"]
 
 
-def test_text_has_every_name_field_and_unit(cablebot, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "110")
-    text = cablebot("list").out
-    assert max(map(len, text.splitlines())) <= 110
-    words = set(text.replace("(", " ").split())
-    kinds = [*(type(make()) for make in TRAJECTORIES.values()), ParameterDistribution, ExternalWrench, SensorNoise]
-    fields = {field.name for kind in kinds for field in dataclasses.fields(kind)} - {"name"}
-    for expected in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries(), fields):
+def test_text_has_every_name_and_unit(cablebot):
+    words = set(cablebot("list").out.replace("(", " ").split())
+    for expected in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries()):
         assert set(expected) <= words
     assert {parameter.unit for parameter in PARAMETERS.values()} <= words
 

@@ -10,17 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import env_robot
 from cablebot_gym.physics import kernel, textbook
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot, Transmission
+from cablebot_gym.robots import Motors, Robot, Transmission, find_robot
 from cablebot_gym.trajectories import Reference
-from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, SensorNoise, Uncertainty
+from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, Uncertainty
 
-ROBOTS = {
-    "CableBot-Planar-v0": PLANAR,
-    "CableBot-Spatial-v0": SPATIAL,
-    "CableBot-FlexPlanar-v0": FLEX_PLANAR,
-    "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
-}
+ROBOTS = {env_id: find_robot(env_robot(env_id)) for env_id in ENV_IDS}
 MEASURED = ("pose", "velocity", "motor_angle", "motor_speed")
 each_id = pytest.mark.parametrize("env_id", list(ROBOTS))
 two_ids = pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexSpatial-v0"])
@@ -108,16 +105,16 @@ def replaced(robot: Robot, truth) -> Robot:
     )
 
 
-def check_plant(env_id, uncertainty, names):
+@each_parameter
+def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
     """The uncertain environment is the one of a robot that nominally has the drawn values."""
     keywords = {"payload": 1.5, "payload_known": False, "substeps": 8}
+    uncertainty = Uncertainty(parameters={name: spread_of(name)})
     uncertain, usual = (single(env_id, uncertainty=form, **keywords) for form in (uncertainty, None))
     actions = random_actions(env_id, 30)
     ours, theirs = rollout(uncertain, actions, seed=3), rollout(usual, actions, seed=3)
-    truth = uncertain.truth
-    nominal = usual.truth
-    for name in nominal:
-        assert (not np.array_equal(truth[name], nominal[name])) == (name in names), name
+    truth, nominal = uncertain.truth, usual.truth
+    assert [other for other in nominal if not np.array_equal(truth[other], nominal[other])] == [name]
     known = single(env_id, **keywords | {"payload": float(truth["payload"])}, robot=replaced(ROBOTS[env_id], truth))
     made = rollout(known, actions, seed=3)
     blocks = [part for part in MEASURED if part in uncertain.layout.slices()]
@@ -127,27 +124,8 @@ def check_plant(env_id, uncertainty, names):
     for key in ("payload", "tensions", "torques", "motor_speeds", "tracking_error", "slack"):
         np.testing.assert_allclose(ours[1][key], made[1][key], rtol=1e-10, atol=1e-10, err_msg=key)
     assert max(np.abs(states[0][block] - states[1][block]).max() for block in blocks) > 1e-7
-    return ours
-
-
-@each_parameter
-def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
-    uncertainty = Uncertainty(parameters={name: spread_of(name)})
-    ours = check_plant(env_id, uncertainty, {name})
     if name == "payload":
         assert np.all(ours[1]["payload"] > 1.5 * 1.05 - 1e-12)
-
-
-@each_id
-def test_truth_is_nominal_without_uncertainty(env_id):
-    env = single(env_id, payload=1.25)
-    env.reset(seed=0)
-    robot = ROBOTS[env_id]
-    env.truth["motor_strength"][...] = 99.0  # a copy
-    assert set(env.truth) == {name for name in PARAMETERS if has(robot, name)}
-    for name, value in env.truth.items():
-        expected = 1.25 if name == "payload" else getattr(robot, PARAMETERS[name].attribute)
-        np.testing.assert_array_equal(value, expected, err_msg=name)
 
 
 # -------------------------------------------------------------------------------------------------------- table 6
@@ -157,6 +135,8 @@ def test_truth_is_nominal_without_uncertainty(env_id):
 def test_table_6_draws_mass_and_stiffness_only(env_id):
     env, robot = batch(env_id, 2000, uncertainty="table6"), ROBOTS[env_id]
     env.reset(seed=11)
+    env.truth["motor_strength"][...] = 99.0  # a copy
+    assert set(env.truth) == {name for name in PARAMETERS if has(robot, name)}
     mass = env.truth["platform_mass"] / robot.mass
     assert stats.kstest(mass, stats.uniform(0.9, 0.2).cdf).pvalue > 0.01
     if robot.flexible:
@@ -225,20 +205,14 @@ def test_wrench_factor_is_drawn_once_per_episode_and_component():
     assert np.abs(np.corrcoef(both.T) - np.eye(12)).max() < 0.25
 
 
-def test_wrench_acts_on_its_environment_and_episode_only():
-    env = batch("CableBot-Spatial-v0", 2)
-    env.reset(seed=0, options={"uncertainty": ["table6", None]})
-    found = wrenches(env, 3)
-    assert np.all(found[:, 0, :3] != 0)
-    assert not found[:, 1].any()
-    env.reset()
-    assert not wrenches(env, 7).any()
-
-
-def push(env_id, wrench):
-    """Initial acceleration under a wrench at the home pose, with zero action."""
-    frequency = 1e4
-    robot = ROBOTS[env_id]
+@each_id
+@pytest.mark.parametrize("axis", range(6))
+def test_constant_wrench_has_the_acceleration_of_the_closed_form(env_id, axis):
+    """(D + (J/r²) SᵀS) Ẍ = w at the home pose, to which a rigid robot without torque adds its weight."""
+    robot, frequency = ROBOTS[env_id], 1e4
+    w = np.zeros(6)
+    w[axis % 2 if robot.planar else axis] = 3.0
+    wrench = ExternalWrench(force_mean=tuple(w[: 2 if robot.planar else 3]), moment_mean=tuple(w[3:]))
     env = single(
         env_id,
         trajectory={"name": f"dwell-{kind(env_id)}", "pose": robot.home.tolist()},
@@ -247,20 +221,7 @@ def push(env_id, wrench):
         uncertainty=Uncertainty(wrench=wrench),
     )
     env.reset(seed=0)
-    observation = env.step(np.zeros(robot.cables))[0]
-    return env.layout.split(observation)["velocity"] * frequency
-
-
-@each_id
-@pytest.mark.parametrize("axis", range(6))
-def test_constant_wrench_has_the_acceleration_of_the_closed_form(env_id, axis):
-    """(D + (J/r²) SᵀS) Ẍ = w, to which a rigid robot without torque adds its weight."""
-    robot = ROBOTS[env_id]
-    if robot.planar:
-        axis %= 2
-    w = np.zeros(6)
-    w[axis] = 3.0
-    wrench = ExternalWrench(force_mean=tuple(w[: 2 if robot.planar else 3]), moment_mean=tuple(w[3:]))
+    velocity = env.layout.split(env.step(np.zeros(robot.cables))[0])["velocity"]
     structure = textbook.jacobian(robot, robot.home)
     reflected = structure.T @ ((robot.pulley_inertia / robot.pulley_radius**2)[:, None] * structure)
     matrix = textbook.mass_matrix(robot, robot.mass, robot.home) + reflected
@@ -268,7 +229,7 @@ def test_constant_wrench_has_the_acceleration_of_the_closed_form(env_id, axis):
     if not robot.planar and not robot.flexible:
         load[2] += robot.mass * robot.gravity
     expected = np.linalg.solve(matrix, load)
-    np.testing.assert_allclose(push(env_id, wrench), expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(velocity * frequency, expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max())
 
 
 # -------------------------------------------------------------------------------------------------------- sensors
@@ -285,6 +246,8 @@ def test_sensor_noise_is_white_and_affects_measured_blocks_only(env_id):
     np.testing.assert_array_equal(ours[2], theirs[2])
     np.testing.assert_array_equal(noisy.pose, clean.pose)
     noise = noisy.layout.split(ours[0] - theirs[0])
+    again = noisy.reset()[0] - clean.reset()[0]
+    assert not np.intersect1d(again[again != 0], ours[0][0] - theirs[0][0]).size, "the next episode has other noise"
     places = 2 if robot.planar else 3
     sigma = {"pose": (1e-4, 2e-4), "velocity": (2e-3, 4e-3), "motor_angle": (1e-3,) * 2, "motor_speed": (1e-2,) * 2}
     seen = []
@@ -307,33 +270,20 @@ def test_sensor_noise_is_white_and_affects_measured_blocks_only(env_id):
     assert np.abs(lanes).max() < 6 / np.sqrt(151 * white.shape[-1])
 
 
-@pytest.mark.parametrize("field", ["position", "rotation", "velocity", "rotation_rate", "motor_angle", "motor_speed"])
-def test_each_sensor_has_its_own_noise(field):
-    noise = Uncertainty(sensors=SensorNoise(**{field: 1e-3}))
-    noisy, clean = (single("CableBot-FlexSpatial-v0", uncertainty=form) for form in (noise, None))
-    difference = noisy.reset(seed=0)[0] - clean.reset(seed=0)[0]
-    part = noisy.layout.split(difference)
-    places = {
-        **{"position": part["pose"][:3], "rotation": part["pose"][3:]},
-        **{"velocity": part["velocity"][:3], "rotation_rate": part["velocity"][3:]},
-        **{"motor_angle": part["motor_angle"], "motor_speed": part["motor_speed"]},
-    }
-    assert np.all(places[field] != 0)
-    assert np.count_nonzero(difference) == places[field].size
-    again = noisy.reset()[0] - clean.reset()[0]
-    assert not np.intersect1d(again[again != 0], difference).size  # the next episode has other noise
-
-
-def test_noise_affects_its_environment_and_episode_only():
+def test_noise_and_wrench_affect_their_environment_and_episode_only():
     env, clean = batch("CableBot-FlexPlanar-v0", 3), batch("CableBot-FlexPlanar-v0", 3)
-    forms = ["sensors", None, {"sensors": {"velocity": 0.01}}]
+    forms = ["table6+sensors", None, {"sensors": {"velocity": 0.01}}]
     noise = env.reset(seed=0, options={"uncertainty": forms})[0] - clean.reset(seed=0)[0]
     assert np.count_nonzero(noise[0]) == 2 + 2 + 3 + 3
     assert not noise[1].any()
     assert np.flatnonzero(noise[2]).tolist() == [2, 3]
+    found = wrenches(env, 3)
+    assert np.all(found[:, 0, :2] != 0)
+    assert not found[:, 1:].any()
     np.testing.assert_array_equal(env.reset()[0], clean.reset()[0])
     action = np.full((3, 3), 0.4)
     np.testing.assert_array_equal(env.step(action)[0], clean.step(action)[0])
+    assert not wrenches(env, 7).any()
 
 
 # ---------------------------------------------------------------------------------------------------------- delay
@@ -387,16 +337,9 @@ def test_actions_arrive_delayed(env_id, delay):
 
 @each_id
 def test_motors_hold_the_true_robot_until_the_first_action_arrives(env_id):
-    spreads = {"payload": spread_of("payload"), "platform_mass": spread_of("platform_mass")}
-    if ROBOTS[env_id].flexible:
-        spreads["stiffness"] = spread_of("stiffness")
-    spreads["motor_strength"] = spread_of("motor_strength")
-    env = single(
-        env_id,
-        payload=2.0,
-        trajectory=f"dwell-{kind(env_id)}",
-        uncertainty=Uncertainty(parameters=spreads, delay=5),
-    )
+    names = ["payload", "platform_mass", "motor_strength", *(["stiffness"] if ROBOTS[env_id].flexible else [])]
+    uncertainty = Uncertainty(parameters={name: spread_of(name) for name in names}, delay=5)
+    env = single(env_id, payload=2.0, trajectory=f"dwell-{kind(env_id)}", uncertainty=uncertainty)
     env.reset(seed=0)
     assert env.truth["payload"] > 2.05
     zero = np.zeros(ROBOTS[env_id].cables)

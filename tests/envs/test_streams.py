@@ -36,10 +36,6 @@ def single(env_id="CableBot-Spatial-v0", **keywords) -> Any:
     return gym.make(env_id, **keywords).unwrapped
 
 
-def batch(env_id, count, **keywords) -> Any:
-    return gym.make_vec(env_id, num_envs=count, **keywords).unwrapped
-
-
 def forces(env):
     """Present external forces, (N, 3)."""
     plant = env._simulation._plant
@@ -95,20 +91,6 @@ def test_streams_do_not_depend_on_what_was_read():
         np.testing.assert_array_equal(disturbed.uniform(indices(0, 1), purpose, 5), ours)
 
 
-def test_environments_of_equal_seed_and_episode_have_equal_numbers():
-    made = streams(8, 9, 8)
-    found = made.uniform(indices(0, 1, 2), Purpose.WRENCH, 6)
-    np.testing.assert_array_equal(found[0], found[2])
-    assert not np.any(found[0] == found[1])
-    np.testing.assert_array_equal(made.uniform(indices(2, 1), Purpose.WRENCH, 6), found[[2, 1]])
-    made.start_episode(indices(2))
-    later = made.uniform(indices(0, 1, 2), Purpose.WRENCH, 6)
-    np.testing.assert_array_equal(later[:2], found[:2])
-    assert not np.any(later[2] == found[0])
-    blocks = made.normal(indices(0, 0), Purpose.WRENCH, indices(0, 1), 2)
-    assert not np.any(blocks[0] == blocks[1])
-
-
 def test_rows_depend_on_the_interval_only():
     made = streams(1, 2)
     reader = NormalRows(made, Purpose.SENSORS, 2, 3)
@@ -134,17 +116,18 @@ def test_rows_depend_on_the_interval_only():
 
 
 def drawn(env_id, episodes=4, seed=5, steps=(0,), **keywords):
-    """Nominal payload, start error, true mass and first force of some episodes of given lengths."""
+    """Nominal payload, start error, true mass, first force and noise of some episodes of given lengths."""
     env = single(env_id, payload_range=(0.5, 2.0), initial_error_range=errors(env_id), **keywords)
     found = []
     for number in range(episodes):
-        env.reset(seed=seed if number == 0 else None)
+        observation, _ = env.reset(seed=seed if number == 0 else None)
+        noise = env.layout.split(observation)["pose"] - env.pose
         error = env.pose - env.settings.trajectory(0.0).position
         mass, force = env.truth["platform_mass"], []
         for _ in range(max(1, steps[number % len(steps)])):
             env.step(np.full(env.action_space.shape, 0.4))
             force.append(forces(env)[0])
-        found.append((env.task.model_payload, error, mass, force[0]))
+        found.append((env.task.model_payload, error, mass, force[0], noise))
     return [np.array(column) for column in zip(*found, strict=True)]
 
 
@@ -152,61 +135,27 @@ def errors(env_id):
     return [0.001] * (2 if "Planar" in env_id else 6)
 
 
-UNCERTAIN = {
-    "mass": Uncertainty(parameters=MASS),
-    "payload": {"parameters": {"payload": {"low": -0.5, "high": 0.5}}},
-    "wrench": Uncertainty(wrench=FORCES),
-    "sensors": "sensors",
-    "delay": {"delay": 3},
-    "mass and wrench": Uncertainty(parameters=MASS, wrench=FORCES),
-    "all": Uncertainty(
-        parameters=MASS
-        | {
-            "motor_strength": ParameterDistribution(low=-0.1, high=0.1),
-            "payload": ParameterDistribution(low=-0.5, high=0.5),
-        },
-        wrench=FORCES,
-        sensors=SensorNoise(position=1e-3),
-        delay=2,
-    ),
-}
-
-
 @each_id
 def test_draws_do_not_depend_on_the_other_uncertainties(env_id):
+    noise = SensorNoise(position=1e-3)
+    others = MASS | {name: ParameterDistribution(low=-0.1, high=0.1) for name in ("motor_strength", "payload")}
+    forms = {
+        "mass": Uncertainty(parameters=MASS),
+        "wrench": Uncertainty(wrench=FORCES),
+        "sensors": Uncertainty(sensors=noise),
+        "all": Uncertainty(parameters=others, wrench=FORCES, sensors=noise, delay=2),
+    }
     usual = drawn(env_id)
     assert len(np.unique(usual[0])) == 4
-    found = {name: drawn(env_id, uncertainty=form) for name, form in UNCERTAIN.items()}
-    for name, (payload, error, mass, force) in found.items():
-        np.testing.assert_array_equal(payload, usual[0], err_msg=name)
-        np.testing.assert_array_equal(error, usual[1], err_msg=name)
-        assert bool(np.ptp(mass)) == (name in ("mass", "mass and wrench", "all")), name
-        assert bool(np.ptp(force)) == (name in ("wrench", "mass and wrench", "all")), name
-    np.testing.assert_array_equal(found["mass"][2], found["mass and wrench"][2])
-    np.testing.assert_array_equal(found["mass"][2], found["all"][2])
-    for name in ("mass and wrench", "all"):
-        np.testing.assert_array_equal(found["wrench"][3], found[name][3])
-
-
-def noise_of(env_id, uncertainty, steps=70):
-    """Difference of the observations with and without sensor noise."""
-    exact = {"parameters": uncertainty.parameters, "wrench": uncertainty.wrench, "delay": uncertainty.delay}
-    found = []
-    for form in (uncertainty, Uncertainty(**exact)):
-        env = single(env_id, uncertainty=form)
-        observations = [env.reset(seed=2)[0]]
-        observations += [env.step(np.full(env.action_space.shape, 0.4))[0] for _ in range(steps)]
-        found.append(np.array(observations))
-    return found[0] - found[1]
-
-
-@two_ids
-def test_noise_does_not_depend_on_the_other_uncertainties(env_id):
-    noise = SensorNoise(position=1e-3, velocity=1e-2)
-    alone = noise_of(env_id, Uncertainty(sensors=noise))
-    among = noise_of(env_id, Uncertainty(sensors=noise, parameters=MASS, wrench=FORCES, delay=2))
-    np.testing.assert_allclose(among, alone, atol=1e-13)
-    assert alone.std() > 1e-4
+    found = {name: drawn(env_id, uncertainty=form) for name, form in forms.items()}
+    for name, draws in found.items():
+        for one, other in zip(draws[:2], usual[:2], strict=True):
+            np.testing.assert_array_equal(one, other, err_msg=name)
+        varies = [bool(np.ptp(column)) for column in draws[2:]]
+        assert varies == [name in (own, "all") for own in ("mass", "wrench", "sensors")], name
+    for place, name in ((2, "mass"), (3, "wrench")):
+        np.testing.assert_array_equal(found[name][place], found["all"][place])
+    np.testing.assert_allclose(found["sensors"][4], found["all"][4], atol=1e-15)
 
 
 @two_ids
@@ -233,33 +182,15 @@ def test_seed_determines_all_draws(env_id, seed):
         assert not np.any((first[3] == other[3])[:, :2])
 
 
-def test_noise_of_a_long_episode_does_not_repeat():
-    steps = 13 * BLOCK + 5
-    keywords = {"trajectory": "dwell-planar", "slack_time": 99.0}
-    noisy, exact = (single("CableBot-Planar-v0", uncertainty=form, **keywords) for form in ("sensors", None))
-    assert steps > 400
-    rows = [noisy.reset(seed=0)[0] - exact.reset(seed=0)[0]]
-    rows += [noisy.step(np.full(3, 0.2))[0] - exact.step(np.full(3, 0.2))[0] for _ in range(steps)]
-    speed = np.array(rows)[:, 2:4] / 2e-3
-    assert len(np.unique(speed.round(9))) > 0.999 * speed.size
-    for lag in (1, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK, 8 * BLOCK):
-        assert abs(np.mean(speed[lag:] * speed[:-lag])) < 5 / np.sqrt(speed[lag:].size), lag
-    assert stats.kstest(speed.ravel(), "norm").pvalue > 0.01
-
-
 def test_noise_and_wrench_have_different_numbers():
-    env_id = "CableBot-FlexSpatial-v0"
-    form = Uncertainty(
-        sensors=SensorNoise(position=1.0, rotation=1.0, velocity=1.0, rotation_rate=1.0, motor_angle=1, motor_speed=1),
-        wrench=ExternalWrench(force_std=1.0, moment_std=1.0, correlation_time=0.002),
-    )
-    env = batch(env_id, 1, uncertainty=form)
+    wrench = ExternalWrench(force_std=1.0, correlation_time=0.002)
+    env = single("CableBot-FlexSpatial-v0", uncertainty=Uncertainty(sensors=SensorNoise(position=1.0), wrench=wrench))
     env.reset(seed=0)
-    noise, wrench = [], []
+    noises, wrenches = [], []
     for _ in range(BLOCK):
-        noise.append(env._simulation._disturbances.noise[0].copy())
-        env._simulation.step(np.full(env.action_space.shape, 0.4))
-        wrench.append(forces(env)[0, :2])
-    noise, wrench = np.array(noise).round(12), np.array(wrench).round(12)
-    assert len(np.unique(noise)) == noise.size
-    assert np.intersect1d(noise, wrench).size == 0
+        noises.append(env._simulation._disturbances.noise[0].copy())
+        env.step(np.full(env.action_space.shape, 0.4))
+        wrenches.append(forces(env)[0])
+    noise = np.unique(np.round(noises, 12))
+    assert len(noise) == 3 * BLOCK + 1, "and zeros"
+    assert np.intersect1d(noise, np.round(wrenches, 12)).size == 0

@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import structure_jacobian
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
@@ -30,7 +29,7 @@ def displaced(kind, x):
 
 
 def step(env, action):
-    """Reward, flags and info of a step with the same action for all motors."""
+    """Reward, flags and info of a step, whose action may be the same for all motors."""
     return env.step(np.full(env.action_space.shape, action))[1:]
 
 
@@ -102,14 +101,9 @@ def test_short_slack_does_not_add_up(kind):
 
 
 def test_one_slack_cable_terminates():
-    env = make("spatial", termination_radius=5.0)
     action = np.full(6, 0.9)
     action[3] = -0.9
-    env.reset()
-    for _ in range(60):
-        _, _, terminated, _, info = env.step(action)
-        if terminated:
-            break
+    info = last_step(make("spatial", termination_radius=5.0), action, 60)[2]
     assert info["termination_reason"] == "slack"
     assert info["slack"][3]
     assert not info["slack"].all()
@@ -129,13 +123,6 @@ def test_pose_outside_the_workspace_terminates(kind):
             assert (terminated, info["termination_reason"]) == (reason != "", reason)
 
 
-def test_non_finite_state_terminates():
-    env = make("planar", termination_radius=5.0)
-    number, reward, info = last_step(env, 0.2, 1, initial_error=PLANAR.base[0])  # on an anchor
-    assert (number, info["termination_reason"]) == (1, "non_finite")
-    assert reward < -0.9
-
-
 def test_non_finite_state_is_bounded_and_earns_nothing():
     """Physics steps that are far too long, under actions that alternate."""
     env = make("spatial", trajectory="paper-spatial", control_frequency=20.0, substeps=1)
@@ -151,6 +138,7 @@ def test_non_finite_state_is_bounded_and_earns_nothing():
     for name in ("tracking_error", "rotation_error", "rotation_error_peak"):
         assert info[name] > 1e3
     assert max(info["reward_position"], info["reward_rotation"]) < 1e-3
+    assert info["reward_failure"] == -1.0
 
 
 def test_bilateral_cables_push():
@@ -184,40 +172,25 @@ def random_run(kind, steps=150, radius=5.0, **keywords):
 
 
 @each_kind
-def test_commanded_action_is_the_raw_action_and_torques_are_clipped(kind):
-    _, actions, _, _, info = random_run(kind)
+def test_info_has_the_raw_action_clipped_torques_and_slack_at_the_start_of_the_period(kind):
+    env, actions, observations, _, info = random_run(kind, substeps=1)
     robot = ROBOTS[kind]
     np.testing.assert_array_equal(info["commanded_action"], actions)
     assert np.abs(actions).max() > 1.2
     drop = robot.speed_slope * info["motor_speeds"]
-    upper, lower = robot.stall_torque - drop, -robot.stall_torque - drop
     assert np.abs(drop).max() > 0.05
-    assert np.all(info["torques"] <= upper + 1e-12)
-    assert np.all(info["torques"] >= lower - 1e-12)
     wanted = robot.stall_torque * np.clip(actions, -1, 1) - drop
     np.testing.assert_allclose(info["torques"], wanted, atol=1e-12)
     np.testing.assert_allclose(info["torque_margin"], robot.stall_torque * (1 - np.abs(actions)), atol=1e-12)
-
-
-@each_kind
-def test_cable_quantities_are_those_at_the_start_of_the_period(kind):
-    env, _, observations, _, info = random_run(kind)
-    part = env.layout.split(observations)
     np.testing.assert_allclose(info["action_time"], np.arange(150) / 500, atol=1e-12)
     np.testing.assert_allclose(info["time"], np.arange(1, 151) / 500, atol=1e-12)
-    robot = ROBOTS[kind]
+    part = env.layout.split(observations)
     for number in range(0, 150, 7):
         jacobian = structure_jacobian(robot.base, robot.platform, part["pose"][number])
         speeds = jacobian @ part["velocity"][number] / -robot.pulley_radius
         np.testing.assert_allclose(info["motor_speeds"][number], speeds, atol=1e-9)
-
-
-@each_kind
-def test_slack_marks_cables_without_tension(kind):
-    _, _, _, _, info = random_run(kind, substeps=1)
-    loose = info["tensions"] == 0.0
-    np.testing.assert_array_equal(info["slack"], loose)
-    assert 0.05 < loose.mean() < 0.95
+    np.testing.assert_array_equal(info["slack"], info["tensions"] == 0.0)
+    assert 0.05 < info["slack"].mean() < 0.95
     assert np.all(info["tensions"] >= 0)
 
 
@@ -290,20 +263,7 @@ def test_reward_is_the_sum_of_its_weighted_terms(kind, weight):
 # ---------------------------------------------------------------------------------------------------- uncertainty
 
 
-@each_kind
-def test_reward_and_termination_use_the_true_state(kind):
-    noise = {"sensors": {"position": 0.5, "velocity": 5.0}}
-    robot = ROBOTS[kind]
-    noisy, clean = make(kind, uncertainty=noise), make(kind)
-    policy = FeedbackLinearization(robot)
-    noisy.reset(seed=0)
-    observation, _ = clean.reset(seed=0)
-    seen = []
-    for _ in range(30):
-        action, _ = policy.predict(observation)
-        observation, reward, terminated, _, info = clean.step(action)
-        measured, *ours = noisy.step(action)
-        assert ours[:2] == [reward, terminated] == [reward, False]
-        assert ours[3]["tracking_error"] == info["tracking_error"] < 1e-6
-        seen.append(np.linalg.norm(noisy.layout.split(measured)["pose"][:2] - noisy.pose[:2]))
-    assert max(seen) > noisy.settings.termination_radius
+def test_termination_uses_the_true_state():
+    env = make("spatial", uncertainty={"sensors": {"position": 0.5}})
+    env.reset(seed=0)
+    assert not any(step(env, 0.3)[1] for _ in range(10))

@@ -81,20 +81,15 @@ def check_same(ours, theirs):
 # ------------------------------------------------------------------------------------- against single environments
 
 
-@each_id
-@each_mode
-@pytest.mark.parametrize("count", [1, 33])
-def test_every_environment_equals_the_single_one_bit_for_bit(env_id, mode, count):
-    steps = 60
-    ours = make(env_id, count, max_episode_steps=LIMIT, autoreset_mode=mode, **RUGGED[env_id])
-    single = [lambda: gym.make(env_id, max_episode_steps=LIMIT, **RUGGED[env_id])] * count
-    theirs = SyncVectorEnv(single, autoreset_mode=mode)
+def check_run(ours, theirs, actions):
+    """Compares the runs; the reasons of their ends, and the numbers of restarts and of time limits."""
+    mode = ours.metadata["autoreset_mode"]
     assert ours.single_observation_space == theirs.single_observation_space
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
     check_same(ours.reset(seed=7), theirs.reset(seed=7))
-    reasons, truncations, restarts = set(), 0, 0
-    for action in random_actions(env_id, count, steps):
+    reasons, restarts, truncations = set(), 0, 0
+    for action in actions:
         one, other = ours.step(action), theirs.step(action)
         check_same(one, other)
         terminated, truncated, info = one[2], one[3], one[4]
@@ -102,10 +97,24 @@ def test_every_environment_equals_the_single_one_bit_for_bit(env_id, mode, count
         last = info.get("final_info", info)
         assert np.array_equal(last["termination_reason"] != "", terminated)
         reasons |= set(last["termination_reason"])
-        truncations += truncated.sum()
-        restarts += ended.sum()
+        restarts, truncations = restarts + ended.sum(), truncations + truncated.sum()
         if mode is AutoresetMode.DISABLED and ended.any():
             check_same(ours.reset(options={"reset_mask": ended}), theirs.reset(options={"reset_mask": ended}))
+        truth, singles = ours.truth, [env.unwrapped.truth for env in theirs.envs]
+        assert truth.keys() == singles[0].keys()
+        for name, values in truth.items():
+            np.testing.assert_array_equal(values, [single[name] for single in singles], err_msg=name)
+    return reasons, restarts, truncations
+
+
+@each_id
+@each_mode
+@pytest.mark.parametrize("count", [1, 33])
+def test_every_environment_equals_the_single_one_bit_for_bit(env_id, mode, count):
+    keywords = {"max_episode_steps": LIMIT, **RUGGED[env_id]}
+    ours = make(env_id, count, autoreset_mode=mode, **keywords)
+    theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * count, autoreset_mode=mode)
+    reasons, restarts, truncations = check_run(ours, theirs, random_actions(env_id, count, 60))
     assert restarts > 2 * count
     assert {"", "tracking_error"} <= reasons
     if count == 33:
@@ -113,78 +122,46 @@ def test_every_environment_equals_the_single_one_bit_for_bit(env_id, mode, count
         assert truncations > 0
 
 
-UNCERTAIN: dict[str, Any] = {
-    "by name": "table6+sensors",
-    "late": {
-        "parameters": {
-            "platform_mass": {"low": -0.2, "high": 0.2},
-            "payload": {"low": -0.5, "high": 0.5},
-            "damping": {"low": 0.0, "high": 0.005, "relative": False},
-            "motor_strength": {"low": -0.1, "high": 0.1, "distribution": "normal", "std": 0.1},
-            "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
-        },
-        "wrench": {"force_std": 1.0, "correlation_time": 0.02, "factor": [0.5, 2.0]},
-        "sensors": {"position": 1e-3, "velocity": 0.01, "motor_angle": 0.01},
-        "delay": 3,
+LATE: dict[str, Any] = {
+    "parameters": {
+        "platform_mass": {"low": -0.2, "high": 0.2},
+        "payload": {"low": -0.5, "high": 0.5},
+        "damping": {"low": 0.0, "high": 0.005, "relative": False},
+        "motor_strength": {"low": -0.1, "high": 0.1, "distribution": "normal", "std": 0.1},
+        "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
     },
+    "wrench": {"force_std": 1.0, "correlation_time": 0.02, "factor": [0.5, 2.0]},
+    "sensors": {"position": 1e-3, "velocity": 0.01, "motor_angle": 0.01},
+    "delay": 3,
 }
 
 
-UNCERTAIN_CASES = [
-    ("by name", 3, AutoresetMode.NEXT_STEP),
-    ("late", 3, AutoresetMode.SAME_STEP),
-    ("late", 33, AutoresetMode.DISABLED),
-]
-
-
 @pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
-@pytest.mark.parametrize(("form", "count", "mode"), UNCERTAIN_CASES)
-def test_every_environment_equals_the_single_one_under_uncertainty(env_id, form, count, mode):
+@pytest.mark.parametrize(
+    ("uncertainty", "count", "mode"),
+    [("table6+sensors", 3, MODES[0]), (LATE, 3, MODES[1]), (LATE, 33, MODES[2])],
+    ids=["by name", "late", "late 33"],
+)
+def test_every_environment_equals_the_single_one_under_uncertainty(env_id, uncertainty, count, mode):
     """Over ends of noise blocks, time limits and failures."""
-    steps = 90 if count < 10 else 45
     planar = "Planar" in env_id
     keywords = {
         "payload_range": (0.0, 2.0),
-        "uncertainty": UNCERTAIN[form],
+        "uncertainty": uncertainty,
         "termination_radius": 0.03,
         "max_episode_steps": 37,
         "initial_error_range": [0.01] * (2 if planar else 6),
     }
     ours = make(env_id, count, autoreset_mode=mode, **keywords)
     theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * count, autoreset_mode=mode)
-    check_same(ours.reset(seed=7), theirs.reset(seed=7))
-    rng, restarts, truncations = np.random.default_rng(0), 0, 0
-    for _ in range(steps):
-        action = rng.uniform(0.0, 0.5 if planar else 0.9, ours.action_space.shape)
-        one, other = ours.step(action), theirs.step(action)
-        check_same(one, other)
-        ended = one[2] | one[3]
-        restarts, truncations = restarts + ended.sum(), truncations + one[3].sum()
-        if mode is AutoresetMode.DISABLED and ended.any():
-            check_same(ours.reset(options={"reset_mask": ended}), theirs.reset(options={"reset_mask": ended}))
-        truth, singles = ours.truth, [env.unwrapped.truth for env in theirs.envs]
-        for name, values in truth.items():
-            np.testing.assert_array_equal(values, [single[name] for single in singles], err_msg=name)
-        assert truth.keys() == singles[0].keys()
+    shape = (90 if count < 10 else 45, *ours.action_space.shape)
+    actions = np.random.default_rng(0).uniform(0.0, 0.5 if planar else 0.9, shape)
+    _, restarts, truncations = check_run(ours, theirs, actions)
     assert restarts >= count
     assert truncations or not planar
 
 
 # --------------------------------------------------------------------------------------------------------- seeds
-
-
-def rollout(env, steps=30, seed=None, payload_only=False):
-    """Observations, rewards and payloads of a run through several episodes."""
-    observation, info = env.reset(seed=seed)
-    found = [observation, info["payload"]]
-    for action in random_actions("CableBot-Planar-v0", env.num_envs, steps):
-        observation, reward, _, _, info = env.step(action)
-        found += [observation, reward, info["payload"]]
-    return found
-
-
-def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def rugged(count=4, **keywords):
@@ -219,16 +196,17 @@ def test_global_random_state_is_neither_read_nor_changed():
     np.random.seed(0)  # noqa: NPY002 - the test is about the global generator
     random.seed(0)
     before, plain = np.random.get_state(), random.getstate()  # noqa: NPY002
-    first = rollout(rugged(uncertainty="table6+sensors"), seed=3)
+    env = rugged(uncertainty="table6+sensors")
+    first = env.reset(seed=3)
+    env.step(np.zeros((4, 3)))
     single = gym.make("CableBot-Planar-v0", payload_range=(0, 1))
     single.reset()
     single.step(np.zeros(3))
-    rugged().reset()
     after = np.random.get_state()  # noqa: NPY002
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
     assert random.getstate() == plain
     np.random.seed(1)  # noqa: NPY002
-    assert same(first, rollout(rugged(uncertainty="table6+sensors"), seed=3))
+    check_same(first, rugged(uncertainty="table6+sensors").reset(seed=3))
 
 
 # ---------------------------------------------------------------------------------------------------- reset_mask
@@ -284,20 +262,12 @@ def test_reset_mask_restarts_the_slack_time():
     assert terminated == [[False, False], [False, False], [True, False]]
 
 
-# ------------------------------------------------------------------------------------------- making, time limit
-
-
 # ----------------------------------------------------------------------------------------------------- bad input
 
-BAD_ACTIONS = [
-    np.zeros(3),
-    np.zeros((2, 3)),
-    np.array([[0.0] * 3, [0.0, np.nan, 0.0], [0.0] * 3]),
-    np.array([[np.inf, 0.0, 0.0], [-np.inf, 0.0, 0.0], [0.0] * 3]),
-]
 
-
-@pytest.mark.parametrize("action", BAD_ACTIONS)
+@pytest.mark.parametrize(
+    "action", [np.zeros(3), np.zeros((2, 3)), np.array([[0.0] * 3, [0.0, np.nan, 0.0], [0.0] * 3])]
+)
 def test_bad_action_raises_and_leaves_the_episodes(action):
     env, twin = make(payload_range=(0, 1)), make(payload_range=(0, 1))
     check_same(env.reset(seed=0), twin.reset(seed=0))
@@ -308,23 +278,18 @@ def test_bad_action_raises_and_leaves_the_episodes(action):
     check_same(env.step(good[1]), twin.step(good[1]))
 
 
-BAD_RESETS: list[tuple[dict[str, Any], str]] = [
-    ({"options": {"payload": [1.0, 2.0]}}, "payload"),
-    ({"options": {"payload": [1.0, 2.0, -1.0]}}, "payload"),
-    ({"options": {"paylaod": 1.0}}, "paylaod"),
-    ({"options": {"initial_error": np.zeros((2, 2))}}, "initial_error"),
-    ({"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
-    ({"options": {"reset_mask": np.array([True, False])}}, "reset_mask"),
-    ({"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
-    ({"options": {"reset_mask": np.zeros(3, bool)}}, "reset_mask"),
-    ({"options": {"reset_mask": np.array([True, False, False]), "payload": -1.0}}, "payload"),
-    ({"seed": [1, 2]}, "seed"),
-    ({"seed": [1, -2, 3]}, "seed"),
-    ({"seed": 8, "options": {"payload": -1.0}}, "payload"),
-]
-
-
-@pytest.mark.parametrize(("reset", "named"), BAD_RESETS)
+@pytest.mark.parametrize(
+    ("reset", "named"),
+    [
+        ({"options": {"payload": [1.0, 2.0, -1.0]}}, "payload"),
+        ({"options": {"paylaod": 1.0}}, "paylaod"),
+        ({"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
+        ({"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
+        ({"options": {"reset_mask": np.zeros(3, bool)}}, "reset_mask"),
+        ({"options": {"reset_mask": np.array([True, False, False]), "payload": -1.0}}, "payload"),
+        ({"seed": [1, -2, 3]}, "seed"),
+    ],
+)
 def test_bad_reset_raises_and_leaves_episodes_and_streams(reset, named):
     keywords = {"payload_range": (0.0, 2.0), "initial_error_range": [0.01, 0.01]}
     env, twin = make(**keywords), make(**keywords)
@@ -336,18 +301,16 @@ def test_bad_reset_raises_and_leaves_episodes_and_streams(reset, named):
     check_same(env.reset(), twin.reset())
 
 
-BAD_KEYWORDS: list[tuple[dict[str, Any], str]] = [
-    ({"num_envs": 0}, "num_envs"),
-    ({"num_envs": 1.5}, "num_envs"),
-    ({"max_episode_steps": 0}, "max_episode_steps"),
-    ({"autoreset_mode": "never"}, "NextStep, SameStep, Disabled"),
-    ({"render_mode": "human"}, "render_mode"),
-    ({"num_envs": 3, "payload": [1.0, 2.0]}, "payload"),
-    ({"paylaod": 1.0}, "paylaod"),
-]
-
-
-@pytest.mark.parametrize(("keywords", "named"), BAD_KEYWORDS)
+@pytest.mark.parametrize(
+    ("keywords", "named"),
+    [
+        ({"num_envs": 0}, "num_envs"),
+        ({"max_episode_steps": 0}, "max_episode_steps"),
+        ({"autoreset_mode": "never"}, "NextStep, SameStep, Disabled"),
+        ({"render_mode": "human"}, "render_mode"),
+        ({"num_envs": 3, "payload": [1.0, 2.0]}, "payload"),
+    ],
+)
 def test_bad_keyword_raises(keywords, named):
     with pytest.raises(ValueError, match=named):
         CableBotVectorEnv(robot="planar", **keywords)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, compare_policies
 from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES, Estimate
@@ -58,10 +57,6 @@ class LetsGo(Scaled):
         if count == 2:
             gone = observation[:, 0] > 0
         return np.where(gone[:, None], 0.0, action), (count + 1, gone)
-
-
-def refuse(constant):
-    raise AssertionError(f"{constant} is no JSON")
 
 
 @cache
@@ -143,7 +138,6 @@ def test_one_draw_is_the_episode_of_its_seed_and_has_no_interval():
         [Scaled(1.0), Scaled(0.9)], SPATIAL_ID, names="ab", uncertainty=UNKNOWN, draws=1, seed=7, trajectory=HANG
     )
     by_hand = episode(Scaled(1.0), 7, payload=0.0, trajectory=HANG)
-    assert comparison.draws == 1
     for name in QUANTITIES:
         estimate = comparison.metrics[0].estimate(name)
         assert estimate.mean == pytest.approx(by_hand[name], abs=1e-12)
@@ -165,8 +159,7 @@ def test_error_counts_as_constant_after_an_early_termination():
         steps = len(by_hand["error"])
         assert np.isnan(measured.error[steps:, draw]).all()
         assert not np.isnan(measured.error[:steps, draw]).any()
-    data = json.loads(comparison.to_json(), parse_constant=refuse)
-    assert data["policies"][0]["per_draw"]["ended"] == measured.ended.tolist()
+    json.loads(comparison.to_json(), parse_constant=pytest.fail)
 
 
 def test_comparison_ends_when_all_episodes_of_a_policy_have_ended():
@@ -187,7 +180,6 @@ def test_comparison_ends_when_all_episodes_of_a_policy_have_ended():
     assert list(done) == sorted(done)
     assert (set(expected), done[-1]) == ({300}, 300)
     assert 150 in done, "skipped steps of the first policy count"
-    json.loads(comparison.to_json(), parse_constant=refuse)
 
 
 def test_error_counts_as_the_termination_radius_after_a_slack_cable():
@@ -281,12 +273,11 @@ def test_interval_of_a_reduction_is_scipys_bootstrap():
 
 def test_json_has_estimates_reductions_and_the_values_of_each_draw():
     comparison = compared()
-    data = json.loads(comparison.to_json(), parse_constant=refuse)
+    data = json.loads(comparison.to_json(), parse_constant=pytest.fail)
     assert (data["env_id"], data["payload"], data["payload_known"]) == (SPATIAL_ID, 1.5, True)
     assert (data["uncertainty"], data["draws"], data["seed"], data["confidence"]) == ("custom", 5, 3, 0.95)
     assert data["draw_seeds"] == draw_seeds(3, 5)
     assert data["error_bounds"] == {"position": 0.005, "rotation": 0.01}
-    assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__
     assert data["environment"]["uncertainty"]["parameters"]["platform_mass"]["high"] == 0.1
     assert [policy["policy"] for policy in data["policies"]] == ["plain", "weak"]
     for policy, measured in zip(data["policies"], comparison.metrics, strict=True):
@@ -298,23 +289,12 @@ def test_json_has_estimates_reductions_and_the_values_of_each_draw():
     assert data["policies"][1]["reductions"] == expected
 
 
-def test_text_has_mean_and_largest_errors():
-    lines = str(compared()).splitlines()
-    assert lines[0] == "CableBot-Spatial-v0, 1.5 kg, 5 draws of custom"
-    for line, measured in zip(lines[1:], compared().metrics, strict=True):
-        mean, most = 1e3 * measured.mean_error.mean(), 1e3 * measured.max_error.mean()
-        assert line.startswith(f"{measured.policy}: error {mean:.3g} mm mean")
-        assert f"{most:.3g} mm max; carried in {measured.carried.mean():.0%}" in line
-    assert f"({-compared().reduction(1, 'mean_error').mean:+.0%} versus plain)" in lines[2]
-
-
 @pytest.mark.parametrize(
     ("policies", "arguments", "message"),
     [
         ([], {}, "no policy to compare: give at least one policy"),
         (["fl", "fl"], {}, "every policy needs its own name, but the names are fl, fl"),
-        (["fl"], {"names": ["a", "b"]}, "every policy needs its own name"),
-        (["fl", "lqr"], {}, "unknown policy 'lqr'; choose one of"),
+        (["fl", "lqr"], {}, "unknown policy 'lqr'"),
         (["fl"], {"payload": math.nan}, "payload must be a finite number at least 0 kg"),
         (["fl"], {"draws": 2, "uncertainty": None}, "all 2 draws would be equal"),
         (["fl"], {"payload_range": (0, 1)}, "payload_range is set by the evaluation"),
@@ -326,66 +306,17 @@ def test_bad_argument_is_rejected(policies, arguments, message):
         compare_policies(policies, SPATIAL_ID, **{"trajectory": HANG, "uncertainty": "table6", "draws": 2} | arguments)
 
 
-# --- the figure -------------------------------------------------------------------------------------------------------
+def test_figure_shows_draws_that_end_early_and_bounds(tmp_path):
+    pytest.importorskip("matplotlib")
+    from cablebot_gym.plotting.comparison import draw_comparison, save_comparison
 
-pytest.importorskip("matplotlib")
-from cablebot_gym.plotting.comparison import draw_comparison, save_comparison  # noqa: E402
-
-
-def lines(axes):
-    """Curves of the policies, and the lines at the bound."""
-    drawn = axes.get_lines()
-    return [line for line in drawn if line.get_color() != "black"], [
-        line for line in drawn if line.get_color() == "black"
-    ]
-
-
-def test_figure_shows_errors_over_time_and_their_distribution():
-    comparison = compared()
-    over_position, peaks_position, over_rotation, peaks_rotation = draw_comparison(comparison).axes
-    for axes, series in ((over_position, "error"), (over_rotation, "rotation")):
-        curves, _ = lines(axes)
-        assert len(curves) == 2
-        for curve, measured in zip(curves, comparison.metrics, strict=True):
-            np.testing.assert_allclose(curve.get_xdata(), np.arange(1, 201) / 500)
-            np.testing.assert_allclose(curve.get_ydata(), 1e3 * getattr(measured, series).mean(axis=1))
-        for band, measured in zip(axes.collections, comparison.metrics, strict=True):
-            values = 1e3 * getattr(measured, series)
-            corners = band.get_paths()[0].vertices
-            assert corners[:, 1].max() == pytest.approx(np.quantile(values, 0.95, axis=1).max())
-    for axes, peak in ((peaks_position, "max_error"), (peaks_rotation, "max_rotation")):
-        curves, _ = lines(axes)
-        for curve, measured in zip(curves, comparison.metrics, strict=True):
-            x, y = curve.get_data()
-            np.testing.assert_allclose(np.sort(x[1:]), np.sort(1e3 * getattr(measured, peak)))
-            assert (y[0], y[-1]) == (0, 1)
-    styles = {(curve.get_color(), curve.get_linestyle()) for curve in lines(over_position)[0]}
-    assert len(styles) == 2
-    assert len({style for _, style in styles}) == 2, "the policies differ in line style too"
-
-
-def test_figure_shows_the_bounds_within_its_range():
-    axes = draw_comparison(compared()).axes
-    (level,) = lines(axes[0])[1]
-    (upright,) = lines(axes[1])[1]
-    assert set(level.get_ydata()) == set(upright.get_xdata()) == {5.0}
-    assert axes[0].get_title(loc="right") == "bound 5 mm: black line"
-    assert lines(axes[2])[1] == lines(axes[3])[1] == [], "a line far above the rotation error would flatten it"
-    assert axes[2].get_title(loc="right") == "bound 10 mrad: above the plotted range"
-
-
-def test_figure_shows_draws_that_end_early(tmp_path):
-    comparison = compare_policies(
-        [LetsGo(1.0), limp],
-        SPATIAL_ID,
-        names="ab",
-        uncertainty="sensors",
-        draws=6,
-        seed=2,
-        trajectory={"name": "dwell-spatial", "duration": 0.3},
-    )
-    figure = draw_comparison(comparison)
+    motion = {"name": "dwell-spatial", "duration": 0.3}
+    keywords = {"names": "ab", "uncertainty": "sensors", "draws": 6, "seed": 2, "trajectory": motion}
+    comparison = compare_policies([LetsGo(1.0), limp], SPATIAL_ID, error_bounds={"position": 0.005}, **keywords)
     assert save_comparison(comparison, tmp_path).read_bytes().endswith(b"IEND\xaeB`\x82")
-    curves, _ = lines(figure.axes[0])
-    assert not any(np.isnan(curve.get_ydata()).any() for curve in curves)
-    assert curves[1].get_xdata()[-1] < 0.2 < curves[0].get_xdata()[-1]
+    drawn = draw_comparison(comparison).axes[0].get_lines()
+    (level,) = (line for line in drawn if line.get_color() == "black")
+    one, other = (line for line in drawn if line.get_color() != "black")
+    assert set(level.get_ydata()) == {5.0}
+    assert not np.isnan([*one.get_ydata(), *other.get_ydata()]).any()
+    assert other.get_xdata()[-1] < 0.2 < one.get_xdata()[-1]

@@ -101,7 +101,6 @@ def test_torque_violation_is_that_of_the_largest_action_at_the_control_instant(a
     violation = judged(third(action=action), "paper").violation
     assert (violation.kind, violation.index) == ("torque", motor)
     assert (violation.excess, violation.time) == pytest.approx((excess, 2 * PERIOD))
-    assert str(violation) == f"motor {motor} reaches its torque limit at t = 0.004 s"
 
 
 @each_criterion
@@ -109,7 +108,6 @@ def test_torque_violation_is_that_of_the_largest_action_at_the_control_instant(a
 def test_slack_violation_names_the_first_slack_cable(criterion, slack, cable):
     violation = judged(third(slack=slack), criterion).violation
     assert violation == Violation(kind="slack", index=cable, time=3 * PERIOD, excess=None)
-    assert str(violation) == f"cable {cable} is slack at t = 0.006 s"
 
 
 def test_error_violations_state_bound_and_time():
@@ -117,25 +115,9 @@ def test_error_violations_state_bound_and_time():
         position = judged(third(position=0.013), criterion).violation
         assert (position.kind, position.index, position.bound) == ("position", None, 0.01)
         assert (position.time, position.excess) == pytest.approx((3 * PERIOD, 0.003))
-        assert str(position) == "position error reaches its bound of 10 mm at t = 0.006 s"
     rotation = judged(third(rotation=0.025), "task").violation
     assert (rotation.kind, rotation.bound, rotation.excess) == ("rotation", 0.02, pytest.approx(0.005))
     assert str(rotation) == "rotation error reaches its bound of 20 mrad at t = 0.006 s"
-    assert str(Violation(kind="position", index=None, time=None, excess=0.1)) == "position error reaches its bound"
-
-
-@each_criterion
-def test_termination_is_a_violation(criterion):
-    violation = judged(third(terminated=True), criterion).violation
-    assert (violation.kind, violation.index, violation.excess) == ("terminated", None, None)
-    assert violation.time == pytest.approx(3 * PERIOD)
-
-
-@pytest.mark.parametrize(
-    ("criterion", "change"), [("task", {"action": (1.5, -9.0, 0.0)}), ("paper", {"rotation": 3.0})]
-)
-def test_criterion_ignores_the_limit_of_the_other(criterion, change):
-    assert judged(third(**change), criterion).carried
 
 
 @pytest.mark.parametrize(
@@ -168,7 +150,8 @@ def test_violations_of_one_step_have_a_fixed_order(criterion, first):
     together = {key: value for change in list(EVENTS.values())[first:] for key, value in change.items()}
     unchecked = {"task": "torque", "paper": "rotation"}[criterion]
     expected = next(kind for kind in list(EVENTS)[first:] if kind != unchecked)
-    assert judged(third(**together), criterion).violation.kind == expected
+    violation = judged(third(**together), criterion).violation
+    assert (violation.kind, violation.time) == (expected, pytest.approx((2 if expected == "torque" else 3) * PERIOD))
 
 
 def test_later_violation_does_not_replace_the_first_and_peaks_stop_there():
@@ -279,8 +262,7 @@ def test_bounds_of_the_monitor_replace_those_of_the_episode(bounds, carried):
 def test_bounds_of_the_reset_option_reach_the_monitor():
     env, short = DLCCMonitor(gym.make(IDS["planar"])), {"name": "line-planar", "duration": 0.7}
     for options, carried in (({}, True), ({"error_bounds": {"position": 1e-5}}, False), ({}, True)):
-        verdict = play(env, FeedbackLinearization(PLANAR), {"trajectory": short} | options)
-        assert verdict.carried is carried
+        assert play(env, FeedbackLinearization(PLANAR), {"trajectory": short} | options).carried is carried
 
 
 def test_monitor_only_adds_to_info():
@@ -292,16 +274,6 @@ def test_monitor_only_adds_to_info():
         np.testing.assert_array_equal(one[0], other[0])
         assert one[1:-1] == other[1:-1]
         assert set(other[-1]) - set(one[-1]) == {"dlcc_carried"}
-
-
-def test_initial_error_beyond_the_bound_is_a_violation():
-    env = DLCCMonitor(gym.make(IDS["planar"]))
-    env.reset(options={"initial_error": [0.006, 0.0085]})
-    violation = env.verdict.violation
-    assert (violation.kind, violation.time) == ("position", 0.0)
-    assert violation.excess == pytest.approx(math.hypot(0.006, 0.0085) - 0.01)
-    env.reset(options={"initial_error": [0.006, 0.0075]})
-    assert env.verdict.violation is None
 
 
 def play(env, policy, options):
@@ -328,3 +300,5 @@ def test_monitor_agrees_with_the_evaluator(kind, criterion):
     assert above.violation.time == result.violation.time
     assert above.violation.excess == pytest.approx(result.violation.excess, rel=1e-6)
     assert 1 - max(below.peak_action) == pytest.approx(result.margins["torque"], abs=1e-12)
+    assert 1 - below.position_peak / 0.01 == pytest.approx(result.margins["position"], abs=1e-9)
+    assert below.least_tension == pytest.approx(result.margins["tension"])

@@ -125,12 +125,6 @@ def test_control_frequency_reaches_the_environment(frequency):
     assert len(result.rollout) == 1 + round(0.02 * frequency)
 
 
-def test_tighter_position_bound_lowers_the_score():
-    bounds = [{"position": bound, "rotation": 10.0} for bound in (0.01, 0.005, 0.001)]
-    scores = [evaluate_dlcc("fl", SPATIAL_ID, error_bounds=bound, resolution=0.4).score for bound in bounds]
-    assert scores[0] > scores[1] > scores[2]
-
-
 def test_environment_terminates_outside_wide_error_bounds_only():
     motion, bounds = {"name": "dwell-spatial", "duration": 0.2}, ErrorBounds(position=0.3, rotation=1.0)
     keywords = {"trajectory": motion, "error_bounds": bounds, "payload_max": 1.0}
@@ -139,7 +133,6 @@ def test_environment_terminates_outside_wide_error_bounds_only():
     assert (wide.payload, wide.violation, wide.scan_ended) == (1.0, None, True)
     narrow = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, termination_radius=0.05, **keywords)
     assert (narrow.payload, narrow.violation.kind, narrow.violation.reason) == (None, "terminated", "tracking_error")
-    assert "terminated (tracking error) at t = " in str(narrow)
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -156,28 +149,12 @@ def rerun(env_id, policy, payload, criterion, **keywords):
     return env.verdict
 
 
-@pytest.mark.parametrize("resolution", [0.05, 1e-6])
-def test_search_stops_at_the_resolution(resolution):
-    motion = {"name": "line-planar", "duration": 0.6}
-    result = evaluate_dlcc(fl("planar"), PLANAR_ID, criterion="paper", resolution=resolution, trajectory=motion)
-    assert 0 < result.resolution <= resolution
-    below = rerun(PLANAR_ID, fl("planar"), result.payload, "paper", trajectory=motion)
-    above = rerun(PLANAR_ID, fl("planar"), result.payload + result.resolution, "paper", trajectory=motion)
-    assert (below.carried, above.carried) == (True, False)
-    assert above.violation.kind == result.violation.kind
-    assert result.margins["torque"] == pytest.approx(1 - max(below.peak_action), abs=1e-12)
-    assert result.margins["position"] == pytest.approx(1 - below.position_peak / 0.01, abs=1e-9)
-    assert result.margins["tension"] == pytest.approx(below.least_tension)
-
-
 def test_resolution_below_rounding_ends():
     def stop(done, total):
-        if done > 100 * 25:
-            pytest.fail("a hundred rounds without an end")
+        assert done <= 100 * 25, "a hundred rounds without an end"
 
-    result = evaluate_dlcc(
-        fl("spatial"), SPATIAL_ID, criterion="paper", trajectory=HANG, resolution=1e-18, progress=stop
-    )
+    keywords = {"criterion": "paper", "trajectory": HANG, "resolution": 1e-18}
+    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, progress=stop, **keywords)
     assert result.payload == pytest.approx(hang_capacity(10.0) - 10, abs=1e-9)
 
 
@@ -187,7 +164,6 @@ def test_scan_that_ends_while_feasible_has_no_violation():
     assert (result.violation, result.scan_ended, result.violation_seed, result.resolution) == (None, True, None, 0.0)
     assert json.loads(result.to_json())["violation"] is None
     assert result.feasible == ((0.0, 0.25),)
-    assert "; limiting violation: none up to 0.25 kg" in str(result)
 
 
 class Dropping(FeedbackLinearization):
@@ -228,17 +204,9 @@ def test_feasible_set_with_holes_is_reported_as_intervals():
     np.testing.assert_allclose(result.feasible[1:], [(1.6, 2.2), (2.4, 3.15)], atol=1e-9)
 
 
-class Biased(FeedbackLinearization):
-    """FL with a model payload of 3 kg, whatever the observation says."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        observation = np.array(observation)
-        observation[..., MODEL_PAYLOAD] = 3.0
-        return super().predict(observation, state, episode_start, deterministic)
-
-
 def test_policy_that_fails_unloaded_has_no_payload():
-    policy, keywords = Biased(SPATIAL), {"trajectory": {"name": "dwell-spatial", "duration": 0.5}}
+    policy = Dropping(lambda payload: np.abs(payload - 3.0) > 0.5)
+    keywords = {"trajectory": {"name": "dwell-spatial", "duration": 0.1}}
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=6.3, **keywords)
     assert (result.payload, result.total_mass, result.score, result.resolution) == (None, None, 0.0, 0.0)
     assert result.violation == rerun(SPATIAL_ID, policy, 0.0, "task", **keywords).violation
@@ -246,12 +214,11 @@ def test_policy_that_fails_unloaded_has_no_payload():
     assert result.rollout.arrays["time"][-1] == result.violation.time
     assert result.rollout.payload == 0
     ((low, high),) = result.feasible
-    assert 2.0 < low < 3.0 < high < 4.0
+    assert (low, high) == pytest.approx((2.5, 3.5), abs=1e-9)
     step = 6.3 / (SCAN_POINTS - 1)
     for payload, carried in ((low, True), (high, True), (low - step, False), (high + step, False)):
         assert rerun(SPATIAL_ID, policy, payload, "task", **keywords).carried is carried
     assert "fails unloaded: position error reaches its bound of 10 mm at t =" in str(result)
-    assert f"it carries {low:.3f} to {high:.3f} kg" in str(result)
     assert json.loads(result.to_json())["payload"] is None
     nothing = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, **keywords)
     assert (nothing.payload, nothing.feasible, nothing.score) == (None, (), 0.0)
@@ -326,28 +293,12 @@ def test_tasks_contain_public_knowledge_only(known):
         assert set(vars(task)) == names
 
 
-def test_callable_gets_one_observation_at_a_time():
-    shapes = set()
-
-    def policy(observation):
-        shapes.add(observation.shape)
-        return fl("spatial").predict(observation)[0]
-
-    policy.unsaturated_actions = True
-    keywords = {"trajectory": HANG, "resolution": 0.1, "criterion": "paper", "payload_max": 16.0}
-    one = evaluate_dlcc(policy, SPATIAL_ID, **keywords)
-    assert shapes == {(observation_layout(SPATIAL).size,)}
-    assert one.payload == evaluate_dlcc(fl("spatial"), SPATIAL_ID, **keywords).payload
-    assert one.policy == "policy"
-    assert evaluate_dlcc("fl", SPATIAL_ID, **keywords).policy == "fl"
-    assert evaluate_dlcc("fl", SPATIAL_ID, name="mine", **keywords).policy == "mine"
-
-
 def test_policy_by_name_is_built_for_the_robot_of_the_evaluation():
     heavy = SPATIAL.replace(mass=12.0)
     keywords = {"trajectory": HANG, "robot": heavy, "resolution": 0.1}
     by_name = evaluate_dlcc("fl", SPATIAL_ID, **keywords)
     built = evaluate_dlcc(FeedbackLinearization(heavy), SPATIAL_ID, **keywords)
+    assert by_name.policy == "fl"
     assert (by_name.payload, by_name.total_mass) == (built.payload, built.payload + 12)
 
 
@@ -377,8 +328,8 @@ class Failing(Spy):
         return (self.wrong(action) if len(self.states) > 10 else action), state
 
 
-def replaced(action, value):
-    action[20, 3] = value
+def infinite(action):
+    action[20, 3] = -np.inf
     return action
 
 
@@ -391,26 +342,14 @@ def raising(action):
     [
         (raising, r"payloads of 0 to 6\.3 kg: it raised KeyError: 'lost'"),
         (lambda action: action[:, :5], r"it returned shape \(64, 5\); expected \(64, 6\)"),
-        (lambda action: [1, [2, 3]], r"it returned list instead of real numbers"),
         (lambda action: action + 1j, r"it returned ndarray of type complex128 instead of real numbers"),
-        (lambda action: np.full(action.shape, "1"), r"it returned ndarray of type <U1 instead of real numbers"),
-        (lambda action: replaced(action, np.nan), r"a payload of 2 kg: it returned NaN or infinity"),
-        (lambda action: replaced(action, -np.inf), r"a payload of 2 kg: it returned NaN or infinity"),
+        (infinite, r"a payload of 2 kg: it returned NaN or infinity"),
     ],
-    ids=["raises", "one motor short", "ragged", "complex", "text", "nan", "inf"],
+    ids=["raises", "one motor short", "complex", "inf"],
 )
 def test_error_of_a_policy_names_time_and_payload(wrong, message):
     with pytest.raises(PolicyError, match=rf"^policy 'toy', at t = 0\.020 s with .*{message}"):
         evaluate_dlcc(Failing(wrong), SPATIAL_ID, trajectory=HANG, payload_max=6.3, name="toy")
-
-
-def test_predict_without_a_state_is_an_error():
-    class Plain:
-        def predict(self, observation, **keywords):
-            return np.zeros((64, 6))
-
-    with pytest.raises(PolicyError, match=r"predict\(\) must return \(actions, state\), not ndarray"):
-        evaluate_dlcc(Plain(), SPATIAL_ID, trajectory=HANG, payload_max=6.3)
 
 
 def test_nan_after_the_violation_is_ignored():
@@ -435,17 +374,10 @@ def test_nan_after_the_violation_is_ignored():
     [
         ({"env_id": "CableBot-Spatial-v1"}, "unknown environment .*choose one of CableBot-Planar-v0, CableBot-Spatial"),
         ({"criterion": "both"}, "unknown criterion 'both'; choose one of task, paper"),
-        ({"policy": "lqr"}, "unknown policy 'lqr'; choose one of .*fl"),
-        ({"trajectory": "paper-planar"}, "unknown trajectory .*choose one of paper-spatial, circle-spatial"),
         ({"trajectory": {"name": "dwell-spatial", "duration": 5e-4}}, "shorter than a control period"),
-        ({"resolution": 0.0}, "resolution must be a finite number greater than 0 kg"),
         ({"resolution": math.nan}, "resolution must be a finite number greater than 0 kg"),
-        ({"payload_max": -3.0}, "payload_max must be a finite number greater than 0 kg"),
         ({"payload_max": math.inf}, "payload_max must be a finite number greater than 0 kg"),
-        ({"error_bounds": {"position": 0.0}}, "position must be a finite number greater than 0"),
         ({"payload": 1.0}, "payload is set by the evaluation: remove it from the keywords"),
-        ({"num_envs": 3}, "num_envs is set by the evaluation: remove it from the keywords"),
-        ({"payload_known": "yes"}, "payload_known must be True or False"),
         ({"robot": PLANAR}, "robot 'planar' does not fit CableBot-Spatial-v0: use CableBot-Planar-v0"),
         ({"seed": -1}, "seed must be an integer of at least 0"),
         ({"policy": lambda _: 0, "criterion": "paper", "name": "toy"}, "does not apply to policy 'toy'"),
@@ -453,10 +385,8 @@ def test_nan_after_the_violation_is_ignored():
 )
 def test_bad_argument_is_rejected_before_the_work(arguments, message):
     policy, env_id = arguments.pop("policy", "fl"), arguments.pop("env_id", SPATIAL_ID)
-    calls = []
     with pytest.raises(ValueError, match=message):
-        evaluate_dlcc(policy, env_id, progress=lambda *_: calls.append(1), **{"trajectory": HANG} | arguments)
-    assert not calls
+        evaluate_dlcc(policy, env_id, progress=lambda *_: pytest.fail("work"), **{"trajectory": HANG} | arguments)
     with pytest.raises(TypeError, match=r"a policy must have predict\(\) or be a callable"):
         evaluate_dlcc(3, SPATIAL_ID)
 
@@ -464,29 +394,24 @@ def test_bad_argument_is_rejected_before_the_work(arguments, message):
 # --- the result -------------------------------------------------------------------------------------------------------
 
 
-def refuse(constant):
-    raise AssertionError(f"{constant} is no JSON")
-
-
 @pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "task"), ("spatial", "paper")])
 def test_json_describes_result_and_environment(kind, criterion):
     result = scored(kind, criterion)
-    data = json.loads(result.to_json(), parse_constant=refuse)
+    data = json.loads(result.to_json(), parse_constant=pytest.fail)
     assert data["violation"] == dataclasses.asdict(result.violation)
     assert (data["env_id"], data["policy"], data["criterion"]) == (IDS[kind], "FeedbackLinearization", criterion)
     assert (data["payload"], data["total_mass"], data["seed"]) == (result.payload, result.total_mass, 0)
     bounded = kind == "spatial" and criterion == "task"
     assert data["error_bounds"] == {"position": 0.01, "rotation": 0.01 if bounded else None}
-    assert set(data["versions"]) >= {"python", "cablebot-gym", "gymnasium", "numpy", "numba"}
     assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__
-    assert data["environment"]["trajectory"]["name"] == f"paper-{kind}"
     assert data["environment"]["robot"]["mass"] == ROBOTS[kind].mass
 
 
 def test_environment_of_the_json_repeats_the_evaluation():
-    first = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, resolution=0.01, control_frequency=400.0)
+    keywords = {"seed": np.int64(3), "control_frequency": np.float32(400.0)}
+    first = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, resolution=0.01, **keywords)
     data = json.loads(first.to_json())
-    kept = {name: data[name] for name in ("criterion", "error_bounds", "payload_max", "payload_known")}
+    kept = {name: data[name] for name in ("criterion", "error_bounds", "payload_max", "payload_known", "seed")}
     again = evaluate_dlcc("fl", data["env_id"], resolution=0.01, **kept, **data["environment"])
     assert again.payload == first.payload
     assert again.to_dict()["environment"] == first.to_dict()["environment"]
@@ -501,14 +426,10 @@ class OwnMotion:
         return Dwell(pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), duration=0.05)(times)
 
 
-@pytest.mark.parametrize(
-    "keywords",
-    [{"seed": np.int64(3), "control_frequency": np.float32(500.0)}, {"trajectory": OwnMotion()}],
-    ids=lambda keywords: next(iter(keywords)),
-)
-def test_numpy_numbers_and_own_motions_can_be_saved(keywords):
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, **{"trajectory": HANG, "payload_max": 1.0} | keywords)
-    assert json.loads(result.to_json(), parse_constant=refuse)["payload"] == 1.0
+def test_result_of_an_own_motion_can_be_saved():
+    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=OwnMotion(), payload_max=1.0, name="mine")
+    data = json.loads(result.to_json(), parse_constant=pytest.fail)
+    assert (data["payload"], data["policy"]) == (1.0, "mine")
 
 
 def test_policy_that_is_not_reproducible_is_an_error():
@@ -559,15 +480,12 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
         observation, reward, _, _, info = env.step(policy.predict(observation)[0])
         np.testing.assert_array_equal(rollout.arrays["pose"][index], observation[:6])
         assert rollout.arrays["reward"][index] == reward
-    assert rollout.moment(-1).time == rollout.arrays["time"][-1]
     for suffix in ("npz", "csv"):
         rollout.save(tmp_path / f"run.{suffix}")
     with np.load(tmp_path / "run.npz") as file:
         assert {name: file[name].tolist() for name in file} == {n: v.tolist() for n, v in rollout.arrays.items()}
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["tensions_6"], rollout.arrays["tensions"][:, 5])
-    with pytest.raises(ValueError, match=r"must end in \.npz or \.csv"):
-        rollout.save(tmp_path / "run.txt")
 
 
 def test_recording_goes_on_after_a_violation_until_the_termination():

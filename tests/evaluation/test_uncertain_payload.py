@@ -35,10 +35,6 @@ def spread(**parameters):
     return {"parameters": {name: {"low": -w, "high": w, "each": False} for name, w in parameters.items()}}
 
 
-def refuse(constant):
-    raise AssertionError(f"{constant} is no JSON")
-
-
 # --- by hand: a constant pull -----------------------------------------------------------------------------------------
 
 PULL = 12.0
@@ -201,10 +197,9 @@ def test_draws_agree_with_single_episodes():
     assert result.violation.time == min(
         violation.time for violation in error_bounds if violation.kind == result.violation.kind
     )
-    data = json.loads(result.to_json(), parse_constant=refuse)
+    data = json.loads(result.to_json(), parse_constant=pytest.fail)
     assert (data["draws"], data["probability"], data["confidence"], data["uncertainty"]) == (6, 0.6, 0.97, "custom")
     assert data["success"] == [list(pair) for pair in result.success]
-    assert "in at least 60% of 6 draws, assured payload none (60/97 lower tolerance bound)" in str(result)
     payloads, success = np.array(result.success).T
     assert np.all(np.diff(payloads) > 0)
     assert (payloads[0], payloads[-1]) == (0, 8)
@@ -219,29 +214,6 @@ def test_draws_agree_with_single_episodes():
     assert result.margins["rotation"] == pytest.approx(1 - max(v.rotation_peak for v in tight) / 0.01, abs=1e-9)
     assert result.margins["torque"] == pytest.approx(1 - max(max(v.peak_action) for v in tight), abs=1e-9)
     assert result.margins["tension"] == pytest.approx(min(v.least_tension for v in tight), abs=1e-9)
-
-
-def test_recording_ends_with_the_violation_of_its_draw():
-    unknown = spread(platform_mass=0.4)
-    result = evaluate_dlcc(
-        FeedbackLinearization(SPATIAL),
-        SPATIAL_ID,
-        trajectory={"name": "dwell-spatial", "duration": 0.5},
-        uncertainty=unknown,
-        draws=6,
-        seed=3,
-        payload_max=1.0,
-        resolution=0.5,
-    )
-    assert result.payload is None
-    assert 0 < sum(result.failures.values()) < 6
-    error = np.linalg.norm(result.rollout.arrays["true_pose"][:, :3] - [0, 0, 0.1], axis=1)
-    assert np.all(error[:-1] <= 0.01)
-    assert error[-1] > 0.01
-    assert np.all(np.diff(result.rollout.arrays["action_time"]) > 0)
-    assert np.all(result.rollout.arrays["commanded_action"] != 0), (
-        "actions of the policy, not those after the violation"
-    )
 
 
 def test_violation_seed_repeats_the_violation():
@@ -367,7 +339,6 @@ def test_assured_payload_is_an_order_statistic_below_the_payload(seed):
     few = pulled(unknown, draws=12, probability=0.95, confidence=0.95)
     assert few.payload > 0
     assert few.assured_payload is None
-    assert "assured payload none (95/95 lower tolerance bound)" in str(few)
 
 
 # --- progress, output and bad input -----------------------------------------------------------------------------------
@@ -392,28 +363,25 @@ def test_policy_that_fails_unloaded_in_too_many_draws_has_no_payload():
     assert (result.payload, result.total_mass, result.score, result.resolution) == (None, None, 0.0, 0.0)
     assert (result.margins, result.feasible, result.assured_payload) == ({}, (), None)
     assert result.failures == {"position": round(8 * (1 - carried))}
-    assert "fails unloaded: position error reaches its bound" in str(result)
-    assert json.loads(result.to_json(), parse_constant=refuse)["failures"] == result.failures
+    assert json.loads(result.to_json(), parse_constant=pytest.fail)["failures"] == result.failures
+    arrays = result.rollout.arrays
+    within = np.linalg.norm(arrays["true_pose"][:, :3] - [0, 0, 0.1], axis=1) <= BOUNDS["position"]
+    assert within.tolist() == [True] * (len(within) - 1) + [False], "the recording ends with the violation"
+    assert np.all(np.diff(arrays["action_time"]) > 0)
+    assert np.all(arrays["commanded_action"] == Constant.action)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"draws": 0}, "draws must be an integer of at least 1, not 0"),
-        ({"draws": True}, "draws must be an integer of at least 1, not True"),
         ({"draws": 2, "uncertainty": {"delay": 3}}, "all 2 draws would be equal: choose a random uncertainty"),
         ({"probability": 1.0}, "probability must be a finite number greater than 0 and less than 1, not 1"),
-        ({"probability": math.nan}, "probability must be a finite number"),
         ({"confidence": 0}, "confidence must be a finite number greater than 0.5 and less than 1, not 0"),
         ({"uncertainty": ["table6"] * SCAN_POINTS}, "uncertainty must be"),
-        ({"uncertainty": spread(stiffness=0.1)}, "stiffness"),
     ],
-    ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
 )
 def test_bad_argument_is_rejected_before_the_work(arguments, message):
-    def work(*_):
-        pytest.fail("found after the work")
-
     keywords = {"uncertainty": "table6", "draws": 3, "trajectory": HANG} | arguments
     with pytest.raises(ValueError, match=message):
-        evaluate_dlcc("fl", SPATIAL_ID, progress=work, **keywords)
+        evaluate_dlcc("fl", SPATIAL_ID, progress=lambda *_: pytest.fail("work"), **keywords)

@@ -7,12 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from cablebot_baselines.paper import contents, engine
-from cablebot_baselines.paper.engine import MARKDOWN, RESULTS, find_parts, json_number, reproduce, save_figure
+from cablebot_baselines.paper import engine
+from cablebot_baselines.paper.engine import MARKDOWN, RESULTS, find_parts, reproduce, save_figure
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import Outcome, Part, Table, job
 from cablebot_gym.plotting.figures import new_figure
-from cablebot_gym.robots import SPATIAL
 
 DEFAULT = Interpretation()
 ran = []
@@ -31,7 +30,9 @@ def drawn(interpretation, results):
 
 def outcome(interpretation, results):
     table = Table(title="a table", header=("a", "b"), rows=((1.5, None),))
-    return Outcome(numbers={"kg": results["a"], "motor": np.int64(2)}, tables=(table,))
+    return Outcome(
+        numbers={"kg": results["a"], "motor": np.int64(2), "third": np.float64(1 / 3), "none": np.inf}, tables=(table,)
+    )
 
 
 def part(name, *, draw=None, outcome=outcome, **marks):
@@ -62,6 +63,7 @@ def test_shared_computations_run_once_and_figures_are_written(tmp_path, monkeypa
     results = reproduce(DEFAULT, tmp_path, workers=1)
     assert ran == [1, 2, 3]
     assert results["numbers"]["one.kg"] == results["numbers"]["two.kg"] == 1.802
+    assert (results["numbers"]["one.third"], results["numbers"]["one.none"]) == (0.3333333333, None)  # as JSON has them
     assert (tmp_path / "one.png").stat().st_size > 1000
     assert (tmp_path / "one.svg").read_text().startswith("<?xml")
     assert not (tmp_path / "two.png").exists()
@@ -92,9 +94,8 @@ def test_only_keeps_other_parts_of_the_same_code_and_interpretation(tmp_path, mo
     assert reproduce(flat, tmp_path, workers=1)["numbers"]["one.kg"] == 2.345
 
 
-@pytest.mark.parametrize("text", ["{", "[]"])
-def test_damaged_results_are_replaced(tmp_path, text):
-    (tmp_path / RESULTS).write_text(text)
+def test_damaged_results_are_replaced(tmp_path):
+    (tmp_path / RESULTS).write_text("{")
     results = reproduce(DEFAULT, tmp_path, only=["one"], workers=1)
     assert json.loads((tmp_path / RESULTS).read_text())["numbers"] == results["numbers"]
 
@@ -123,15 +124,6 @@ def test_interpretation_without_equilibrium_is_stated_on_the_page(tmp_path):
     assert "no equilibrium with positive tensions" in (tmp_path / MARKDOWN).read_text()
 
 
-@pytest.mark.slow
-def test_worker_processes_give_the_same_numbers(tmp_path, monkeypatch):
-    monkeypatch.setattr(engine, "PARTS", [part for part in contents.PARTS if part.name == "eq37"])
-    seen = []
-    several = reproduce(DEFAULT, tmp_path / "several", workers=2, progress=lambda *step: seen.append(step[1:]))
-    assert several["numbers"] == reproduce(DEFAULT, tmp_path / "single", workers=1)["numbers"]
-    assert list(dict.fromkeys(seen)) == [(done, 6) for done in range(1, 7)]
-
-
 def test_error_in_the_outcome_of_a_part_is_raised(tmp_path, monkeypatch):
     def broken(interpretation, results):
         raise RuntimeError("a bug")
@@ -158,12 +150,3 @@ def test_figures_have_reproducible_bytes(tmp_path):
     for suffix in (".png", ".svg"):
         one, other = ((tmp_path / place / f"figure{suffix}").read_bytes() for place in ("first", "second"))
         assert one == other
-
-
-def test_json_numbers_are_rounded_python_values():
-    assert json_number(np.float64(1 / 3)) == 0.3333333333
-    assert json_number(np.inf) is json_number(float("nan")) is None
-    assert json_number(np.bool_(True)) is True
-    assert json_number(np.int64(3)) == 3
-    with pytest.raises(TypeError):
-        json_number(SPATIAL)

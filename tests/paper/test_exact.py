@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -46,13 +46,6 @@ def test_reversed_line_has_the_payload_of_the_reversed_motion():
     reversed_line = exact_payload(robot, trajectory, line_speed=-1.0)
     assert reversed_line.payload == pytest.approx(exact_payload(robot, Backwards(trajectory)).payload, rel=1e-9)
     assert reversed_line.payload != pytest.approx(exact_payload(robot, trajectory).payload, rel=1e-3)
-
-
-def test_line_speed_factor_equals_slower_motors():
-    slow = SPATIAL.replace(motors=replace(SPATIAL.motors, free_speed=SPATIAL.motors.free_speed / 2))
-    circle = find_trajectory("paper-spatial", 6)
-    expected = exact_payload(slow, circle).payload
-    assert exact_payload(SPATIAL, circle, line_speed=2.0).payload == pytest.approx(expected, rel=1e-12)
 
 
 def room(profile):

@@ -81,13 +81,3 @@ def test_line_that_no_motor_has_allows_no_closed_loop(line):
 def test_invalid_choice_raises(choice):
     with pytest.raises(ValueError, match=next(iter(choice))):
         Interpretation(**choice)
-
-
-def test_text_names_the_changed_options():
-    assert Interpretation().text() == "default"
-    assert Interpretation(line="flat", minimum_tension=0.0).text() == "line = flat, minimum_tension = 0.0"
-
-
-def test_total_payload_includes_the_platform():
-    assert Interpretation(payload="total").counted(PLANAR, 1.13) == pytest.approx(2.13)
-    assert Interpretation().counted(PLANAR, 1.13) == 1.13

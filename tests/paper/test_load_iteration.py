@@ -51,14 +51,11 @@ def test_coefficient_uses_the_motor_speed(corrected: bool) -> None:
     np.testing.assert_allclose(motors, [4 - used, 6 - used, 5 - used])
 
 
-@pytest.mark.parametrize("line_speed", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", NAMES)
-def test_corrected_form_converges_to_the_exact_payload_and_the_printed_form_to_half(
-    name: str, line_speed: float
-) -> None:
+def test_corrected_form_converges_to_the_exact_payload_and_the_printed_form_to_half(name: str) -> None:
     trajectory = TRAJECTORIES[name]()
     robot = PLANAR if name.endswith("planar") else SPATIAL
-    for minimum, guess in ((0.0, 0.1), (5.0, 50.0)):
+    for minimum, guess, line_speed in ((0.0, 0.1, 1.0), (5.0, 50.0, -1.0)):
         bound = exact(robot, trajectory, minimum_tension=minimum, line_speed=line_speed)
         keywords: dict[str, Any] = {"guess": guess, "minimum_tension": minimum, "line_speed": line_speed}
         found = iterate_load(robot, trajectory, corrected=True, **keywords)
@@ -80,13 +77,6 @@ def test_affine_torque_needs_one_guess_and_torque_with_kinks_several() -> None:
     line = find_trajectory("line-planar", 2)
     kinked = iterate_load(PLANAR, line, guess=5.0, corrected=True, minimum_tension=5.0, max_iterations=1)
     assert abs(kinked.payload - exact(PLANAR, line, minimum_tension=5.0).payload) > 0.1
-
-
-def test_printed_form_gives_no_load_at_the_true_payload() -> None:
-    true = exact(SPATIAL, CIRCLE).payload
-    found = iterate_load(SPATIAL, CIRCLE, guess=true, corrected=False, max_iterations=1)
-    assert found.payload == pytest.approx(0, abs=1e-9)
-    assert not found.converged
 
 
 @pytest.mark.parametrize("corrected", [True, False])

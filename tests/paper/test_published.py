@@ -9,13 +9,10 @@ from pathlib import Path
 import pytest
 
 from cablebot_baselines.paper import inputs, interpretation
-from cablebot_baselines.paper.exact import exact_limit
 from cablebot_baselines.paper.findings import finding, rows
-from cablebot_baselines.paper.interpretation import Interpretation, choices_of
-from cablebot_baselines.paper.parts.interpretations import limits
+from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.published import LOADS, PUBLISHED, published_value, within
 from cablebot_baselines.paper.summary import POINTS
-from cablebot_baselines.paper.texts import as_text, kilograms, option_text
 from cablebot_baselines.paper.verdicts import Run
 from cablebot_gym.robots import PLANAR
 from cablebot_gym.uncertainty import UNCERTAINTIES, Uncertainty
@@ -118,21 +115,15 @@ def test_within_is_five_percent():
         ("5.2.1.motor", "fig10.motor", 2, 1),
         ("5.2.2.payload", "fig12.counted_kg", 2.6, 2.8),
         ("5.2.3.payload", "fig15.state_space_counted_kg", 1.45, 1.5),
-        ("5.2.3.rigid", "fig12.counted_kg", 2.6, 2.8),
         ("5.2.3.motor", "fig15.state_space_motor", 2, 3),
         ("5.2.3.less", "fig15.state_space_drop_fraction", 0.06, 0.04),
-        ("6.drop", "fig15.state_space_drop_fraction", 0.31, 0.4),
         ("4.4.sum", "fig9.flex_sum_reduction_1e-3", 0.601, 0.6),
-        ("4.4.max", "fig9.flex_max_reduction_1e-3", 0.601, 0.6),
-        ("6.robust", "fig9.flex_sum_reduction_1e-3", 0.601, 0.6),
         ("abstract.accuracy", "claims.closed_loop_spatial_error_mm", 0.4, 0.6),
         ("1.tension", "fig6.least_tension_N", 0.1, -0.1),
         ("1.tension", "fig5.slack", False, True),
         ("1.controller", "claims.open_loop_spatial_kg", None, 5.0),
         ("3.1.poles", "claims.pole_error_planar", 0.04, 0.06),
-        ("3.2.poles", "claims.pole_error_spatial", 0.04, 0.06),
         ("3.3.linear", "eq22.max_growth_K2", -1.0, 1.0),
-        ("3.3.bounded", "eq22.max_growth_K3", -1.0, 1.0),
         ("3.3.robust", "eq22.least_growth_any_K", -1.0, 1.0),
         ("3.4.uncontrollable", "eq22.controllable_states", 12, 24),
         ("3.4.lyapunov", "eq22.lyapunov_printed_definite", True, False),
@@ -140,14 +131,11 @@ def test_within_is_five_percent():
         ("4.1.tension", "fig5.least_tension_N", 0.1, 0.0),
         ("4.3.vibration", "fig7.ripple_late_Nm", 0.44, 0.45),
         ("5.1.linear-planar", "claims.affine_planar", 1e-9, 1e-3),
-        ("5.1.linear-spatial", "claims.affine_spatial", 1e-9, 1e-3),
         ("5.1.converges", "eq37.literal_spread_kg", 1e-9, 0.1),
         ("5.1.answer", "eq37.literal_over_true", 1.04, 1.06),
         ("5.1.accuracy", "claims.fl_payload_unknown_paper_kg", 1.75, 1.6),
         ("5.2.1.path", "fig11.within", True, False),
-        ("5.2.2.path", "fig13.within", True, False),
         ("5.2.3.path", "fig14.eq22_within", True, False),
-        ("5.2.3.stable", "eq22.max_growth_K2", -1.0, 1.0),
         ("6.torque", "fig7.ripple_after_Nm", 0.45, 0.44),
         ("6.uncertainty", "claims.flex_composite_error_table6_mm", 2.8, 2.7),
         ("6.open-tracking", "claims.open_loop_planar_error_mm", 0.5, 0.3),
@@ -181,35 +169,6 @@ def test_number_without_value_makes_a_finding_undecided():
     assert (row["verdict"], row["evidence"]) == ("undecided", "`fig11.peak_error_mm` has no value.")
     row = found("5.2.3.path", Interpretation(line="cable"), {"fig14.eq22_peak_error_mm": None})
     assert "no motor can have the torque-speed line cable" in row["evidence"]
-
-
-def test_evidence_omits_what_was_not_run():
-    assert "geometries" in found("5.2.2.payload")["evidence"]
-    row = found("5.2.2.payload", changes={"fig12.simulated": False}, without=("scan.", "interpretations."))
-    assert (row["verdict"], row["evidence"]) == ("not reproduced", "Added load by exact tracking: 1.80 kg.")
-
-
-def test_evidence_names_the_closest_combination_of_options():
-    """All payloads that match within rounding are named, else only the closest one."""
-    both = "2.55 kg (0 %) with pulleys of Table 5, torque limits from the cable speed in m/s, or 2.53 kg (−1 %) with"
-    assert f"{both} pulleys of Table 5, torque limits independent of speed." in found("5.2.2.payload")["evidence"]
-    planar = found("5.2.1.payload")["evidence"]
-    assert "Closest total mass of platform and load: 2.13 kg (−3 %) with T_min = 0 N." in planar
-    assert "exact tracking: 2.07 kg (−6 %)." in planar
-
-
-@pytest.mark.slow
-def test_closest_combinations_are_those_of_the_exact_payloads():
-    default = Interpretation()
-    for line in ("cable", "flat"):
-        chosen = default.replace(pulleys="table5", line=line)
-        limit = exact_limit(chosen, chosen.spatial("payload"))
-        assert limit.payload == pytest.approx(LOADS["spatial"], rel=0.015)
-        assert limit.motor == 2
-    planar = limits(interpretation=default, kind="planar")
-    second = {one: limit.payload for one, limit in planar.items() if limit.motor == 2}
-    closest = min(second, key=lambda one: abs(second[one] - LOADS["planar"]))
-    assert (closest.line, closest.planar_apex, closest.minimum_tension) == ("cable", "left", 0.0)
 
 
 def test_inputs_follow_the_interpretation():
@@ -255,18 +214,3 @@ def test_robot_without_equilibrium_makes_its_inputs_undecided():
     assert row["verdict"] == "undecided"
     assert "no equilibrium with positive tensions" in row["evidence"]
     assert found("table2.m", Interpretation(triangles="aligned"))["verdict"] == "used"
-
-
-def test_numbers_as_text():
-    values = (1.23456, -0.5, 1e-5, 12672, None, True, float("inf"), "motor 2")
-    texts = ["1.235", "−0.5", "1 · 10⁻⁵", "12672", "–", "yes", "∞", "motor 2"]
-    assert [as_text(value) for value in values] == texts
-    assert [kilograms(load) for load in (1.802, 11.776, -0.5)] == ["1.80 kg", "11.8 kg", "−0.500 kg"]
-
-
-def test_every_choice_has_its_own_text():
-    texts = {option_text(name, choice) for name, choices in choices_of().items() for choice in choices}
-    assert len(texts) == sum(len(choices) for choices in choices_of().values())
-    assert not any("=" in text and "K = " not in text for text in texts)
-    assert option_text("platform_mass", "as-printed") == "platform mass as printed: 11 kg in §4, 10 kg in §5.2"
-    assert option_text("stiffness", "as-printed", "control") == "K = 2 N·m/rad"

@@ -87,31 +87,16 @@ def test_both_halves_of_fig_15_mark_their_saturation(results, numbers):
         assert marked(half)[:2] == pytest.approx(expected)
 
 
-@pytest.mark.slow
-def test_flat_line_has_constant_limits_and_another_payload(numbers):
-    flat = DEFAULT.replace(line="flat")
-    found = computed("fig12", flat, skipped=("task", "payload_unknown", "empty"))
-    found |= {"task": found["paper"], "payload_unknown": found["paper"], "empty": None}
-    for upper, lower, _ in map(curves, drawn_panels("fig12", flat, found)[0]):
-        np.testing.assert_allclose(upper[:, 1], 10.0, atol=1e-4)
-        np.testing.assert_allclose(lower[:, 1], -10.0, atol=1e-4)
-    outcome = BY_NAME["fig12"].outcome(flat, found).numbers
-    assert outcome["payload_kg"] == pytest.approx(outcome["exact_payload_kg"], rel=0.03)
-    assert outcome["payload_kg"] > 1.2 * numbers["fig12"]["payload_kg"]
-
-
-@pytest.mark.parametrize(("line", "factor"), [("reversed", -1.0), pytest.param("cable", -0.05, marks=pytest.mark.slow)])
-def test_line_without_closed_loop_shows_exact_tracking_with_its_limits(line, factor):
-    interpretation = DEFAULT.replace(line=line)
+def test_line_without_closed_loop_shows_exact_tracking_with_its_limits():
+    interpretation = DEFAULT.replace(line="reversed")
     found = computed("fig12", interpretation)
     panels, titles = drawn_panels("fig12", interpretation, found)
     assert "exact tracking, no closed loop" in titles
-    assert f"line = {line}" in titles
     assert not BY_NAME["fig12"].outcome(interpretation, found).numbers["simulated"]
     robot = interpretation.spatial("payload")
     for motor, (upper, lower, _) in enumerate(map(curves, panels)):
         motion = paper_circle(robot)(upper[:, 0])
-        speed = factor * textbook.pulley_speed(robot, motion.position, motion.velocity)[:, motor]
+        speed = -textbook.pulley_speed(robot, motion.position, motion.velocity)[:, motor]
         np.testing.assert_allclose(upper[:, 1], 10.0 - robot.speed_slope[motor] * speed, atol=1e-9)
         np.testing.assert_allclose(upper[:, 1] - lower[:, 1], 20.0)
     for name in ("fig11", "fig14"):
@@ -170,16 +155,10 @@ def test_errors_and_curves_are_those_of_the_drawn_episodes(results, numbers):
         peak = 1e3 * results[name][result].rollout.arrays["tracking_error"].max()
         assert peak <= numbers[name]["peak_error_mm"] <= 1.01 * peak + 1e-3
         assert (numbers[name]["within"], numbers[name]["bound_mm"]) == (True, 10.0)
-    plane = BY_NAME["fig13"].draw(DEFAULT, results["fig13"]).axes[0]
-    named = {line.get_label(): line.get_xydata() for line in plane.get_lines()}
-    for key, prefix, words in (
-        ("paper", "", "payload known, paper"),
-        ("task", "task_", "payload known, task"),
-        ("payload_unknown", "payload_unknown_", "payload unknown"),
-    ):
-        (label,) = [label for label in named if f", {words}" in label]
-        assert label.startswith(f"{numbers['fig12'][prefix + 'payload_kg']:.3f} kg")
-        np.testing.assert_array_equal(named[label], results["fig13"][key].rollout.arrays["pose"][:, :2])
+    path = BY_NAME["fig13"].draw(DEFAULT, results["fig13"]).axes[0]
+    drawn = [line.get_xydata().tolist() for line in path.get_lines()]
+    for key in ("paper", "task", "payload_unknown"):
+        assert results["fig13"][key].rollout.arrays["pose"][:, :2].tolist() in drawn
 
 
 @pytest.mark.slow
@@ -191,7 +170,6 @@ def test_eq_22_leaves_the_tube_without_motor_friction_only(results, numbers):
     assert found["eq22_friction_leaves_s"] is None
     assert numbers["fig15"]["eq22_payload_kg"] is None
     axes = BY_NAME["fig14"].draw(DEFAULT, results["fig14"]).axes
-    assert [one.get_ylabel().split()[0] for one in axes[1:]] == ["position", "z", "ψ", "θ", "φ"]
     arrays = results["fig14"]["eq22"].arrays
     for column, one in enumerate(axes[2:], start=2):
         error = 1e3 * (arrays["pose"] - arrays["reference_pose"])[:, column]

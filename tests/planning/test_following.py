@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import cablebot_gym  # noqa: F401  # registers the ids
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Follower, Margins, MotionProgram, PlannedMotion, State
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -26,13 +26,8 @@ CASES: dict[str, tuple[Any, str, int]] = {
     "planar": (PLANAR, "CableBot-Planar-v0", 40),
     "spatial": (SPATIAL, "CableBot-Spatial-v0", 20),
     "flexible planar": (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 40),
-    "flexible spatial": (FLEX_SPATIAL, "CableBot-FlexSpatial-v0", 20),
 }
 """Robot, environment and number of spline intervals."""
-
-each_case = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if "spatial" in name else ()) for name in CASES]
-)
 
 
 @cache
@@ -43,16 +38,16 @@ def plan(name: str) -> PlannedMotion:
     return MotionProgram(robot, reference, ErrorBounds(), intervals=intervals, margins=MARGINS, period=0.002).solve()
 
 
-def follow(name: str, follower: Follower, *, error: float = 0.0, frequency: float = 500.0) -> np.ndarray:
+def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.ndarray:
     """Distance of the platform from the plan after every control period, in the environment's plant."""
     robot, env_id, _ = CASES[name]
-    motion, period = plan(name), 1 / frequency
-    first = np.zeros(robot.coordinates)
-    first[0] = error
-    env = gym.make(env_id, trajectory=motion, payload=motion.payload, initial_error=first, control_frequency=frequency)
+    motion, period = plan(name), 1 / 500
+    follower = Follower(robot=robot, gains=gains, motor_frequency=200.0)
+    first = error * np.eye(robot.coordinates)[0]
+    env = gym.make(env_id, trajectory=motion, payload=motion.payload, initial_error=first)
     observation, _ = env.reset(seed=0)
     layout, distances = env.unwrapped.layout, []
-    for step in range(round(motion.duration * frequency)):
+    for step in range(round(motion.duration / period)):
         state = State.of(layout.split(observation), np.asarray(step * period))
         action = follower.action(motion, state, np.asarray(motion.payload), period)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
@@ -138,17 +133,12 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
 # --- a whole motion ---------------------------------------------------------------------------------------------------
 
 
-@each_case
+@pytest.mark.parametrize("name", ["planar", "flexible planar", pytest.param("spatial", marks=pytest.mark.slow)])
 def test_plan_is_followed_and_an_initial_error_corrected(name: str) -> None:
-    robot = CASES[name][0]
-    gains = (100.0, 10.0) if robot.flexible else (2500.0, 100.0)
-    follower = Follower(robot=robot, gains=gains, motor_frequency=200.0)
-    assert follow(name, follower).max() < (3e-5 if robot.flexible else 1e-5)
-    gains = (100.0, 20.0) if robot.flexible else (400.0, 40.0)
-    without, corrected = (
-        follow(name, Follower(robot=robot, gains=chosen, motor_frequency=200.0), error=5e-4)
-        for chosen in (NO_GAINS, gains)
-    )
+    flexible = CASES[name][0].flexible
+    assert follow(name, (100.0, 10.0) if flexible else (2500.0, 100.0)).max() < (3e-5 if flexible else 1e-5)
+    without = follow(name, NO_GAINS, error=5e-4)
+    corrected = follow(name, (100.0, 20.0) if flexible else (400.0, 40.0), error=5e-4)
     assert corrected[0] == pytest.approx(5e-4, rel=0.1)
     assert corrected[-1] < 0.2 * 5e-4
     assert corrected[-1] < 0.5 * without[-1]

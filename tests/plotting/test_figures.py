@@ -67,21 +67,6 @@ def test_mark_is_at_the_least_torque_margin(result):
     assert ("beyond" in note.get_text()) == (margins.min() < 0)
 
 
-def test_large_request_does_not_flatten_the_limits(results):
-    rollout = results["planar"].rollout
-    arrays = {**rollout.arrays, "commanded_action": np.full((500, 3), 1e6)}
-    far = dataclasses.replace(results["planar"], rollout=dataclasses.replace(rollout, arrays=arrays))
-    low, high = panels(figures.draw_torques(far))[0].get_ylim()
-    assert high - low < 10 * PLANAR.stall_torque.max()
-
-
-def test_episode_of_one_step_is_visible(results):
-    for axes in (*panels(figures.draw_torques(results["violent"])), figures.draw_path(results["violent"]).axes[1]):
-        line, (low, high) = axes.get_lines()[0], axes.get_xlim()
-        assert line.get_marker() == "."
-        assert low < line.get_xdata()[0] < high
-
-
 def test_path_is_drawn_with_its_tube_errors_and_bounds(result):
     plane, *errors = figures.draw_path(result).axes
     true_pose, planar = result.rollout.arrays["true_pose"], result.task.robot.planar
@@ -97,19 +82,6 @@ def test_path_is_drawn_with_its_tube_errors_and_bounds(result):
     np.testing.assert_array_equal(tube.get_offsets(), reference.get_xydata())
     assert len(errors) == (1 if planar else 2)
     assert [axes.get_lines()[1].get_ydata()[0] for axes in errors] == [10.0] * len(errors)
-
-
-def test_titles_state_the_result(result):
-    title = " ".join(figures.draw_result(result).get_suptitle().split())  # lines are wrapped
-    head = f"{result.env_id}, policy {result.policy}, {result.criterion} criterion"
-    assert all(part in title for part in (head, result.violation_text))
-    summary = "fails unloaded" if result.payload is None else f"payload {result.payload:.3f} kg"
-    assert summary in title
-    drawn = dataclasses.replace(result, draws=60, probability=0.9, confidence=0.95, uncertainty="table6")
-    of_draws = figures.draw_path(drawn).get_suptitle()
-    shown = "shown: the draw with this violation" if result.payload is None else "shown: the first draw that carries it"
-    assert "60 draws of table6" in of_draws
-    assert shown in of_draws
 
 
 def test_limits_are_those_of_the_true_motors():
@@ -144,26 +116,6 @@ def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     ]
     assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in written)
     assert sorted((tmp_path / "new").iterdir()) == sorted(written)
-
-
-def test_interrupt_leaves_the_old_file(results, tmp_path, monkeypatch):
-    (tmp_path / "torques-paper.png").write_bytes(b"old")
-
-    def savefig(self, target, **keywords):
-        target.write_bytes(b"\x89PNG half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(figure_module.Figure, "savefig", savefig)
-    with pytest.raises(KeyboardInterrupt):
-        figures.save_figures(results["planar"], tmp_path)
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
-
-
-def test_missing_matplotlib_names_the_extra(results, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[plot\]'"):
-        figures.save_figures(results["planar"], tmp_path / "folder")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_comparison_shows_errors_and_their_distribution():

@@ -24,7 +24,7 @@ from cablebot_gym.policies import (
     loading,
     policy_entries,
 )
-from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, OpenLoop, reset_policy
+from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, reset_policy
 from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.task import Task
@@ -60,7 +60,6 @@ def points(monkeypatch):
         own = [*installed(group=group)] if group == ENTRY_POINT_GROUP else []
         return [point for point in (*added[group], *own) if name in (None, point.name)]
 
-    assert set(added) == {"cablebot_gym.policies", "cablebot_gym.policy_files"}
     monkeypatch.setattr(loading, "entry_points", entry_points)
     return added
 
@@ -98,16 +97,8 @@ def test_policies_of_other_packages_are_found_by_name(points):
     policy = load_policy("constant", SPATIAL)
     assert isinstance(policy, Constant)
     assert policy.robot is SPATIAL
-    for name in ("FL", "constant.py", "lqr"):
-        with pytest.raises(ValueError, match=r"choose one of .*apg-circle, .*, constant, .*zzz, or|a learned bundle"):
-            load_policy(name, PLANAR)
-
-
-@pytest.mark.parametrize(("name", "meant"), [("FL", "; did you mean 'fl'?"), ("lqr", "package.module:factory")])
-def test_unknown_name_gets_a_suggestion(name, meant):
-    with pytest.raises(ValueError, match="unknown policy") as caught:
-        load_policy(name, PLANAR)
-    assert str(caught.value).endswith(meant)
+    with pytest.raises(ValueError, match=r"unknown policy 'lqr'; choose one of .*constant, .*zzz"):
+        load_policy("lqr", PLANAR)
 
 
 # --- package.module:factory -------------------------------------------------------------------------------------------
@@ -128,7 +119,6 @@ def nothing(robot):
 def raising(robot):
     raise KeyError("weights")
 
-number = 3
 """
 
 
@@ -149,7 +139,6 @@ def test_factory_of_a_module_makes_a_policy(module):
         ("nothing", r"the factory must return a policy; .*; NoneType is neither"),
         ("raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
         ("missing", "has no attribute 'missing'"),
-        ("number", "'number' must be a function that takes a robot and returns a policy"),
     ],
 )
 def test_attribute_that_makes_no_policy_is_rejected(module, attribute, message):
@@ -159,8 +148,6 @@ def test_attribute_that_makes_no_policy_is_rejected(module, attribute, message):
 
 
 def test_module_that_cannot_be_imported_is_named_with_the_reason(module):
-    with pytest.raises(ValueError, match="cannot import 'make' of 'no_such_package'"):
-        load_policy("no_such_package:make", PLANAR)
     name = module("import no_such_dependency\ndef make(robot): ...\n")
     with pytest.raises(ValueError, match=r"cannot import .*No module named 'no_such_dependency'"):
         load_policy(f"{name}:make", PLANAR)
@@ -179,21 +166,19 @@ def archive(tmp_path):
 
 
 def test_file_goes_to_the_loaders_of_other_packages_in_turn(points, archive, caplog):
-    class Broken(Point):
-        def __init__(self):
-            self.load = lambda: __import__("no_such_dependency")
-
     calls = []
     loaders = (
         lambda path, robot: calls.append((path, robot)),
         lambda path, robot: Constant(robot),
         lambda path, robot: pytest.fail("not its turn"),
     )
-    points[FILE_ENTRY_POINT_GROUP] += [Broken(), *map(Point, loaders)]
+    broken = Point(None)
+    broken.load = lambda: __import__("no_such_dependency")
+    points[FILE_ENTRY_POINT_GROUP] += [broken, *map(Point, loaders)]
     policy = load_policy(str(archive), SPATIAL)
     assert isinstance(policy, Constant)
     assert (policy.robot, calls) == (SPATIAL, [(archive, SPATIAL)])
-    assert "policy files of kind 'other' are skipped: other:load raised No module named" in caplog.text
+    assert "policy files of kind 'other' are skipped" in caplog.text
 
 
 def test_damaged_or_missing_file_is_not_loaded(points, archive):
@@ -202,22 +187,6 @@ def test_damaged_or_missing_file_is_not_loaded(points, archive):
     for name, message in ((archive, "is not a zip file, or it is damaged"), ("missing.zip", "does not exist")):
         with pytest.raises(ValueError, match=message):
             load_policy(str(name), PLANAR)
-
-
-def test_error_of_a_loader_is_passed_on(points, archive):
-    def rejects(path, robot):
-        raise ValueError("made for another robot")
-
-    def fails(path, robot):
-        raise KeyError("weights")
-
-    for loader, message in (
-        (rejects, r"^made for another robot$"),
-        (fails, r"^policy file '.*mine\.zip' cannot be loaded: other:load raised KeyError: 'weights'$"),
-    ):
-        points[FILE_ENTRY_POINT_GROUP][:] = [Point(loader)]
-        with pytest.raises(ValueError, match=message):
-            load_policy(str(archive), PLANAR)
 
 
 # --- SB3 files --------------------------------------------------------------------------------------------------------
@@ -289,19 +258,10 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
         np.testing.assert_array_equal(action, expected)
 
 
-def test_model_of_a_missing_package_names_its_extra(tmp_path, monkeypatch):
-    path = tmp_path / "model.zip"
-    saved(path, *spaces_of(PLANAR_ID), "TQC", "sb3_contrib")
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    with pytest.raises(ValueError, match=r"was saved by sb3-contrib: pip install 'cablebot-gym\[sb3\]'"):
-        load_policy(str(path), PLANAR)
-
-
 @pytest.mark.parametrize(
     ("observation", "action", "message"),
     [
         (57, 6, "the model reads 57 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
-        (21, 2, "the model reads 21 numbers and returns 2 numbers"),
         (21, MultiBinary(3), r"the model reads 21 numbers and returns MultiBinary\(3\)"),
         (Box(-10.0, 10.0, (21,)), 3, r"the model reads a normalised observation within \[-10, 10\]"),
         (21, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
@@ -378,13 +338,6 @@ def test_error_of_a_callable_names_its_observation(wrong, message):
     assert caught.value.index == 2
 
 
-def test_open_loop_returns_one_action_after_the_other():
-    policy, state = OpenLoop(np.arange(6.0).reshape(3, 2)), None
-    for step in range(3):
-        action, state = policy.predict(np.zeros((4, 7)), state=state)
-        np.testing.assert_array_equal(action, [[2 * step, 2 * step + 1]] * 4)
-
-
 # --- reset ------------------------------------------------------------------------------------------------------------
 
 
@@ -396,19 +349,14 @@ def with_reset(reset):
 
 def test_reset_gets_one_task_per_observation_if_it_takes_any():
     calls = []
-
-    def other(batch, /):
-        calls.append(batch)
-
     with closing(gym.make_vec(PLANAR_ID, num_envs=3)) as envs:
         envs.reset(seed=0)
-        for reset in (lambda tasks: calls.append(tasks), other):
-            reset_policy(with_reset(reset), "mine", lambda: envs.unwrapped.tasks)
-    assert [len(tasks) for tasks in calls] == [3, 3]
-    assert all(isinstance(task, Task) for tasks in calls for task in tasks)
+        reset_policy(with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: envs.unwrapped.tasks)
+    assert len(calls[0]) == 3
+    assert all(isinstance(task, Task) for task in calls[0])
     for reset in (lambda: calls.append(None), lambda seed=None: calls.append(seed)):
         reset_policy(with_reset(reset), "mine", lambda: pytest.fail("the tasks are not needed"))
-    assert calls[2:] == [None, None]
+    assert calls[1:] == [None, None]
     reset_policy(Constant(PLANAR), "mine", lambda: pytest.fail("the tasks are not needed"))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 
@@ -83,15 +82,6 @@ def test_page_has_title_and_data_as_text(results, capsys):
     assert "<title>A &lt;title></title>" in text
     assert "nobody\\u003c/script>" in text
     assert f"wrote {out}" in capsys.readouterr().out
-
-
-def test_missing_policy_costs_its_episode_only(results, capsys):
-    data = json.loads((results / "results.json").read_text(encoding="utf-8"))
-    data["cells"] = [entry for entry in data["cells"] if entry["cell"].get("policy") == "adaptive"]
-    data["cells"][0]["cell"]["policy"] = "gone"
-    (results / "results.json").write_text(json.dumps(data), encoding="utf-8")
-    report([results], out=results / "x.html", workers=1)
-    assert "1 cell: No episode: unknown policy 'gone'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -255,15 +245,9 @@ def test_recipe_computes_the_number(opened, row, payload):
 
 
 @pytest.mark.slow
-def test_map_has_its_numbers_and_one_style_per_policy(opened, tmp_path):
+def test_map_has_its_numbers(opened, tmp_path):
     cells = [
-        AXES["position"].with_value(policy(name, env_id=env_id, trajectory=motion), bound)
-        for env_id, motion, names in (
-            (PLANAR, CIRCLE, ("fl", "apg-loops")),
-            ("CableBot-Spatial-v0", {"name": "paper-spatial"}, ("adaptive", "fl", "apg-loops")),
-        )
-        for name in names
-        for bound in (0.005, 0.01)
+        AXES["position"].with_value(policy(name), bound) for name in ("fl", "apg-loops") for bound in (0.005, 0.01)
     ]
     file = tmp_path / "maps.html"
     records = [carried(cell, 1.0) for cell in cells]
@@ -271,14 +255,6 @@ def test_map_has_its_numbers_and_one_style_per_policy(opened, tmp_path):
     page = opened(file=file)
     page.click("#maps summary >> nth=0")
     assert page.locator("#maps tr").all_inner_texts()[1].split() == ["fl", "1.00", "1.00"]
-    legends = page.evaluate(
-        """[...document.querySelectorAll("#maps .legend li")].map((item) => {
-          const line = item.querySelector("line");
-          return [item.textContent.trim(), line.getAttribute("stroke") + line.getAttribute("stroke-dasharray")];
-        })"""
-    )
-    assert len(legends) == 5
-    assert len(set(map(tuple, legends))) == 3
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.ImageSequence import Iterator
 
 import cablebot_gym.video.recording as videos
 from cablebot_gym.cli import app as cli
@@ -72,14 +73,11 @@ def test_file_contains_every_picture(tmp_path, lost, suffix, rate):
         read = [np.frombuffer(picture, np.uint8).reshape(240, 640, 3) for picture in pictures]
         assert len(read) == count
     else:
-        with Image.open(path) as image:
+        with Image.open(path) as image:  # equal pictures are stored as one with a longer duration
             assert (image.size, image.info["loop"]) == ((640, 240), 0)
-            read, duration = [], 0
-            for index in range(image.n_frames):  # equal pictures are stored as one with a longer duration
-                image.seek(index)
-                read.append(np.asarray(image.convert("RGB")))
-                duration += image.info["duration"]
-            assert duration == pytest.approx(1000 * count / rate)
+            read = [(one.info["duration"], np.asarray(one.convert("RGB"))) for one in Iterator(image)]
+        assert sum(duration for duration, _ in read) == pytest.approx(1000 * count / rate)
+        read = [picture for _, picture in read]
     assert np.mean(np.abs(read[-1].astype(int) - painter.array(9.0))) < 4  # both formats are lossy
     assert np.mean(np.abs(read[0].astype(int) - painter.array(9.0))) > 4
 
@@ -134,11 +132,7 @@ def test_video_command_shows_two_policies(cablebot, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("video.mp4",), "give either --policy with one name, or --policies with several"),
-        (("video.mp4", "--policy", "fl", "--policies", "fl"), "give either --policy"),
         (("video.mp4", "--policy", "fl", "--size", "large"), "such as 640x480, not 'large'"),
-        (("video.gif", "--policy", "fl", "--size", "100000x100000"), "7680 × 4320 pixels"),
-        (("video.mp4", "--policy", "flying"), "flying"),
         (("video.avi", "--policy", "fl"), "end in .mp4 or .gif"),
         (("video.mp4", "--policy", "fl", "--speed", "nan"), "speed must"),
         (("video.mp4", "--policy", "fl", "--size", "641x481"), "even number"),
@@ -155,15 +149,8 @@ def test_mistake_is_reported_in_one_line(cablebot, tmp_path, monkeypatch, argume
 
 def test_watch_command_plays_in_a_window(cablebot, monkeypatch):
     calls = []
-    with monkeypatch.context() as patched:
-        patched.setattr(videos, "play", lambda shown, **keywords: calls.append((shown, keywords)))
-        arguments = ("--policy", "fl", "--payload", "1.5", "--speed", "0.5", "--size", "400x300")
-        assert cablebot("watch", PLANAR, *arguments)[0] == 0
+    monkeypatch.setattr(videos, "play", lambda shown, **keywords: calls.append((shown, keywords)))
+    arguments = ("--policy", "fl", "--payload", "1.5", "--speed", "0.5", "--size", "400x300")
+    assert cablebot("watch", PLANAR, *arguments)[0] == 0
     [([(title, rollout)], keywords)] = calls
     assert (title, rollout.payload, keywords) == (f"fl on {PLANAR}", 1.5, {"speed": 0.5, "size": (400, 300)})
-    monkeypatch.setattr("sys.platform", "linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
-    status, _, err = cablebot("watch", PLANAR, "--policy", "fl")
-    assert status == 2
-    assert f"Write a video instead, with the same options: cablebot video {PLANAR}" in " ".join(err.split())

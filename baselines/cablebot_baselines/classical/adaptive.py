@@ -12,10 +12,9 @@ from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
-from cablebot_gym.envs import FLEXIBLE_ENV_IDS, RIGID_ENV_IDS
+from cablebot_baselines.entries import entry
 from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import STANDARD_GRAVITY, Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
@@ -174,18 +173,5 @@ def make_adaptive(robot: Robot) -> Adaptive:
     return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
 
 
-ADAPTIVE = PolicyEntry(
-    name="adaptive",
-    kind="classical",
-    env_ids=RIGID_ENV_IDS,
-    factory=make_adaptive,
-    summary="feedback linearization that estimates the payload and allocates torque",
-)
-
-ADAPTIVE_COMPOSITE = PolicyEntry(
-    name="adaptive-composite",
-    kind="classical",
-    env_ids=FLEXIBLE_ENV_IDS,
-    factory=make_adaptive,
-    summary="composite-tuned that estimates the payload and allocates torque",
-)
+ADAPTIVE = entry("adaptive", make_adaptive)
+ADAPTIVE_COMPOSITE = entry("adaptive-composite", make_adaptive)

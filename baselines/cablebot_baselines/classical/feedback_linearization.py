@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
-from cablebot_gym.envs import RIGID_ENV_IDS
+from cablebot_baselines.entries import entry
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 
 TUNED_GAINS = {"planar": (2000.0, 90.0), "spatial": (1600.0, 80.0)}
@@ -53,18 +52,5 @@ def _tuned(robot: Robot) -> FeedbackLinearization:
     return FeedbackLinearization(robot, gains=TUNED_GAINS["planar" if robot.planar else "spatial"])
 
 
-FL = PolicyEntry(
-    name="fl",
-    kind="classical",
-    env_ids=RIGID_ENV_IDS,
-    factory=FeedbackLinearization,
-    summary="the paper's feedback linearization with the paper's gains",
-)
-
-FL_TUNED = PolicyEntry(
-    name="fl-tuned",
-    kind="classical",
-    env_ids=RIGID_ENV_IDS,
-    factory=_tuned,
-    summary="feedback linearization with gains for an unknown payload",
-)
+FL = entry("fl", FeedbackLinearization)
+FL_TUNED = entry("fl-tuned", _tuned)

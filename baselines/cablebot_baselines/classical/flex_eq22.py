@@ -5,16 +5,15 @@ The law does not stabilise the springs. The package includes it to demonstrate t
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cablebot_baselines.classical.flexible import SPATIAL_ENV_IDS, FlexibleLaw
+from cablebot_baselines.classical.flexible import FlexibleLaw
 from cablebot_baselines.classical.law import Array, first_steps
 from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
+from cablebot_baselines.entries import entry
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice
 
@@ -54,7 +53,9 @@ class PaperFlexible(FlexibleLaw):
         minimum_tension: float = MINIMUM_TENSION,
     ) -> None:
         choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))
-        super().__init__(_undamped(robot) if as_printed else robot, minimum_tension=minimum_tension)
+        if as_printed:
+            robot = robot.replace(transmission=robot.transmission.replace(damping=0.0, motor_damping=0.0))
+        super().__init__(robot, minimum_tension=minimum_tension)
         self.motor_acceleration = motor_acceleration
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
 
@@ -80,14 +81,4 @@ def _measured_acceleration(
     return np.where(period > 0, measured, default), now
 
 
-def _undamped(robot: Robot) -> Robot:
-    return robot.replace(transmission=dataclasses.replace(robot.transmission, damping=0.0, motor_damping=0.0))
-
-
-FLEX_EQ22 = PolicyEntry(
-    name="flex-eq22",
-    kind="classical",
-    env_ids=SPATIAL_ENV_IDS,
-    factory=PaperFlexible,
-    summary="the paper's law for joint springs (Eq. 22), unstable without friction",
-)
+FLEX_EQ22 = entry("flex-eq22", PaperFlexible)

@@ -13,10 +13,9 @@ import numpy as np
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import PD, RobustPD, checked_gains
-from cablebot_gym.envs import FLEXIBLE_ENV_IDS
+from cablebot_baselines.entries import entry
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.trajectories import Reference
@@ -255,36 +254,7 @@ def composite_tuned(robot: Robot) -> Composite:
     return Composite(robot, gains=(200.0, 28.0), spring_damping=0.4)
 
 
-SPATIAL_ENV_IDS = tuple(env_id for env_id in FLEXIBLE_ENV_IDS if "Spatial" in env_id)
-
-COMPOSITE = PolicyEntry(
-    name="composite",
-    kind="classical",
-    env_ids=SPATIAL_ENV_IDS,  # the paper's planar gains are too high for these soft springs
-    factory=Composite,
-    summary="rigid feedback linearization plus damping of the joint springs",
-)
-
-COMPOSITE_TUNED = PolicyEntry(
-    name="composite-tuned",
-    kind="classical",
-    env_ids=FLEXIBLE_ENV_IDS,
-    factory=composite_tuned,
-    summary="composite with gains for both robots and for an unknown payload",
-)
-
-MOTOR_PD = PolicyEntry(
-    name="motor-pd",
-    kind="classical",
-    env_ids=FLEXIBLE_ENV_IDS,
-    factory=MotorPD,
-    summary="PD control of the motor angles with flatness-based feedforward",
-)
-
-FL4 = PolicyEntry(
-    name="fl4",
-    kind="classical",
-    env_ids=SPATIAL_ENV_IDS,
-    factory=FourthOrder,
-    summary="fourth-order feedback linearization for joint springs",
-)
+COMPOSITE = entry("composite", Composite)
+COMPOSITE_TUNED = entry("composite-tuned", composite_tuned)
+MOTOR_PD = entry("motor-pd", MotorPD)
+FL4 = entry("fl4", FourthOrder)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import SPATIAL_ENV_IDS, Composite
+from cablebot_baselines.classical.flexible import Composite
 from cablebot_baselines.classical.outer_loop import RobustPD, checked_gains
-from cablebot_gym.envs import RIGID_ENV_IDS
+from cablebot_baselines.entries import entry
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 
 
@@ -75,26 +74,6 @@ def _tuned(robot: Robot) -> Robust:
     return Robust(robot, boundary_layer=1e-3, zeta=0.5, phi=5.0)
 
 
-ROBUST = PolicyEntry(
-    name="robust",
-    kind="classical",
-    env_ids=RIGID_ENV_IDS,
-    factory=Robust,
-    summary="the paper's robust feedback linearization (Eqs. 26–36)",
-)
-
-ROBUST_TUNED = PolicyEntry(
-    name="robust-tuned",
-    kind="classical",
-    env_ids=tuple(env_id for env_id in RIGID_ENV_IDS if "Spatial" in env_id),  # planar: cables go slack
-    factory=_tuned,
-    summary="robust with ζ and φ for an unknown payload",
-)
-
-ROBUST_COMPOSITE = PolicyEntry(
-    name="robust-composite",
-    kind="classical",
-    env_ids=SPATIAL_ENV_IDS,
-    factory=RobustComposite,
-    summary="composite with the paper's robust term",
-)
+ROBUST = entry("robust", Robust)
+ROBUST_TUNED = entry("robust-tuned", _tuned)
+ROBUST_COMPOSITE = entry("robust-composite", RobustComposite)

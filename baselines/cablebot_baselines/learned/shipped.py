@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from cablebot_baselines.entries import DATA
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.policies import Policy, PolicyEntry
 from cablebot_gym.robots import Robot, find_robot
@@ -21,7 +22,7 @@ class Shipped(PolicyEntry):
 
     algorithm: str
     """Name for ``cablebot train --algo``."""
-    config: str | None
+    config: str | None = None
     """Name of the file of hyperparameters; None for the algorithm's default file."""
 
 
@@ -70,45 +71,16 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
     return LearnedPolicy(Bundle.load(weights_file(name, env_id, folder)), robot)
 
 
-def _shipped(
-    name: str, env_ids: tuple[str, ...], summary: str, *, algorithm: str = "gradient", config: str | None = None
-) -> Shipped:
-    return Shipped(
-        name=name,
-        kind="learned",
-        env_ids=env_ids,
-        factory=partial(load_shipped, name),
-        summary=summary,
-        files=tuple(path for env_id in env_ids if (path := weights_file(name, env_id)).is_file()),
-        algorithm=algorithm,
-        config=config,
-    )
+def _shipped(name: str) -> Shipped:
+    paths = [weights_file(name, env_id) for env_id in DATA[name]["env_ids"]]
+    factory = partial(load_shipped, name)
+    return Shipped(factory=factory, files=tuple(path for path in paths if path.is_file()), **DATA[name])
 
 
-PPO_CIRCLE = _shipped(
-    "ppo-circle",
-    ("CableBot-Spatial-v0",),
-    "PPO: shifts the reference on the paper's circle, payload known",
-    algorithm="ppo",
-)
-APG_CIRCLE = _shipped(
-    "apg-circle",
-    ("CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"),
-    "analytic policy gradient (APG): time-based shift of the paper's circle",
-    config="gradient",
-)
-APG_CIRCLE_MARGIN = _shipped(
-    "apg-circle-margin",
-    ("CableBot-Spatial-v0",),
-    "apg-circle with margins for table6 and noise; estimates the payload",
-    config="gradient-margin",
-)
-APG_LOOPS = _shipped(
-    "apg-loops",
-    ENV_IDS,
-    "APG on random loops: uses the preview, also works on unseen motions",
-    config="gradient-loops",
-)
+PPO_CIRCLE = _shipped("ppo-circle")
+APG_CIRCLE = _shipped("apg-circle")
+APG_CIRCLE_MARGIN = _shipped("apg-circle-margin")
+APG_LOOPS = _shipped("apg-loops")
 
 SHIPPED = {one.name: one for one in (PPO_CIRCLE, APG_CIRCLE, APG_CIRCLE_MARGIN, APG_LOOPS)}
 """Shipped policies by name."""

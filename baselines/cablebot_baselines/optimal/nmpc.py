@@ -14,11 +14,10 @@ from scipy.interpolate import CubicSpline
 from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, EstimatorState
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.entries import entry
 from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, PlanningError, Tuning
-from cablebot_gym.envs import RIGID_ENV_IDS
 from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.planning import Margins
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 
@@ -284,11 +283,4 @@ class NonlinearMPC(ClassicalLaw):
         return planned
 
 
-NMPC = PolicyEntry(
-    name="nmpc",
-    kind="optimal",
-    env_ids=RIGID_ENV_IDS,
-    factory=NonlinearMPC,
-    summary="receding-horizon control: replans the next 0.2 s every 5 steps",
-    slow=True,
-)
+NMPC = entry("nmpc", NonlinearMPC)

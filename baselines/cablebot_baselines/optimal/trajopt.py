@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.classical.adaptive import Adaptive, EstimatorState, make_adaptive
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
-from cablebot_gym.envs import ENV_IDS
+from cablebot_baselines.entries import entry
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Follower, Infeasible, Margins, PlannedMotion, State, plan_motion
 from cablebot_gym.planning.stage_functions import import_casadi
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.trajectories import Trajectory
@@ -224,7 +223,9 @@ class TrajOpt:
         self.fallbacks = 0
         groups: dict[Any, list[int]] = {}
         for env_index, task in enumerate(tasks):
-            groups.setdefault(_plan_key(task), []).append(env_index)
+            # A trajectory that is not hashable is equal only to itself.
+            motion = task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
+            groups.setdefault((motion, task.error_bounds, task.control_frequency), []).append(env_index)
         self._groups = [
             (np.array(indices), self._law(key, tasks[indices[0]], len(indices))) for key, indices in groups.items()
         ]
@@ -289,12 +290,6 @@ class TrajOpt:
         return actions, tuple(states)
 
 
-def _plan_key(task: Task) -> tuple[Any, ...]:
-    """Key of the plan of a task. A trajectory that is not hashable is equal only to itself."""
-    motion = task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
-    return motion, task.error_bounds, task.control_frequency
-
-
 def make_trajopt(robot: Robot) -> TrajOpt:
     """Makes the policy ``trajopt``."""
     return TrajOpt(robot, TRAJOPT_SETTINGS[robot.joints])
@@ -305,18 +300,5 @@ def make_trajopt_margin(robot: Robot) -> TrajOpt:
     return TrajOpt(robot, TRAJOPT_MARGIN_SETTINGS[robot.joints])
 
 
-TRAJOPT = PolicyEntry(
-    name="trajopt",
-    kind="optimal",
-    env_ids=tuple(ENV_IDS),
-    factory=make_trajopt,
-    summary="plans for the largest payload, tracks the plan, estimates the payload",
-)
-
-TRAJOPT_MARGIN = PolicyEntry(
-    name="trajopt-margin",
-    kind="optimal",
-    env_ids=tuple(ENV_IDS),
-    factory=make_trajopt_margin,
-    summary="trajopt with margins for sensor noise and model error",
-)
+TRAJOPT = entry("trajopt", make_trajopt)
+TRAJOPT_MARGIN = entry("trajopt-margin", make_trajopt_margin)

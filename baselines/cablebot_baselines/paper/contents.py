@@ -1,6 +1,5 @@
 """All parts of the page in their order."""
 
-from importlib.resources import files
 from typing import Any
 
 from cablebot_baselines.paper.part import Part
@@ -15,6 +14,7 @@ from cablebot_baselines.paper.parts import (
     scan,
     tracking,
 )
+from cablebot_baselines.paper.published import load_text
 
 _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "fig1": (drawings.no_jobs, drawings.planar_outcome, drawings.draw_planar),
@@ -43,20 +43,14 @@ _FUNCTIONS: dict[str, tuple[Any, ...]] = {
 
 def _texts() -> dict[str, tuple[str, str]]:
     """Title and description of each part from parts.md."""
-    _, *sections = (files("cablebot_baselines.paper") / "parts.md").read_text(encoding="utf-8").split("\n## ")
+    _, *sections = load_text("parts.md").split("\n## ")
     heads = (section.partition("\n") for section in sections)
     return {head.partition(": ")[0]: (head.partition(": ")[2], text.strip()) for head, _, text in heads}
 
 
 PARTS: tuple[Part, ...] = tuple(
-    Part(
-        name=name,
-        title=title,
-        text=text,
-        jobs=_FUNCTIONS[name][0],
-        outcome=_FUNCTIONS[name][1],
-        draw=_FUNCTIONS[name][2],
-    )
+    Part(name=name, title=title, text=text, jobs=jobs, outcome=outcome, draw=draw)
     for name, (title, text) in _texts().items()
+    for jobs, outcome, draw in (_FUNCTIONS[name],)
 )
 """All parts: figures of the paper, its laws and claims, its interpretations, and a map beyond the paper."""

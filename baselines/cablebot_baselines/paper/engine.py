@@ -107,10 +107,11 @@ class _Output:
 
     def __init__(self, interpretation: Interpretation, out: Path, *, alone: bool) -> None:
         self._interpretation, self._out = interpretation, out
+        files = sorted(path for path in Path(__file__).parent.iterdir() if path.suffix in (".md", ".toml"))
         self._head = {
             "interpretation": asdict(interpretation),
             "versions": versions(),
-            "source": source_hash("cablebot_baselines.paper.engine", data=_data()),
+            "source": source_hash("cablebot_baselines.paper.engine", data=tuple(files)),
         }
         self._numbers: dict[str, Number] = {}
         self._parts: dict[str, dict[str, Any]] = {}
@@ -195,12 +196,6 @@ def json_number(value: Any) -> Number:
     if value is None or isinstance(value, (bool, int, str)):
         return value
     raise TypeError(f"a result must be a number, a text, a truth value or None, not {value!r}")
-
-
-def _data() -> tuple[Path, ...]:
-    """Data files that determine the numbers and the page."""
-    folder = Path(__file__).parent
-    return tuple(sorted(path for path in folder.iterdir() if path.suffix in (".md", ".toml")))
 
 
 def _computed(

@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from string import Template
 from typing import Any
 
 from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriumError, Source
 from cablebot_baselines.paper.part import Number
-from cablebot_baselines.paper.published import ABOUT, PUBLISHED, Published
+from cablebot_baselines.paper.published import ABOUT, PUBLISHED, Published, load_text
 from cablebot_baselines.paper.texts import command, option_text
 from cablebot_baselines.paper.verdicts import MissingNumber, Run, judge, judge_input
 
-RULE = f"""\
-* An **input** is *used* if the reproduction uses the printed value. It is *used, corrected* if its unit, name or count
-  is corrected. It is *contradicted* if the paper prints a different value elsewhere. It is *replaced* if the
-  interpretation replaces it.
-* A **result** is *reproduced* if our value differs by at most {100 * ABOUT:g} % under the chosen interpretation. A
-  result of the form "more than" is reproduced if our value is larger. A motor is reproduced if it is the same motor.
-  The values of other interpretations are evidence and do not change the verdict.
-* A **claim** is *reproduced* or *not reproduced* according to the numbers in its row. If the paper writes "perfect",
-  "considerable", "affects" or "no change" without a number, the threshold is the same {100 * ABOUT:g} %.
-* The laws, equations and criterion of the paper determine the verdict if they move the robot. The values of other laws
-  are evidence.
-* A verdict is *undecided* if this project has no model for the statement, or if the robot of the chosen interpretation
-  has no equilibrium."""
+RULE = Template(load_text("rules.md")).substitute(percent=f"{100 * ABOUT:g}").strip()
 """Rules of the verdicts: a Markdown list."""
 
 _PAYLOAD_PARTS = ("fig10", "fig11", "fig12", "fig13", "fig14", "fig15")

@@ -173,13 +173,16 @@ class Interpretation:
         """Whether a motor of a robot with joint springs can have this torque-speed line."""
         return self.line in ("physical", "flat")
 
+    def _possible(self, robot: Robot) -> bool:
+        return self.flexible_loop_possible if robot.flexible else self.closed_loop_possible
+
     def motors(self, robot: Robot) -> Robot:
         """The robot with the torque-speed line of this interpretation.
 
         Raises:
             ValueError: if no motor can have this line.
         """
-        if not (self.flexible_loop_possible if robot.flexible else self.closed_loop_possible):
+        if not self._possible(robot):
             raise ValueError(
                 f"no motor can have the torque-speed line {self.line!r} in closed loop; use flat or physical"
             )
@@ -187,11 +190,7 @@ class Interpretation:
 
     def closed_loop_robot(self, robot: Robot) -> Robot:
         """Robot for closed loops: with this torque-speed line if a motor can have it, otherwise unchanged."""
-        return (
-            self.motors(robot)
-            if (self.flexible_loop_possible if robot.flexible else self.closed_loop_possible)
-            else robot
-        )
+        return self.motors(robot) if self._possible(robot) else robot
 
     def counted(self, robot: Robot, added: float) -> float:
         """Payload by the definition of this interpretation [kg]."""

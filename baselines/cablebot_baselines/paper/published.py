@@ -71,7 +71,12 @@ class Published:
 
 def load_table(name: str) -> dict[str, Any]:
     """Contents of a TOML file of this package."""
-    return tomllib.loads(files("cablebot_baselines.paper").joinpath(name).read_text(encoding="utf-8"))
+    return tomllib.loads(load_text(name))
+
+
+def load_text(name: str) -> str:
+    """Contents of a text file of this package."""
+    return files("cablebot_baselines.paper").joinpath(name).read_text(encoding="utf-8")
 
 
 def _published(key: str, kind: Kind, fields: dict[str, Any]) -> Published:

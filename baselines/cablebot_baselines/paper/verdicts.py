@@ -15,6 +15,7 @@ import numpy as np
 from cablebot_baselines.paper import inputs
 from cablebot_baselines.paper.interpretation import AS_PRINTED, Interpretation
 from cablebot_baselines.paper.part import Number
+from cablebot_baselines.paper.parts.interpretations import VARIED
 from cablebot_baselines.paper.published import LOADS, MOTORS, Published, published_value, within
 from cablebot_baselines.paper.texts import as_text, kilograms, option_text, relative_difference, short
 
@@ -33,12 +34,6 @@ _UNITS = {"kg": "kg", "mm": "mm", "mrad": "mrad", "N": "N", "Nm": "N·m", "s": "
 _PLACEHOLDER = re.compile(r"\{([^{}:|]+)(?::([^{}|]+))?(?:\|([^{}]+))?\}")
 """``{name}``, ``{name:unit}`` or ``{name|key}``."""
 
-_COMBINED = {
-    "planar": ("planar_apex", "alpha", "minimum_tension", "line"),
-    "spatial": ("triangles", "sides", "pulleys", "platform_mass", "line"),
-    "flexible": ("eq24", "stiffness", "line"),
-}
-"""Options that the part ``interpretations`` combines, in the order of the names of its numbers."""
 
 _NEAR = 0.015
 """Relative difference below which a payload matches "about 2.56 kg"."""
@@ -164,7 +159,7 @@ def _combination(kind: str, words: str) -> str:
     default = Interpretation()
     defaults = {
         name: f"{AS_PRINTED[name]['payload']:g}" if name in AS_PRINTED else str(getattr(default, name))
-        for name in _COMBINED[kind]
+        for name in VARIED[kind]
     }
     choices = zip(defaults, words.split("_"), strict=True)
     texts = [option_text(name, choice) for name, choice in choices if choice != defaults[name]]

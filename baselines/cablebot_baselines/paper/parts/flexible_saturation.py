@@ -14,18 +14,8 @@ from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorP
 from cablebot_baselines.paper.exact import exact_limit, paper_circle, state_space_limit, state_space_profile
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
+from cablebot_baselines.paper.parts import profiles
 from cablebot_baselines.paper.parts.plotting import add_title
-from cablebot_baselines.paper.parts.profiles import (
-    PayloadSummary,
-    Shown,
-    computed_profile,
-    draw_panels,
-    first_saturation,
-    on_reference,
-    payload_table,
-    simulated_profile,
-    travelled,
-)
 from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop, largest_payload
 from cablebot_gym.benchmark.engine import Job
 from cablebot_gym.kinematics import Array
@@ -115,23 +105,23 @@ def draw_path(interpretation: Interpretation, results: Results) -> Figure:
     """Fig. 14."""
     robot = interpretation.flexible("payload")
     if not interpretation.flexible_loop_possible:
-        still = on_reference(paper_circle(robot), name="state space")
+        still = profiles.on_reference(paper_circle(robot), name="state space")
         title = ["Robot with joint springs, no closed loop", "the path equals the reference by assumption"]
         return _draw_errors(interpretation, [still], [np.zeros_like(still.pose)], title)
-    shown, summary = _shown(results), PayloadSummary.simulated(results["fl4"])
+    shown, summary = _shown(results), profiles.PayloadSummary.simulated(results["fl4"])
     friction = f"Eq. 22, motors with friction {interpretation.spatial('payload').damping[0]:g} N·m·s/rad, 0 kg"
     runs = (
         (shown.arrays, f"fl4, {summary.payload or 0.0:.3f} kg", BLUE),
         (results["eq22"].arrays, "Eq. 22 as printed, 0 kg", VERMILLION),
         (results["eq22_friction"].arrays, friction, GREY),
     )
-    paths = [travelled(run, name=name, color=color) for run, name, color in runs]
+    paths = [profiles.travelled(run, name=name, color=color) for run, name, color in runs]
     title = ["Robot with joint springs in closed loop", "blue, fl4: " + summary.sentence(robot), *shown.end_reason]
     return _draw_errors(interpretation, paths, [_errors(interpretation, run) for run, _, _ in runs], title)
 
 
-def _shown(results: Results) -> Shown:
-    return Shown(result=results["fl4"], empty=results["empty"])
+def _shown(results: Results) -> profiles.Shown:
+    return profiles.Shown(result=results["fl4"], empty=results["empty"])
 
 
 def _draw_errors(
@@ -195,15 +185,21 @@ def torque_jobs(interpretation: Interpretation) -> Jobs:
 def torque_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Fig. 15."""
     rigid, robot = interpretation.spatial("payload"), interpretation.flexible("payload")
-    space, exact = PayloadSummary.computed(results["state_space"]), PayloadSummary.computed(results["rigid_exact"])
+    space, exact = (
+        profiles.PayloadSummary.computed(results["state_space"]),
+        profiles.PayloadSummary.computed(results["rigid_exact"]),
+    )
     numbers = space.numbers(interpretation, robot, "state_space_")
     numbers |= exact.numbers(interpretation, rigid, "rigid_exact_")
     rows = {"rigid, exact tracking": (rigid, exact), "state space of Eqs. 23–25": (robot, space)}
     simulated, stiff = (space, exact)
     if interpretation.flexible_loop_possible:
-        simulated, stiff = PayloadSummary.simulated(results["fl4"]), PayloadSummary.simulated(results["rigid"])
+        simulated, stiff = (
+            profiles.PayloadSummary.simulated(results["fl4"]),
+            profiles.PayloadSummary.simulated(results["rigid"]),
+        )
         rows |= {"rigid, fl, paper criterion": (rigid, stiff), "fl4, paper criterion": (robot, simulated)}
-        others = {name: PayloadSummary.simulated(results[name]) for name in _OTHERS}
+        others = {name: profiles.PayloadSummary.simulated(results[name]) for name in _OTHERS}
         rows |= {_OTHERS[name]: (robot, summary) for name, summary in others.items()}
         for name in ("motor_pd", "composite", "task", "eq22", "eq22_friction"):
             numbers |= others[name].numbers(interpretation, robot, f"{name}_")
@@ -213,7 +209,9 @@ def torque_outcome(interpretation: Interpretation, results: Results) -> Outcome:
         "drop_fraction": _drop(numbers, "counted_kg", "rigid_counted_kg"),
         "state_space_drop_fraction": _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg"),
     }
-    return Outcome(numbers=numbers, tables=(payload_table("Largest payloads with and without joint springs.", rows),))
+    return Outcome(
+        numbers=numbers, tables=(profiles.payload_table("Largest payloads with and without joint springs.", rows),)
+    )
 
 
 def _drop(numbers: Mapping[str, Number], flexible: str, rigid: str) -> float | None:
@@ -229,17 +227,17 @@ def draw_torques(interpretation: Interpretation, results: Results) -> Figure:
     figure = new_figure(2 * height if simulated else height)
     panels = list(figure.subfigures(2 if simulated else 1, 1, squeeze=False)[:, 0])
     if simulated:
-        summary, shown = PayloadSummary.simulated(results["fl4"]), _shown(results)
-        profile = simulated_profile(interpretation.motors(robot), shown.arrays)
-        draw_panels(panels[0], profile, first_saturation(profile, summary))
+        summary, shown = profiles.PayloadSummary.simulated(results["fl4"]), _shown(results)
+        profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
+        profiles.draw_panels(panels[0], profile, profiles.first_saturation(profile, summary))
         title = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
         rigid = results["rigid"].payload
         stiff = "fails unloaded" if rigid is None else f"{rigid:.3f} kg"
         lines = (summary.sentence(robot), *shown.end_reason, f"rigid robot with fl, paper criterion: {stiff}")
         add_title(panels[0], interpretation, title, *lines)
-    summary = PayloadSummary.computed(results["state_space"])
-    profile = computed_profile(state_space_profile(interpretation, robot, summary.payload or 0.0))
-    draw_panels(panels[-1], profile, first_saturation(profile, summary))
+    summary = profiles.PayloadSummary.computed(results["state_space"])
+    profile = profiles.computed_profile(state_space_profile(interpretation, robot, summary.payload or 0.0))
+    profiles.draw_panels(panels[-1], profile, profiles.first_saturation(profile, summary))
     title = "Robot with joint springs, state space of Eqs. 23–25, no closed loop"
     add_title(panels[-1], interpretation, title, summary.sentence(robot))
     return figure

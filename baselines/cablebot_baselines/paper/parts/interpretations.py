@@ -12,7 +12,7 @@ from cablebot_baselines.paper.exact import LargestPayload, exact_limit, state_sp
 from cablebot_baselines.paper.interpretation import Interpretation, choices_of
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
 from cablebot_baselines.paper.parts.profiles import saturated_motor, violation_text
-from cablebot_baselines.paper.published import LOADS, within
+from cablebot_baselines.paper.published import LOADS, load_table, within
 from cablebot_baselines.paper.runs import FLEX, PLANAR, SPATIAL, Law, largest_payload
 from cablebot_gym.evaluation import DLCCResult
 
@@ -20,7 +20,7 @@ _CHOICES = choices_of()
 _LINES = _CHOICES["line"]
 _RIGID_LINES = tuple(line for line in _LINES if line != "pulley")  # a rigid pulley turns with its motor
 
-_VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
+VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
     "spatial": {
         "triangles": _CHOICES["triangles"],
         "sides": _CHOICES["sides"],
@@ -38,14 +38,7 @@ _VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
 }
 """Options that affect the payload of each robot, and their values."""
 
-_TITLES = {
-    "spatial": "Rigid spatial robot, exact tracking: added payload [kg] and limiting motor; published: "
-    "2.56 kg, motor 2",
-    "planar": "Planar robot, exact tracking: payload [kg] added to the platform of 1 kg and limiting motor; published: "
-    "2.2 kg, motor 2",
-    "flexible": "Joint springs, state space of Eqs. 23–25: added payload [kg] and limiting motor; published: 1.4 kg, "
-    "motor 2 at K = 3",
-}
+_TEXTS = load_table("interpretations.toml")
 
 PayloadLimits = dict[Interpretation, LargestPayload | None]
 """Largest payload by interpretation; None if the robot has no equilibrium with positive tensions."""
@@ -53,7 +46,7 @@ PayloadLimits = dict[Interpretation, LargestPayload | None]
 
 def varied(interpretation: Interpretation, kind: str) -> list[Interpretation]:
     """All combinations of the options that affect the payload of a robot; other options as in ``interpretation``."""
-    choices = _VARIED[kind]
+    choices = VARIED[kind]
     return [interpretation.replace(**dict(zip(choices, values, strict=True))) for values in product(*choices.values())]
 
 
@@ -81,19 +74,8 @@ def _has_equilibrium(interpretation: Interpretation) -> bool:
     return True
 
 
-_CLOSED: dict[str, tuple[str, dict[str, Any]]] = {
-    "chosen": ("chosen interpretation", {}),
-    "flat": ("torque limits independent of speed", {"line": "flat"}),
-    "mass_11": ("platform mass 11 kg", {"platform_mass": "11"}),
-    "circumradius": ("a and b are circumradii", {"sides": "circumradius"}),
-    "turned": ("both triangles rotated by 180°", {"triangles": "turned"}),
-    "table5": ("pulleys of Table 5", {"pulleys": "table5"}),
-    "no_tension": ("T_min = 0", {"minimum_tension": 0.0}),
-    "apex_left": ("third motor on the left", {"planar_apex": "left"}),
-    "apex_down": ("third motor at the bottom", {"planar_apex": "down"}),
-    "apex_right": ("third motor on the right", {"planar_apex": "right"}),
-}
-"""Changes of one option at a time: text and changed option."""
+_CLOSED: dict[str, dict[str, Any]] = _TEXTS["closed"]
+"""Changes of one option at a time: ``text`` and changed option."""
 
 _FLEXIBLE_LAWS: dict[str, Law] = {"fl4": FourthOrder, "motor-pd": MotorPD, "composite": Composite}
 
@@ -107,17 +89,18 @@ shorter selects the second branch."""
 
 def jobs(interpretation: Interpretation) -> Jobs:
     """Payloads of all combinations, and of closed loops with one option changed at a time."""
-    made = {kind: job(limits, interpretation=interpretation, kind=kind) for kind in _VARIED}
+    made = {kind: job(limits, interpretation=interpretation, kind=kind) for kind in VARIED}
     payload = partial(job, largest_payload, criterion="paper")
-    for name, (_, changes) in _CLOSED.items():
+    for name, changed in _CLOSED.items():
+        changes = changed["changes"]
         variant = interpretation.replace(**changes)
         if not variant.closed_loop_possible:
             continue
-        if changes.keys() <= _VARIED["planar"].keys():
+        if changes.keys() <= VARIED["planar"].keys():
             law = partial(FeedbackLinearization, minimum_tension=variant.minimum_tension)
             robot = variant.motors(variant.planar)
             made[f"planar_{name}"] = payload(env_id=PLANAR, law=law, robot=robot, name="fl")
-        if changes.keys() <= _VARIED["spatial"].keys() and _has_equilibrium(variant):
+        if changes.keys() <= VARIED["spatial"].keys() and _has_equilibrium(variant):
             robot = variant.motors(variant.spatial("payload"))
             made[f"spatial_{name}"] = payload(env_id=SPATIAL, law=FeedbackLinearization, robot=robot, name="fl")
     if interpretation.flexible_loop_possible and _has_equilibrium(interpretation):
@@ -131,7 +114,7 @@ def jobs(interpretation: Interpretation) -> Jobs:
 def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Payloads and limiting motors, and numbers of payloads close to the published ones."""
     numbers: dict[str, Number] = {}
-    for kind, choices in _VARIED.items():
+    for kind, choices in VARIED.items():
         found: PayloadLimits = results[kind]
         for variant, limit in found.items():
             name = "_".join(str(getattr(variant, field)) for field in choices)
@@ -150,13 +133,13 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
             if kind == "flex":
                 branches.append((*option.rsplit("_", 1), result.payload, violation))
             else:
-                closed.append((kind, _CLOSED[option][0], result.payload, result.total_mass, violation))
+                closed.append((kind, _CLOSED[option]["text"], result.payload, result.total_mass, violation))
     closed_title = "Closed loop: `fl` at 500 Hz under the paper criterion, one option changed at a time"
     branch_title = "Joint springs, closed loop under the paper criterion: effect of the branch of Table 3 at 0.5 s"
     return Outcome(
         numbers=numbers,
         tables=(
-            *(_table(kind, results[kind]) for kind in _VARIED),
+            *(_table(kind, results[kind]) for kind in VARIED),
             Table(
                 title=closed_title,
                 header=("robot", "option", "payload [kg]", "total mass [kg]", "limiting violation"),
@@ -173,12 +156,12 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
 
 def _table(kind: str, found: PayloadLimits) -> Table:
     """One row for each combination of the other options, one column for each torque-speed line."""
-    *fields, line = _VARIED[kind]
+    *fields, line = VARIED[kind]
     rows: dict[tuple[str, ...], list[str]] = {}
     for variant, limit in found.items():
         rows.setdefault(tuple(str(getattr(variant, field)) for field in fields), []).append(_limit_text(limit))
-    header = (*(field.replace("_", " ") for field in fields), *(f"{line} {value}" for value in _VARIED[kind][line]))
-    return Table(title=_TITLES[kind], header=header, rows=tuple(merged_rows(rows)))
+    header = (*(field.replace("_", " ") for field in fields), *(f"{line} {value}" for value in VARIED[kind][line]))
+    return Table(title=_TEXTS["titles"][kind], header=header, rows=tuple(merged_rows(rows)))
 
 
 def merged_rows(rows: Mapping[tuple[str, ...], list[str]]) -> Iterator[tuple[str, ...]]:

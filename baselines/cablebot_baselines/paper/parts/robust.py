@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cablebot_baselines.classical import (
-    PD,
-    Composite,
-    FeedbackLinearization,
-    PaperFlexible,
-    Robust,
-    RobustComposite,
-    RobustPD,
-)
+from cablebot_baselines import classical
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS
 from cablebot_baselines.paper.exact import paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
@@ -54,7 +46,10 @@ PUBLISHED = published_value("4.4.sum")
 _PREFIX = {SPATIAL: "", FLEX: "flex_"}
 """Prefix of the names of the numbers."""
 
-_LAWS: dict[str, tuple[Law, Law]] = {SPATIAL: (FeedbackLinearization, Robust), FLEX: (Composite, RobustComposite)}
+_LAWS: dict[str, tuple[Law, Law]] = {
+    SPATIAL: (classical.FeedbackLinearization, classical.Robust),
+    FLEX: (classical.Composite, classical.RobustComposite),
+}
 """Ordinary and robust law."""
 
 _CURVES = {"plain": ("ordinary", "-", VERMILLION), "robust": ("robust", ":", MOTORS[2])}
@@ -105,7 +100,7 @@ class Added:
     """Whether ‖BᵀPe‖ ≥ ε, which implies ‖Δv‖ = ρ, shape (K,)."""
 
 
-def added_input(outer: RobustPD, loop: Rollout, robot: Robot) -> Added:
+def added_input(outer: classical.RobustPD, loop: Rollout, robot: Robot) -> Added:
     """Robust term of an outer loop in its own episode, computed from the recorded motion.
 
     The last recorded instant is the end of the motion and has no action, so it is omitted.
@@ -120,7 +115,7 @@ def added_input(outer: RobustPD, loop: Rollout, robot: Robot) -> Added:
         "reference_acceleration": reference.acceleration,
     }
     size = np.linalg.norm(outer.switching(blocks), axis=-1)
-    term = outer(blocks) - PD(gains=outer.gains)(blocks)
+    term = outer(blocks) - classical.PD(gains=outer.gains)(blocks)
     return Added(times=times, term=term, outside=size >= outer.boundary_layer)
 
 
@@ -129,10 +124,10 @@ def _robots(interpretation: Interpretation) -> dict[str, Robot]:
     return {env_id: interpretation.closed_loop_robot(robot) for env_id, robot in robots.items()}
 
 
-def robust_eq22(robot: Robot) -> PaperFlexible:
+def robust_eq22(robot: Robot) -> classical.PaperFlexible:
     """Eq. 22 as printed with Δv added to v, the law of §4.4."""
-    law = PaperFlexible(robot, as_printed=True)
-    law.outer = RobustPD(gains=PAPER_GAINS["spatial"])
+    law = classical.PaperFlexible(robot, as_printed=True)
+    law.outer = classical.RobustPD(gains=PAPER_GAINS["spatial"])
     return law
 
 
@@ -161,7 +156,7 @@ def _terms(interpretation: Interpretation, results: Results) -> dict[str, Added]
 def term_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Fig. 8."""
     plant = "rigid; flex_: with joint springs"
-    numbers: dict[str, Number] = {"boundary_layer": RobustPD.boundary_layer, "plant": plant}
+    numbers: dict[str, Number] = {"boundary_layer": classical.RobustPD.boundary_layer, "plant": plant}
     for env_id, added in _terms(interpretation, results).items():
         size, change = np.linalg.norm(added.term, axis=1), np.linalg.norm(np.diff(added.term, axis=0), axis=1)
         rms = float(np.sqrt(np.mean(size**2)))
@@ -189,7 +184,8 @@ def draw_term(interpretation: Interpretation, results: Results) -> Figure:
     for axes in grid[:, 0]:
         axes.legend(**LEGEND, ncols=3, loc="upper left")
         add_headroom(axes, above=0.2)
-    layer = f"boundary layer ε = {RobustPD.boundary_layer:g}, ζ = {RobustPD.zeta:g}, φ = {RobustPD.phi:g}"
+    law = classical.RobustPD
+    layer = f"boundary layer ε = {law.boundary_layer:g}, ζ = {law.zeta:g}, φ = {law.phi:g}"
     add_loop_title(figure, interpretation, f"Robust term Δv (Eq. 34), one draw of Table 6; {layer}")
     return figure
 
@@ -206,7 +202,7 @@ def tracking_jobs(interpretation: Interpretation) -> Jobs:
         jobs[f"{env_id} plain"] = _one_draw(env_id, plain, robot)
         jobs[f"{env_id} robust"] = _one_draw(env_id, robust, robot)
         jobs[f"{env_id} layers"] = job(reductions, **laws, layers=LAYERS, draws=DRAWS)
-    jobs["eq22 plain"] = _one_draw(FLEX, partial(PaperFlexible, as_printed=True), robots[FLEX])
+    jobs["eq22 plain"] = _one_draw(FLEX, partial(classical.PaperFlexible, as_printed=True), robots[FLEX])
     jobs["eq22 robust"] = _one_draw(FLEX, robust_eq22, robots[FLEX])
     return jobs
 
@@ -280,7 +276,9 @@ def draw_tracking(interpretation: Interpretation, results: Results) -> Figure:
             axes.set_title(title, fontsize=10)
     mass = interpretation.spatial("control").mass
     title = f"Tracking with the uncertainty of Table 6, nominal mass {mass:g} kg known: ordinary and robust law"
-    legend = f"top and middle: one draw, ε = {RobustPD.boundary_layer:g}; bottom: all draws versus boundary layer"
+    legend = (
+        f"top and middle: one draw, ε = {classical.RobustPD.boundary_layer:g}; bottom: all draws versus boundary layer"
+    )
     add_loop_title(figure, interpretation, title, legend)
     return figure
 

@@ -10,18 +10,8 @@ from cablebot_baselines.classical.feedback_linearization import FeedbackLineariz
 from cablebot_baselines.paper.exact import exact_limit, exact_profile, paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
+from cablebot_baselines.paper.parts import profiles
 from cablebot_baselines.paper.parts.plotting import add_title
-from cablebot_baselines.paper.parts.profiles import (
-    PayloadSummary,
-    Shown,
-    computed_profile,
-    draw_panels,
-    first_saturation,
-    on_reference,
-    payload_table,
-    simulated_profile,
-    travelled,
-)
 from cablebot_baselines.paper.runs import closed_loop, largest_payload
 from cablebot_gym.plotting.figures import new_figure, path_panels, torques_height
 from cablebot_gym.robots import Robot
@@ -81,30 +71,32 @@ class Rigid:
 
     def torques(self, interpretation: Interpretation, results: Results) -> Outcome:
         """Numbers of Figs. 10 and 12."""
-        robot, exact = self.robot(interpretation), PayloadSummary.computed(results["exact"])
+        robot, exact = self.robot(interpretation), profiles.PayloadSummary.computed(results["exact"])
         simulated = self.closed_loop_possible(interpretation)
         numbers = exact.numbers(interpretation, robot) | exact.numbers(interpretation, robot, "exact_")
         numbers |= {"simulated": simulated}
         rows = {"exact tracking": (robot, exact)}
         for prefix, (name, method) in _METHODS.items() if simulated else ():
-            summary = PayloadSummary.simulated(results[name])
+            summary = profiles.PayloadSummary.simulated(results[name])
             numbers |= summary.numbers(interpretation, robot, prefix)
             rows[method] = robot, summary
-        return Outcome(numbers=numbers, tables=(payload_table(f"Largest payloads of the {self.kind} robot.", rows),))
+        return Outcome(
+            numbers=numbers, tables=(profiles.payload_table(f"Largest payloads of the {self.kind} robot.", rows),)
+        )
 
     def draw_torques(self, interpretation: Interpretation, results: Results) -> Figure:
         """Figs. 10 and 12."""
         robot, ended = self.robot(interpretation), list[str]()
         figure = new_figure(torques_height(robot.cables))
         if self.closed_loop_possible(interpretation):
-            summary, shown = PayloadSummary.simulated(results["paper"]), _shown(results)
-            profile, ended = simulated_profile(interpretation.motors(robot), shown.arrays), shown.end_reason
+            summary, shown = profiles.PayloadSummary.simulated(results["paper"]), _shown(results)
+            profile, ended = profiles.simulated_profile(interpretation.motors(robot), shown.arrays), shown.end_reason
             description = "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
         else:
-            summary = PayloadSummary.computed(results["exact"])
-            profile = computed_profile(exact_profile(interpretation, robot, summary.payload or 0.0))
+            summary = profiles.PayloadSummary.computed(results["exact"])
+            profile = profiles.computed_profile(exact_profile(interpretation, robot, summary.payload or 0.0))
             description = "exact tracking, no closed loop"
-        draw_panels(figure, profile, first_saturation(profile, summary))
+        profiles.draw_panels(figure, profile, profiles.first_saturation(profile, summary))
         title = f"{self.kind.capitalize()} robot, {description}"
         add_title(figure, interpretation, title, summary.sentence(robot), *ended)
         return figure
@@ -126,18 +118,18 @@ class Rigid:
         """Figs. 11 and 13."""
         robot, bounds, name = self.robot(interpretation), ErrorBounds(), f"{self.kind.capitalize()} robot"
         if self.closed_loop_possible(interpretation):
-            shown, summary = _shown(results), PayloadSummary.simulated(results["paper"])
+            shown, summary = _shown(results), profiles.PayloadSummary.simulated(results["paper"])
             title = [f"{name} in closed loop with fl", f"blue: {summary.sentence(robot)}", *shown.end_reason]
             label = f"{summary.payload or 0.0:.3f} kg, payload known, paper criterion"
-            paths = [travelled(shown.arrays, name=label)]
+            paths = [profiles.travelled(shown.arrays, name=label)]
             for key, color, known in (("task", VERMILLION, "known"), ("payload_unknown", GREY, "unknown")):
-                other = PayloadSummary.simulated(results[key])
+                other = profiles.PayloadSummary.simulated(results[key])
                 if other.payload is not None:
                     label = f"{other.payload:.3f} kg, payload {known}, task criterion: {other.violation}"
-                    paths.append(travelled(results[key].rollout.arrays, name=label, color=color))
+                    paths.append(profiles.travelled(results[key].rollout.arrays, name=label, color=color))
         else:
             title = [f"{name}, exact tracking, no closed loop", "the path equals the reference by assumption"]
-            paths = [on_reference(paper_circle(robot), name="exact tracking")]
+            paths = [profiles.on_reference(paper_circle(robot), name="exact tracking")]
         figure = new_figure(_PATH_HEIGHT)
         rotation = bounds.rotation if self.kind == "spatial" else None
         path_panels(figure, paper_circle(robot), paths, position=bounds.position, rotation=rotation)
@@ -145,8 +137,8 @@ class Rigid:
         return figure
 
 
-def _shown(results: Results) -> Shown:
-    return Shown(result=results["paper"], empty=results["empty"])
+def _shown(results: Results) -> profiles.Shown:
+    return profiles.Shown(result=results["paper"], empty=results["empty"])
 
 
 PLANAR, SPATIAL = Rigid(kind="planar"), Rigid(kind="spatial")

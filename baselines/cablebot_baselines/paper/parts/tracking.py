@@ -11,14 +11,7 @@ from cablebot_baselines.classical import FeedbackLinearization, PaperFlexible
 from cablebot_baselines.paper.exact import Profile, exact_profile, state_space_profile
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
-from cablebot_baselines.paper.parts.plotting import (
-    LEGEND,
-    MOTORS,
-    add_headroom,
-    add_loop_title,
-    coordinate_curves,
-    curves,
-)
+from cablebot_baselines.paper.parts import plotting
 from cablebot_baselines.paper.runs import FLEX, PLANAR, SPATIAL, closed_loop
 from cablebot_gym.benchmark.engine import Job
 from cablebot_gym.evaluation.rollout import Rollout
@@ -108,10 +101,10 @@ def _draw_loop(
     lower, upper = textbook.torque_limits(robot, interpretation.line_speed(robot) * arrays["motor_speeds"])
     limit_panels(panels, times, lower, upper)
     for motor, axes in enumerate(panels):
-        axes.plot(times, arrays["torques"][:, motor], color=MOTORS[motor], linewidth=1.8)
+        axes.plot(times, arrays["torques"][:, motor], color=plotting.MOTORS[motor], linewidth=1.8)
     panels[0].plot([], [], color=BLUE, linewidth=1.8, label="torque, in the colour of the motor")
     panels[0].set_ylim(float(lower.min()), float(upper.max()))
-    add_headroom(panels[0], above=0.05, below=0.05)
+    plotting.add_headroom(panels[0], above=0.05, below=0.05)
     add_legend(above, panels[0])
     grid = below.add_gridspec(2, 2 if robot.planar else 3)
     _draw_tensions(below.add_subplot(grid[:, 0]), loop, minimum_tension)
@@ -122,19 +115,19 @@ def _draw_loop(
         kinds.append(("rotation", "mrad", slice(3, 6), "rotation_error", bounds.rotation, "max |e|", "bound"))
     for column, (name, unit, block, norm, bound, size, symbol) in enumerate(kinds, 1):
         axes = below.add_subplot(grid[0, column])
-        coordinate_curves(axes, end, error[:, block], block.start)
+        plotting.coordinate_curves(axes, end, error[:, block], block.start)
         axes.tick_params(labelbottom=False)
         axes.set_title(f"{name} errors X_d − X", fontsize=10)
         axes.set(xlim=(0, end[-1]), ylabel=f"error [{unit}]")
-        axes.legend(**LEGEND, ncols=3, loc="lower left")
-        add_headroom(axes, below=0.25)
+        axes.legend(**plotting.LEGEND, ncols=3, loc="lower left")
+        plotting.add_headroom(axes, below=0.25)
         axes = below.add_subplot(grid[1, column], sharex=axes)
         axes.semilogy(end, np.maximum(1e3 * arrays[norm], 0.1 * bound), color=BLUE, linewidth=1.5)
         axes.axhline(1e3 * bound, color="black", linewidth=1.0, label=f"{symbol} = {1e3 * bound:g} {unit}")
         axes.set(xlabel="time [s]", ylabel=f"{size} [{unit}]")
-        axes.legend(**LEGEND)
+        axes.legend(**plotting.LEGEND)
     reason = [f"the episode ends at {end[-1]:.3f} s: {loop.reason}"] if loop.reason else []
-    add_loop_title(figure, interpretation, title, *reason)
+    plotting.add_loop_title(figure, interpretation, title, *reason)
     return figure
 
 
@@ -142,7 +135,7 @@ def motor_panels(figure: Figure | SubFigure, robot: Robot) -> list[Axes]:
     """One panel for each motor, three per row, with shared axes."""
     grid = figure.subplots(robot.cables // 3, 3, sharex=True, sharey=True, squeeze=False)
     for motor, axes in enumerate(grid.flat):
-        axes.set_title(f"motor {motor + 1}", fontsize=11, color=MOTORS[motor], weight="bold")
+        axes.set_title(f"motor {motor + 1}", fontsize=11, color=plotting.MOTORS[motor], weight="bold")
         axes.locator_params(axis="x", nbins=5, prune="upper")  # otherwise the last label touches the next panel
         axes.label_outer()
         axes.set(xlabel="time [s]" if axes in grid[-1] else "", ylabel="" if motor % 3 else "torque [N·m]")
@@ -179,13 +172,13 @@ def _thinned(times: Array, step: float) -> Array:
 
 def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
     times, tensions = loop.arrays["action_time"], loop.arrays["tensions"]
-    curves(axes, times, tensions, [f"cable {cable + 1}" for cable in range(tensions.shape[1])])
+    plotting.curves(axes, times, tensions, [f"cable {cable + 1}" for cable in range(tensions.shape[1])])
     name = f"T_min = {minimum:g} N" if minimum > 0 else "slack at 0 N"
     axes.axhline(minimum, color="black", linewidth=1.0, linestyle="--", label=name)
     top = float(tensions.max())
     axes.set(xlim=(0, loop.arrays["time"][-1]), ylim=(-0.04 * top, 1.38 * top), xlabel="time [s]", ylabel="tension [N]")
     axes.set_title("tensions", fontsize=10)
-    axes.legend(**LEGEND, ncols=2, loc="upper left")
+    axes.legend(**plotting.LEGEND, ncols=2, loc="upper left")
 
 
 # Fig. 7
@@ -256,8 +249,8 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
         axes.axvline(JUMP, color=GREY, linestyle=":", linewidth=1.2, label="jump of the reference")
     seen = np.concatenate([space.torques, rigid["torques"]])
     panels[0].set_ylim(min(0.0, float(seen.min())), float(seen.max()))
-    add_headroom(panels[0], above=0.15, below=0.1)
+    plotting.add_headroom(panels[0], above=0.15, below=0.1)
     add_legend(figure, panels[0])
     springs = f"joint springs K = {robot.stiffness[0]:g} N·m/rad (Table 5)"
-    add_loop_title(figure, interpretation, f"Spatial robot with {springs}, total mass {robot.mass:g} kg")
+    plotting.add_loop_title(figure, interpretation, f"Spatial robot with {springs}, total mass {robot.mass:g} kg")
     return figure

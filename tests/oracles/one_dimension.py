@@ -1,0 +1,64 @@
+"""A motion in one dimension, whose largest payload follows by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from cablebot_gym.robots import Motors, Robot, Transmission
+from cablebot_gym.trajectories import Reference
+
+BOUND = 0.05
+"""Position error bound [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accelerating:
+    """From rest at the origin along x with a constant acceleration."""
+
+    rate: float = 2.0
+    duration: float = 1.0
+    name: str = "accelerating"
+    coordinates: int = 2
+
+    def __call__(self, times: Any) -> Reference:
+        t = np.clip(np.asarray(times, float), 0.0, self.duration)[..., None]
+        x = np.array([1.0, 0.0])
+        zero = 0 * t * x
+        return Reference(
+            position=self.rate / 2 * t**2 * x,
+            velocity=self.rate * t * x,
+            acceleration=self.rate * x + zero,
+            jerk=zero,
+            snap=zero,
+        )
+
+
+def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
+    """Two cables along x and two against it, so long that they stay parallel."""
+    return Robot(
+        name="line",
+        base_anchors=((10.0, 0.01), (10.0, -0.01), (-10.0, 0.01), (-10.0, -0.01)),
+        mass=1.0,
+        motors=Motors(stall_torque=5.0, free_speed=free_speed),
+        transmission=Transmission(pulley_radius=0.05, pulley_inertia=inertia, damping=damping),
+        home_pose=(0.0, 0.0),
+    )
+
+
+def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
+    """At full torque (M + 2μ) ẍ + 2k ẋ = 2s must reach x_d(T) − R."""
+    radius, motion = 0.05, Accelerating()
+    pull, mu, k = 5.0 / radius, inertia / radius**2, (5.0 / free_speed + damping) / radius**2
+    end = motion.duration
+
+    def surplus(mass: float) -> float:
+        rate, acceleration = 2 * k / (mass + 2 * mu), 2 * pull / (mass + 2 * mu)
+        distance = end**2 / 2 if rate * end < 1e-4 else end / rate - (1 - math.exp(-rate * end)) / rate**2
+        return acceleration * distance - (motion.rate * end**2 / 2 - BOUND)
+
+    return float(brentq(surplus, 1.0, 1e4))
