@@ -314,6 +314,27 @@ def test_eq22_measured_one_sample_late_diverges_within_a_tenth_of_a_second(stiff
     assert rate * 0.1 > 6
 
 
+@pytest.mark.parametrize("damping", [1.0, 20.0, 100.0])
+@pytest.mark.parametrize("stiffness", [0.1, 3.0, 1e3, 1e6])
+def test_eq22_loop_of_one_joint_has_no_cubic_term(stiffness, damping):
+    load, motor = 0.04, 4e-4  # M and J′ [kg·m²]
+    law = -(load + motor) * np.array([KP, damping])  # τ = (M + J′)(−K_P β − K_D β̇)
+    loop = np.array(
+        [
+            [0, 1, 0, 0],
+            [-stiffness / load, 0, stiffness / load, 0],
+            [0, 0, 0, 1],
+            [(law[0] + stiffness) / motor, law[1] / motor, -stiffness / motor, 0],
+        ]
+    )
+    rest = stiffness * (load + motor) / (load * motor)
+    np.testing.assert_allclose(np.poly(loop), [1, 0, rest, rest * damping, rest * KP], rtol=1e-6, atol=1e-6 * rest)
+    fastest = np.linalg.eigvals(loop).real.max()
+    assert fastest > 0
+    if stiffness == 1e6:
+        assert fastest == pytest.approx(damping / 2, rel=0.01)  # no stiffness saves it
+
+
 @pytest.mark.parametrize(
     ("stiffness", "friction", "low", "high"),
     [(2.0, 0.0, 9.3, 9.7), (3.0, 0.0, 9.5, 9.9), (1e4, 0.0, 5, 100), (3.0, 0.007, 0, 100), (3.0, 0.01, -100, 0)],
@@ -372,6 +393,22 @@ def test_printed_form_has_another_dimension(name):
     quantity, corrected, printed = DIMENSIONS[name]
     assert sympy.simplify(corrected / quantity) == 1
     assert sympy.simplify(printed / quantity) != 1
+
+
+def test_eq25_oscillator_without_damping_grows_without_bound_at_resonance():
+    inertia, stiffness = 4e-4, 3.0
+    rate, small = math.sqrt(stiffness / inertia), 1e-3
+    swing = solve_ivp(
+        lambda t, y: [y[1], (small * math.sin(rate * t) - stiffness * y[0]) / inertia],
+        (0.0, 40 * math.pi / rate),
+        [0.0, 0.0],
+        rtol=1e-9,
+        atol=1e-12,
+        dense_output=True,
+    ).sol
+    for turns in (10, 20):
+        times = np.linspace((turns - 1) * 2 * math.pi, turns * 2 * math.pi, 400) / rate
+        assert np.abs(swing(times)[0]).max() == pytest.approx(small * times[-1] / (2 * inertia * rate), rel=0.05)
 
 
 # --- §3.4: robust law -------------------------------------------------------------------------------------------------

@@ -136,6 +136,16 @@ def steer(steering, rows, actions):
     return {name: np.array([blocks[name] for blocks in given]) for name in given[0]}, np.array(observed)
 
 
+def test_spline_weights_equal_the_closed_form():
+    u = np.linspace(0.0, 1.0, 11)
+    cubic = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
+    square = [(1 - u) ** 2, -2 * u**2 + 2 * u + 1, u**2]
+    for shift, factor, expected in ((Shift(), 6, cubic), (Shift(degree=2), 2, square)):
+        weights = shift.weights(0.04 * u, 0.04)
+        assert weights.shape == (11, 5, shift.degree + 1)
+        np.testing.assert_allclose(weights[:, 0], np.transpose(expected) / factor, atol=1e-14)
+
+
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
 def test_spline_is_a_smooth_partition_of_unity(degree):
     """Its derivatives equal difference quotients, and it is continuous at its knots up to order degree − 1."""

@@ -144,9 +144,41 @@ def test_open_loop_torques_depend_on_the_reference_only(robot):
 # --- controllability --------------------------------------------------------------------------------------------------
 
 
+def linear_plant(robot):
+    """A and B of (X, β′, Ẋ, β̇′) at rest at home, from Eqs. 3 and 4 in numpy."""
+    n, m = robot.coordinates, robot.cables
+    rest = np.concatenate([robot.home, textbook.static_motor_angle(robot, robot.mass, robot.home)])
+
+    def accelerations(place):
+        pose, angle = place[:n], place[n:]
+        structure = textbook.jacobian(robot, pose)
+        twist = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
+        pulleys = structure.T @ np.diag(robot.pulley_inertia / robot.pulley_radius**2) @ structure
+        load = textbook.bias(robot, robot.mass, pose, np.zeros(n)) + structure.T @ (twist / robot.pulley_radius)
+        platform = np.linalg.solve(textbook.mass_matrix(robot, robot.mass, pose) + pulleys, -load)
+        return np.concatenate([platform, -twist / robot.motor_inertia])
+
+    assert accelerations(rest)[:n] == pytest.approx(0.0, abs=1e-9)
+    step = 1e-6 * np.eye(n + m)
+    slope = np.stack([accelerations(rest + one) - accelerations(rest - one) for one in step], axis=1) / 2e-6
+    zero, one = np.zeros((n + m, n + m)), np.eye(n + m)
+    drive = np.concatenate([np.zeros((n + m + n, m)), np.diag(1 / robot.motor_inertia)])
+    return np.block([[zero, one], [slope, zero]]), drive
+
+
+def unreached(transition, drive):
+    """Number of uncontrollable modes by Popov, Belevitch and Hautus: the largest rank deficit of [A − λ, B]."""
+    size = len(transition)
+    pencils = (np.hstack([transition - value * np.eye(size), drive]) for value in np.linalg.eigvals(transition))
+    return max(size - int(np.linalg.matrix_rank(pencil, rtol=1e-9)) for pencil in pencils)
+
+
 def test_motors_control_all_states_of_the_flexible_robot():
-    """Independent: the test of Hautus in test_errata."""
-    assert linearised.controllable_states(DEFAULT.flexible("control")) == 24
+    robot = DEFAULT.flexible("control")
+    transition, drive = linear_plant(robot)
+    assert unreached(transition, drive) == 0
+    assert unreached(transition, drive.sum(axis=1, keepdims=True)) > 0  # one action for all motors
+    assert linearised.controllable_states(robot) == len(transition) == 24
 
 
 def test_fewer_independent_motors_control_fewer_states_in_four_samples(monkeypatch):
