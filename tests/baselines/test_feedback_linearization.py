@@ -67,7 +67,7 @@ def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
 
 
 @each_kind
-def test_law_has_no_memory_and_does_not_saturate_its_actions(kind):
+def test_law_depends_on_the_present_only_and_leaves_its_actions_unsaturated(kind):
     observation, state = random_observations(kind, 4, 3, model_payload=100.0), object()
     fl = FeedbackLinearization(ROBOTS[kind])
     assert fl.unsaturated_actions is True

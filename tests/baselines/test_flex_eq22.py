@@ -110,7 +110,7 @@ def test_measured_acceleration_is_the_difference_quotient_of_the_motor_speeds(tw
     assert np.abs(speeds[1] - speeds[0]).max() > 0.1
 
 
-def test_new_episode_of_a_batch_starts_without_memory(two_observations):
+def test_new_episode_of_a_batch_starts_with_fresh_memory(two_observations):
     first, second = two_observations
     measured = PaperFlexible(FLEX_SPATIAL, motor_acceleration="measured")
     _, state = measured.predict(first, state=None, episode_start=np.ones(3, np.bool_))
@@ -122,7 +122,7 @@ def test_new_episode_of_a_batch_starts_without_memory(two_observations):
     assert np.all(np.abs(going_on - fresh).max(axis=1) > 1e-3)
 
 
-def test_equal_times_to_go_are_no_division_by_zero():
+def test_repeated_observation_gives_the_same_action():
     observation, _ = gym.make(ID).reset(seed=0)
     measured = PaperFlexible(FLEX_SPATIAL, motor_acceleration="measured")
     action, state = measured.predict(observation)

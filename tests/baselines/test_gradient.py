@@ -213,7 +213,7 @@ def test_validation_loops_differ_from_training_loops():
 
 
 @pytest.mark.parametrize("name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)])
-def test_shipped_configurations_do_not_use_held_out_motions(name):
+def test_shipped_configurations_use_training_motions_only(name):
     for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
         config = make_gradient_config(env_id, plain)
         seeds = [getattr(motion, "seed", 0) for motion in (*config.trajectories, *config.validation)]
