@@ -268,12 +268,9 @@ def set_title(figure: FigureBase, *lines: str) -> None:
 def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool = True) -> None:
     """Sets a title that states the result. ``one_draw``: whether the figure shows a single draw."""
     if result.payload is None:
-        summary = f"fails unloaded (shown: zero payload): {result.violation_text}"
+        summary = "fails unloaded (shown: zero payload)"
     else:
-        summary = (
-            f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg; "
-            f"limiting violation: {result.violation_text}"
-        )
+        summary = f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg"
     head = f"{described(result.env_id, result.task.robot.name)}, policy {result.policy}, {result.criterion} criterion"
     draws_line = []
     if result.probability is not None:
@@ -283,7 +280,7 @@ def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool 
             draws_line = [f"carried in at least {result.probability:.0%} of {draws}{shown}"]
         else:
             draws_line = [f"{draws}; shown: the draw with this violation" if one_draw else draws]
-    set_title(figure, head, *draws_line, summary)
+    set_title(figure, head, *draws_line, summary, f"limiting violation: {result.violation_text}")
 
 
 def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:

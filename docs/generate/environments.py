@@ -47,9 +47,10 @@ def page(env_id: str, env: CableBotEnv) -> str:
     # The table of this robot replaces that of all robots.
     sections["Observation space"] = "\n".join([*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]])
     names = ", ".join(f"`{name}`" for name in trajectory_names(robot.coordinates))
+    fields = ",\n".join(f' "{name}": {json.dumps(value)}' for name, value in robot.to_dict().items())
     parts = {
         "Robot": f"`{ENV_ROBOTS[env_id]}`, with these nominal values (SI, radians):\n\n"
-        f"```json\n{json.dumps(robot.to_dict(), indent=1)}\n```\n\n"
+        f"```json\n{{\n{fields}\n}}\n```\n\n"
         f"Reference motions by name: {names}. The keyword `robot` takes [another robot](/your-own/robot.md).",
         "Equations": _equations(robot),
         **sections,
