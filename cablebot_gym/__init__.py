@@ -21,6 +21,7 @@ INTERNAL = (
     "cablebot_gym.physics.kernel",
     "cablebot_gym.planning.signals",
     "cablebot_gym.policies.loading",
+    "cablebot_gym.policies.process",
     "cablebot_gym.policies.sb3",
     "cablebot_gym.report",
 )

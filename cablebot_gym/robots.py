@@ -33,12 +33,17 @@ Cable = Literal["unilateral", "bilateral"]
 
 @dataclass(frozen=True, kw_only=True)
 class Motors:
-    """Torque-speed lines ``U± = ±τ_s − (τ_s/ω_n)·speed`` (Eq. 37)."""
+    """Torque-speed lines ``U± = ±τ_s − (τ_s/ω_n)·speed`` (Eq. 37), and the lag of the requested torque."""
 
     stall_torque: PerMotor
     """Stall torque τ_s [N·m], one value for all motors or one per motor; > 0."""
     free_speed: PerMotor
     """Free-running speed ω_n [rad/s], one value or one per motor; > 0. Multiply a value in rpm by :data:`RPM`."""
+    lag: PerMotor = 0.0
+    """Time constant of the first-order lag of the requested torque [s], one value or one per motor; ≥ 0.
+
+    The torque-speed line limits the torque after the lag. The paper has no lag.
+    """
 
     def __post_init__(self) -> None:
         _set_per_motor(self, positive=("stall_torque", "free_speed"))
@@ -62,6 +67,12 @@ class Transmission:
     """Inertia J of pulley and, if rigid, motor [kg·m²], one value or one per motor; ≥ 0."""
     damping: PerMotor = 0.0
     """Viscous damping c at the pulley [N·m·s/rad], one value or one per motor; ≥ 0."""
+    coulomb_friction: PerMotor = 0.0
+    """Coulomb friction τ_c on the motor's shaft [N·m], one value or one per motor; ≥ 0.
+
+    A rigid transmission has one shaft with motor and pulley. The torque is smooth at standstill, see
+    :func:`~cablebot_gym.physics.textbook.coulomb_torque`. The paper has no Coulomb friction.
+    """
     stiffness: PerMotor | None = None
     """Stiffness K of the joint springs [N·m/rad], one value or one per motor; > 0. None for a rigid transmission."""
     motor_inertia: PerMotor | None = None
@@ -137,6 +148,12 @@ class Robot:
     """Principal moments of inertia (I_xx, I_yy, I_zz) about the platform axes [kg·m²]; empty for a planar robot."""
     gravity: float = STANDARD_GRAVITY
     """Gravitational acceleration along +z [m/s²]; has no effect on a planar robot."""
+    minimum_tension: float = 1.0
+    """Tension T_min that the task criterion requires of every cable at every physics step [N]; ≥ 0.
+
+    Below it, cables are not straight as the model assumes. At 1 N, 0.6 m of a steel cable of 1 mm (0.04 N/m) sag by
+    2 mm and lengthen by about 0.01 mm; at 0.1 N they lengthen by more than 1 mm.
+    """
     workspace: tuple[tuple[float, float], ...] = ()
     """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors; for a spatial robot, also a
     depth up to the diagonal of that box and angles within ± 1 rad."""
@@ -148,6 +165,10 @@ class Robot:
         object.__setattr__(self, "transmission", record("transmission", Transmission, self.transmission))
         _check_fields(self)
         _check_geometry(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: a copy makes its own read-only arrays, where NumPy would make copies that are writable."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     @property
     def cables(self) -> int:
@@ -192,7 +213,7 @@ class Robot:
 
     def per_motor(self, value: PerMotor) -> Array:
         """A value of the motors or the transmission as an array, shape (m,)."""
-        return np.broadcast_to(np.asarray(value, float), (self.cables,))
+        return _frozen(np.broadcast_to(np.asarray(value, float), (self.cables,)))
 
     pulley_radius = _per_motor("transmission", "pulley_radius")
     """Pulley radius r, shape (m,) [m]."""
@@ -206,13 +227,17 @@ class Robot:
     """Motor inertia J′ of a flexible robot, shape (m,) [kg·m²]."""
     motor_damping = _per_motor("transmission", "motor_damping")
     """Motor damping c′ of a flexible robot, shape (m,) [N·m·s/rad]."""
+    coulomb_friction = _per_motor("transmission", "coulomb_friction")
+    """Coulomb friction τ_c, shape (m,) [N·m]."""
+    motor_lag = _per_motor("motors", "lag")
+    """Time constants of the lag of the requested torque, shape (m,) [s]."""
     stall_torque = _per_motor("motors", "stall_torque")
     """Stall torque τ_s, shape (m,) [N·m]."""
 
     @cached_property
     def speed_slope(self) -> Array:
         """Slope τ_s/ω_n of the torque-speed line, k₂ of Eq. 37, shape (m,) [N·m·s/rad]."""
-        return self.stall_torque / self.per_motor(self.motors.free_speed)
+        return _frozen(self.stall_torque / self.per_motor(self.motors.free_speed))
 
     @property
     def flexible(self) -> bool:
@@ -243,9 +268,9 @@ class Robot:
 
 
 def _frozen(values: Any) -> Array:
-    array = np.array(values, dtype=float)
-    array.flags.writeable = False
-    return array
+    """Read-only array in immutable memory, which no flag makes writable."""
+    array = np.asarray(values, dtype=float)
+    return np.frombuffer(array.tobytes()).reshape(array.shape)
 
 
 def _check_fields(robot: Robot) -> None:
@@ -263,6 +288,7 @@ def _check_fields(robot: Robot) -> None:
     numbers("workspace", robot.workspace, shapes=[(0,), (n, 2)], form=f"{n} pairs (low, high), or empty")
     number("mass", robot.mass, above=0, unit="kg")
     number("gravity", robot.gravity, least=0, unit="m/s²")
+    number("minimum_tension", robot.minimum_tension, least=0, unit="N")
     for part in (robot.motors, robot.transmission):
         for field in dataclasses.fields(part):
             if np.shape(getattr(part, field.name)) not in ((), (m,)):

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Cable, Robot
-from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.trajectories import BetweenDwells, Reference, Trajectory
 from cablebot_gym.utils.checks import number, record
 
 
@@ -75,6 +76,16 @@ class Task:
         """Number of control steps of the whole motion."""
         return round(self.trajectory.duration * self.control_frequency)
 
+    @property
+    def start_pose(self) -> Array:
+        """Start pose of an episode without start error, see :func:`start_pose`, shape (n,)."""
+        return start_pose(self.robot, self.trajectory, self.error_bounds)
+
+    @property
+    def starts_at_rest(self) -> bool:
+        """Whether the velocity and the acceleration of the motion are zero at time 0."""
+        return at_rest(self.trajectory(0.0))
+
     def check_motion(self) -> None:
         """Checks that the motion can be followed.
 
@@ -85,6 +96,29 @@ class Task:
         if self.steps < 1:
             raise ValueError(f"trajectory {self.trajectory.name!r} is shorter than a control period; make it longer")
         check_workspace(self.robot, self.trajectory, self.error_bounds)
+
+
+REST_TOLERANCE = 1e-9
+"""Largest velocity [m/s, rad/s] and acceleration [m/s², rad/s²] of a motion at rest."""
+
+
+def at_rest(reference: Reference) -> bool:
+    """Whether the velocity and the acceleration of a motion are zero at an instant."""
+    return all(np.max(np.abs(rate)) <= REST_TOLERANCE for rate in (reference.velocity, reference.acceleration))
+
+
+def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> Array:
+    """Start pose of the episodes of a motion, for every payload, shape (n,).
+
+    It is the first pose of the motion. For a spatial robot and a motion that starts at rest it is lower (larger z) by
+    half the position bound: the cables of the lower platform are steeper, so its motors hold more payload at rest. The
+    paper's circle as printed accelerates from time 0 and is started on the reference.
+    """
+    start = trajectory(0.0)
+    pose = np.array(start.position, float)
+    if not robot.planar and at_rest(start):
+        pose[2] += error_bounds.position / 2
+    return pose
 
 
 def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds | None = None) -> None:
@@ -128,8 +162,12 @@ def payload_model_text(payload_known: bool, factor: float = 1.0) -> str:
 def to_jsonable(value: Any) -> Any:
     """A value, such as a trajectory, as JSON-able data.
 
-    A dataclass becomes a dict of its fields. Any other trajectory becomes a dict of its name, duration and coordinates.
+    A dataclass becomes a dict of its fields. A motion between dwells becomes that of the motion with the key ``dwell``,
+    so that :func:`~cablebot_gym.trajectories.find_trajectory` accepts a named motion's data. Any other trajectory
+    becomes a dict of its name, duration and coordinates.
     """
+    if isinstance(value, BetweenDwells):
+        return to_jsonable(value.motion) | {"dwell": value.dwell}
     if is_dataclass(value):
         return {field.name: to_jsonable(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Trajectory):

@@ -1,5 +1,7 @@
 """Reference motions with time derivatives in closed form: the paper's circles, smooth motions and random loops.
 
+Most named motions are :class:`BetweenDwells`: the robot rests at the start pose first and at the end pose last.
+
 A custom motion is any object with ``name``, ``duration``, ``coordinates`` and ``__call__(times) -> Reference``, see the
 :class:`Trajectory` protocol. Positions are in m, angles in rad and times in s; z points down.
 """
@@ -247,6 +249,58 @@ class Lemniscate(_Motion):
         return _in_plane(self.center, x, y, alpha)
 
 
+DWELL = 0.3
+"""Default length of each dwell of :class:`BetweenDwells` [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BetweenDwells:
+    """A motion between two dwells: the robot rests at the first pose, moves, and rests at the last pose.
+
+    A robot that leaves its last pose soon after the motion fails in the second dwell. A robot that no motor can hold at
+    rest fails in the first one. The dwells do not change the motion: if it starts with a jump of acceleration, as
+    :class:`PaperCircle` does, the jump occurs at time ``dwell``.
+
+    Raises:
+        ValueError: if ``motion`` is not a :class:`Trajectory` or ``dwell`` is negative.
+    """
+
+    motion: Trajectory
+    """The motion between the dwells."""
+    dwell: float = DWELL
+    """Length of each dwell [s]; ≥ 0."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.motion, Trajectory) or isinstance(self.motion, type):
+            raise ValueError(f"motion must be a Trajectory, not {self.motion!r}")
+        number("dwell", self.dwell, least=0, unit="s")
+
+    @property
+    def name(self) -> str:
+        """Name of the motion."""
+        return self.motion.name
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion and both dwells [s]."""
+        return self.motion.duration + 2 * self.dwell
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates n of the pose."""
+        return self.motion.coordinates
+
+    def __call__(self, times: ArrayLike) -> Reference:
+        """The motion at ``times`` [s], see :class:`Trajectory`."""
+        since = np.asarray(times, float) - self.dwell
+        reference = self.motion(np.clip(since, 0.0, self.motion.duration))
+        moves = ((since >= 0) & (since <= self.motion.duration))[..., None]
+        rates = {order: np.where(moves, getattr(reference, order), 0.0) for order in _RATES}
+        return Reference(position=reference.position, **rates)
+
+
+_RATES = ("velocity", "acceleration", "jerk", "snap")
+
 TRAINING_SEEDS = range(10_000)
 """Seeds of :class:`RandomLoop` for training and tuning."""
 
@@ -441,24 +495,40 @@ def _in_plane(center: tuple[float, ...], x: Array, y: Array, angle: Array) -> Ar
     return derivatives
 
 
+def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[..., BetweenDwells]:
+    """Factory of a motion between dwells. It accepts ``dwell`` and the fields of the motion as optional keywords."""
+    make = partial(make, **fields)
+
+    def between_dwells(*, dwell: float = DWELL, **fields: Any) -> BetweenDwells:
+        return BetweenDwells(motion=make(**fields), dwell=dwell)
+
+    own = inspect.signature(make)
+    extra = inspect.Parameter("dwell", inspect.Parameter.KEYWORD_ONLY, default=DWELL, annotation=float)
+    between_dwells.__signature__ = own.replace(parameters=[*own.parameters.values(), extra])  # type: ignore[attr-defined]
+    return between_dwells
+
+
+_PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
+_SPATIAL_CIRCLE: dict[str, Any] = {"radius": 0.1, "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1)}  # Table 3
+
 TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
-    "paper-planar": partial(PaperCircle, name="paper-planar", radius=0.2165, center=(0.0, 0.0)),  # Table 1
-    "paper-spatial": partial(
-        PaperCircle, name="paper-spatial", radius=0.1, center=(0.0, 0.0, 0.1, 0.1, 0.1, 0.1)
-    ),  # Table 3
-    "circle-planar": partial(SmoothCircle, name="circle-planar", radius=0.2165, center=(0.0, 0.0)),
-    "circle-spatial": partial(SmoothCircle, name="circle-spatial", radius=0.1, center=(0.0, 0.0, 0.1, 0.1, 0.1, 0.1)),
+    "circle-planar": _between_dwells(PaperCircle, name="circle-planar", **_PLANAR_CIRCLE),
+    "circle-spatial": _between_dwells(PaperCircle, name="circle-spatial", **_SPATIAL_CIRCLE),
+    "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
+    "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
+    "smooth-circle-planar": _between_dwells(SmoothCircle, name="smooth-circle-planar", **_PLANAR_CIRCLE),
+    "smooth-circle-spatial": _between_dwells(SmoothCircle, name="smooth-circle-spatial", **_SPATIAL_CIRCLE),
     "dwell-planar": partial(Dwell, name="dwell-planar", pose=(0.0, 0.0)),
     "dwell-spatial": partial(Dwell, name="dwell-spatial", pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)),
-    "line-planar": partial(PointToPoint, name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.15)),
-    "line-spatial": partial(
+    "line-planar": _between_dwells(PointToPoint, name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.15)),
+    "line-spatial": _between_dwells(
         PointToPoint,
         name="line-spatial",
         start=(-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
         end=(0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
     ),
-    "lemniscate-planar": partial(Lemniscate, name="lemniscate-planar", amplitude=(0.2, 0.1), center=(0.0, 0.0)),
-    "lemniscate-spatial": partial(
+    "lemniscate-planar": _between_dwells(Lemniscate, name="lemniscate-planar", amplitude=(0.2, 0.1), center=(0.0, 0.0)),
+    "lemniscate-spatial": _between_dwells(
         Lemniscate, name="lemniscate-spatial", amplitude=(0.1, 0.05), center=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
     ),
     # The loops stay within the radii of the paper's circles, about the same centers. At z = 0.1 m the tensions change
@@ -466,8 +536,10 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     # circles (35 and 16 m/s²). With them the first 2000 training seeds and the first 2000 held-out seeds have an
     # exact-tracking payload of at least 0.6 kg (planar) and 1.2 kg (spatial) on all robots of the paper, with all
     # tensions above 5 N.
-    "loop-planar": partial(RandomLoop, name="loop-planar", center=(0.0, 0.0), reach=(0.2165,), acceleration=(32.0,)),
-    "loop-spatial": partial(
+    "loop-planar": _between_dwells(
+        RandomLoop, name="loop-planar", center=(0.0, 0.0), reach=(0.2165,), acceleration=(32.0,)
+    ),
+    "loop-spatial": _between_dwells(
         RandomLoop,
         name="loop-spatial",
         center=(0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
@@ -475,7 +547,8 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
         acceleration=(9.0, 2.5, 3.0),
     ),
 }
-"""Factories of the named motions. Each accepts the fields of its class as optional keywords."""
+"""Factories of the named motions. Each accepts the fields of its class as optional keywords, and ``dwell`` if the
+motion is :class:`BetweenDwells`: all except ``paper-…``, the paper's circles as printed, and ``dwell-…``."""
 
 
 def trajectory_names(coordinates: int | None = None) -> list[str]:
@@ -492,7 +565,8 @@ def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, coordinate
 
     Args:
         trajectory: a name of :func:`trajectory_names`, JSON-able data such as ``{"name": "circle-spatial", "duration":
-            1.5}``, or an object that satisfies :class:`Trajectory`.
+            1.5, "dwell": 0.5}``, where ``duration`` is that of the motion between the dwells, or an object that
+            satisfies :class:`Trajectory`.
         coordinates: the robot's number of coordinates n, 2 planar or 6 spatial.
 
     Raises:

@@ -1,12 +1,13 @@
 """Differences between the true robot and the controller's model, as data.
 
 An :class:`Uncertainty` defines four things: the distributions of the true parameters around the nominal robot, the
-external wrench on the platform, the noise of the observation and the delay of the actions. The caller supplies the
-random numbers; this module has no state and no seed. Every draw starts from the nominal robot.
+external wrench on the platform, noise and bias of the observation, and the delay of the actions. The caller supplies
+the random numbers; this module has no state and no seed. Every draw starts from the nominal robot.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -118,6 +119,8 @@ PARAMETERS: Mapping[str, _Parameter] = MappingProxyType(
         "motor_strength": _Parameter(attribute="stall_torque", unit="N·m", positive=True),
         "base_anchors": _Parameter(attribute="base", unit="m", positive=False, position=True),
         "platform_anchors": _Parameter(attribute="platform", unit="m", positive=False, spatial=True, position=True),
+        "motor_lag": _Parameter(attribute="motor_lag", unit="s", positive=False),
+        "coulomb_friction": _Parameter(attribute="coulomb_friction", unit="N·m", positive=False),
     }
 )
 """The parameters that may be uncertain. ``motor_strength`` scales the stall torque; the free speed does not change."""
@@ -185,7 +188,9 @@ class ExternalWrench:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorNoise:
-    """Standard deviations of white noise on the observation, which is drawn in every control step.
+    """Standard deviations of normal errors of the observation.
+
+    White noise is drawn in every control step, a bias once per episode.
 
     Raises:
         ValueError: if a value is negative or not finite.
@@ -232,11 +237,15 @@ class Uncertainty:
     wrench: ExternalWrench | None = None
     """External wrench on the platform; None for none."""
     sensors: SensorNoise | None = None
-    """Noise of the observation; None for none."""
-    delay: int = 0
-    """Delay of the actions [control steps]; ≥ 0. Until the first action takes effect, the motors hold the robot at the
-    start with its true payload. ``info["commanded_action"]`` is the delayed action. The last ``delay`` actions of an
-    episode never take effect."""
+    """White noise of the observation; None for none."""
+    sensor_bias: SensorNoise | None = None
+    """Bias of the observation; None for none."""
+    delay: int | tuple[int, int] = 0
+    """Delay of the actions [control steps], or (low, high) of a delay drawn once per episode; ≥ 0.
+
+    Until the first action takes effect, the motors hold the robot at the start with its true payload.
+    ``info["commanded_action"]`` is the delayed action. The last ``delay`` actions of an episode never take effect.
+    """
 
     def __post_init__(self) -> None:
         parameters = mapping("parameters", self.parameters, PARAMETERS)
@@ -247,19 +256,27 @@ class Uncertainty:
         object.__setattr__(self, "parameters", parameters)
         if self.wrench is not None:
             object.__setattr__(self, "wrench", record("wrench", ExternalWrench, self.wrench))
-        if self.sensors is not None:
-            object.__setattr__(self, "sensors", record("sensors", SensorNoise, self.sensors))
-        object.__setattr__(self, "delay", whole("delay", self.delay, most=LONGEST_DELAY))
+        for name in ("sensors", "sensor_bias"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, record(name, SensorNoise, getattr(self, name)))
+        object.__setattr__(self, "delay", _checked_delay(self.delay))
 
     def __hash__(self) -> int:
-        return hash((frozenset(self.parameters.items()), self.wrench, self.sensors, self.delay))
+        return hash((frozenset(self.parameters.items()), self.wrench, self.sensors, self.sensor_bias, self.delay))
+
+    @property
+    def delay_range(self) -> tuple[int, int]:
+        """Least and largest delay [control steps]."""
+        return self.delay if isinstance(self.delay, tuple) else (self.delay, self.delay)
 
     @property
     def random(self) -> bool:
         """Whether two episodes can differ."""
         varies = any(distribution.low < distribution.high for distribution in self.parameters.values())
-        noisy = self.sensors is not None and any(getattr(self.sensors, item.name) > 0 for item in fields(SensorNoise))
-        return varies or noisy or (self.wrench is not None and self.wrench.random)
+        sensors = [one for one in (self.sensors, self.sensor_bias) if one is not None]
+        noisy = any(getattr(one, item.name) > 0 for one in sensors for item in fields(SensorNoise))
+        late = self.delay_range[0] < self.delay_range[1]
+        return varies or noisy or late or (self.wrench is not None and self.wrench.random)
 
     def check(self, robot: Robot) -> None:
         """Checks that the uncertainty is possible for a robot.
@@ -351,10 +368,21 @@ class Uncertainty:
             platform=true_value("platform_anchors", robot.platform),
             pulley_inertia=true_value("pulley_inertia", robot.pulley_inertia),
             damping=true_value("damping", robot.damping),
+            coulomb_friction=true_value("coulomb_friction", robot.coulomb_friction),
+            motor_lag=true_value("motor_lag", robot.motor_lag),
             stall_torque=strength,
             speed_slope=robot.speed_slope * strength / robot.stall_torque,
             **springs,
         )
+
+
+def _checked_delay(delay: Any) -> int | tuple[int, int]:
+    if not isinstance(delay, (tuple, list)):
+        return whole("delay", delay, most=LONGEST_DELAY)
+    if len(delay) != 2:
+        raise ValueError(f"delay must be one number of control steps or (low, high), not {delay!r}")
+    low = whole("low of delay", delay[0], most=LONGEST_DELAY)
+    return low, whole("high of delay", delay[1], least=low, most=LONGEST_DELAY)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -392,6 +420,10 @@ class TrueRobots:
     """Pulley inertia J, shape (N, m) [kg·m²]."""
     damping: Array
     """Pulley damping c, shape (N, m) [N·m·s/rad]."""
+    coulomb_friction: Array
+    """Coulomb friction τ_c, shape (N, m) [N·m]."""
+    motor_lag: Array
+    """Time constant of the lag of the requested torque, shape (N, m) [s]."""
     stall_torque: Array
     """Stall torque τ_s, shape (N, m) [N·m]."""
     speed_slope: Array
@@ -432,6 +464,46 @@ def _table6(robot: Robot) -> Uncertainty:
     return Uncertainty(parameters={"platform_mass": tenth, **flexible}, wrench=wrench)
 
 
+def _table6_load(robot: Robot) -> Uncertainty:
+    paper = _table6(robot)
+    load = ParameterDistribution(low=-0.1, high=0.1, each=False)
+    return dataclasses.replace(paper, parameters={**paper.parameters, "payload": load})
+
+
+def _hardware(robot: Robot) -> Uncertainty:
+    def within(low: float, high: float, *, relative: bool = True, each: bool = True) -> ParameterDistribution:
+        return ParameterDistribution(low=low, high=high, relative=relative, each=each)
+
+    stall = float(robot.stall_torque.min())
+    parameters = {
+        "platform_mass": within(-0.03, 0.03),
+        "payload": within(-0.03, 0.03),
+        "motor_strength": within(-0.03, 0.03),
+        "motor_lag": within(1e-3, 2e-3, relative=False, each=False),
+        "coulomb_friction": within(0.005 * stall, 0.015 * stall, relative=False),
+        "pulley_inertia": within(-0.1, 0.1),
+        "base_anchors": within(-1.5e-3, 1.5e-3, relative=False),
+    }
+    viscous = within(0.0, 1.3e-3, relative=False)
+    if robot.flexible:
+        spring = within(-0.1, 0.1)
+        parameters |= {"motor_damping": viscous, "motor_inertia": within(-0.1, 0.1), "stiffness": spring}
+    else:
+        parameters["damping"] = viscous
+    if not robot.planar:
+        parameters["platform_inertia"] = within(-0.1, 0.1, each=False)
+        parameters["platform_anchors"] = within(-0.5e-3, 0.5e-3, relative=False)
+    return Uncertainty(
+        parameters=parameters,
+        wrench=ExternalWrench(force_std=0.5, moment_std=0.05, correlation_time=0.1),
+        sensors=SensorNoise(
+            position=1e-4, rotation=2e-4, velocity=2e-3, rotation_rate=4e-3, motor_angle=2e-4, motor_speed=1e-2
+        ),
+        sensor_bias=SensorNoise(position=1.5e-4, rotation=3.5e-4),
+        delay=(0, 1),
+    )
+
+
 def _sensors(robot: Robot) -> Uncertainty:
     noise = SensorNoise(
         position=1e-4, rotation=2e-4, velocity=2e-3, rotation_rate=4e-3, motor_angle=1e-3, motor_speed=1e-2
@@ -439,13 +511,22 @@ def _sensors(robot: Robot) -> Uncertainty:
     return Uncertainty(sensors=noise)
 
 
-UNCERTAINTIES = {"none": lambda robot: Uncertainty(), "table6": _table6, "sensors": _sensors}
+UNCERTAINTIES = {
+    "none": lambda robot: Uncertainty(),
+    "table6": _table6,
+    "table6-load": _table6_load,
+    "hardware": _hardware,
+    "sensors": _sensors,
+}
 """Uncertainties by name; each value is a function of the nominal robot.
 
 * ``none``: no uncertainty.
 * ``table6``: Table 6 of the paper. The platform mass and, if flexible, K (one deviation for all joints) are uniform
   within ± 10 %. Three forces are normal with mean 0.5 N and variance 0.2 N², redrawn every 10 ms, each times a factor
   that is uniform in [0.9, 1.1].
+* ``table6-load``: the same, and the payload is uniform within ± 10 %, too. Table 6 varies the mass of Table 4, 11 kg
+  with a load of 1 kg.
+* ``hardware``: what a real winch robot does not know. The page on uncertainty lists the source of each range.
 * ``sensors``: noise of 0.1 mm, 0.2 mrad, 2 mm/s and 4 mrad/s, of the motors 1 mrad and 10 mrad/s.
 """
 

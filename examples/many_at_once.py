@@ -17,7 +17,7 @@ if __name__ == "__main__":
     policy = load_policy("fl", SPATIAL)
     observations, info = envs.reset(seed=0)
     payload, worst = info["payload"], info["tracking_error"]
-    for _ in range(499):
+    for _ in range(envs.unwrapped.tasks[0].steps):
         actions, _ = policy.predict(observations)
         observations, _, terminated, _, info = envs.step(actions)
         # A terminated episode has failed with this payload; its environment restarts with another one.

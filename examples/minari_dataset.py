@@ -41,7 +41,7 @@ def record() -> None:
         author="you",
         author_email="you@example.org",
         code_permalink="https://example.org/your/code",
-        description=f"apg-circle on the paper's circle, payload known, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg",
+        description=f"apg-circle on circle-spatial, payload known, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg",
         requirements=[f"cablebot-gym=={cablebot_gym.__version__}"],
     )
     env.close()

@@ -11,6 +11,6 @@ from cablebot_gym.plotting import draw_result
 
 if __name__ == "__main__":
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "fig10").with_suffix(".png")
-    result = evaluate_dlcc("fl", "CableBot-Planar-v0", criterion="paper")
+    result = evaluate_dlcc("fl", "CableBot-Planar-v0", criterion="paper", trajectory="paper-planar")
     draw_result(result).savefig(path, dpi=150)
     print(f"{result}\nwrote {path}")

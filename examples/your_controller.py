@@ -10,11 +10,11 @@ from cablebot_gym.robots import SPATIAL
 
 
 class Sagging:
-    """Feedback linearization about a reference 6 mm below the evaluated one; z points down."""
+    """Feedback linearization about a reference 8 mm below the evaluated one; z points down."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         blocks = observation_layout(SPATIAL).split(observation)
-        error = blocks["reference_pose"] + [0, 0, 0.006, 0, 0, 0] - blocks["pose"]
+        error = blocks["reference_pose"] + [0, 0, 0.008, 0, 0, 0] - blocks["pose"]
         error_rate = blocks["reference_velocity"] - blocks["velocity"]
         acceleration = blocks["reference_acceleration"] + 60 * error_rate + 900 * error
         mass = SPATIAL.mass + blocks["model_payload"][..., 0]

@@ -26,4 +26,4 @@ if __name__ == "__main__":
         while not ended:
             observation, reward, terminated, truncated, _ = env.step(policy.predict(observation)[0])
             total, ended = total + reward, terminated or truncated
-        print(f"{payload:g} kg: {total:.1f} of 500")
+        print(f"{payload:g} kg: {total:.1f} of {env.unwrapped.task.steps}")

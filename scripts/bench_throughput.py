@@ -157,11 +157,10 @@ def search_seconds(env_id: str, policy: str) -> dict[str, float]:
             error_bounds=error_bounds,
             uncertainty="table6",
             draws=256,
-            max_payloads=64,
         )
-        batch.run([0.0])  # compiles and warms up
+        batch.run([(0.0, 0)])  # compiles and warms up
         start = time.perf_counter()
-        batch.run(np.linspace(0.0, top, 64))
+        batch.run([(payload, one) for payload in np.linspace(0.0, top, 64).tolist() for one in batch.seeds])
         seconds[name] = time.perf_counter() - start
     return seconds
 

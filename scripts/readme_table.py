@@ -1,4 +1,4 @@
-"""Writes the README's leaderboard: the best policy of each kind on the paper's circle, from the stored results.
+"""Writes the README's leaderboard: the best policy of each kind, from the stored results.
 
 python scripts/readme_table.py
 """
@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
-from cablebot_gym.benchmark.cells import Record
-from cablebot_gym.benchmark.leaderboard import read_results
-from cablebot_gym.benchmark.scores import Column, Score, best_known_payloads, leaderboards
+from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
+from cablebot_gym.benchmark.tables import motion_title
 from cablebot_gym.policies import policy_entries
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,27 +22,35 @@ KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajector
 """Kinds of policies and their headings."""
 
 
-def readme_table(records: Sequence[Record]) -> str:
-    """The table: the best policy of each kind in each environment, payload known, and the best known payload."""
-    column = Column(payload_known=True, model_payload_factor=1.0, uncertainty=None, criterion="task", draws=1)
-    best_known = {one.cell.env_id: one.payload for one in best_known_payloads(records).values() if _on_circle(one.cell)}
-    rows = [["environment", *KINDS.values(), "best known"], ["---"] * (2 + len(KINDS))]
-    for board in leaderboards(records):
-        if board.motions > 1 or not board.motion.startswith("paper-"):
-            continue
-        scores = [board.entries[policy, column][0] for policy in board.policies]
-        rows.append([f"`{board.env_id}`", *(_best(scores, kind) for kind in KINDS), f"{best_known[board.env_id]:.2f}"])
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+def readme_table(results: Results) -> str:
+    """Sentence and table: the best policy of each kind in each environment, by the first column of the leaderboard."""
+    boards = leaderboards(results.records)
+    motion = motion_title(boards[0].columns[0], boards[0].motions(boards[0].columns[0]))
+    rows = [["environment", *KINDS.values(), "best known on the circle"], ["---"] * (2 + len(KINDS))]
+    for board in boards:
+        known = [
+            f"{one.payload:.2f} kg"
+            for one in best_known_payloads(results.records).values()
+            if (one.cell.env_id, str(one.cell.trajectory["name"])[:7]) == (board.env_id, "circle-") and one.payload
+        ]
+        rows.append([f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS), *(known or ["–"])])
+    text = "The best policy of each kind: mean fraction of the best known payload (payload known, task criterion;\n"
+    text += f"{motion}), and its payload on the paper's circle.\n\n"
+    return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
-def _on_circle(cell: object) -> bool:
-    return str(cell.trajectory["name"]).startswith("paper-")  # type: ignore[attr-defined]
-
-
-def _best(scores: Sequence[Score], kind: str) -> str:
+def _best(board: Leaderboard, kind: str) -> str:
     entries = policy_entries()
-    best = max((one for one in scores if entries[one.cell.policy].kind == kind), key=lambda one: one.score or 0.0)
-    return f"`{best.cell.policy}` {best.payload_text} ({best.score:.0%})" if best.score else "–"
+    for policy in board.policies:  # by decreasing fraction
+        fraction = board.fraction(policy, board.columns[0])
+        if entries[policy].kind == kind and fraction is not None and fraction.mean > 0:
+            circle = [entry[0] for (name, column), entry in board.entries.items() if name == policy and _circle(column)]
+            return f"`{policy}` {fraction.mean:.0%}" + (f", {circle[0].payload_text} kg" if circle else "")
+    return "–"
+
+
+def _circle(column: Column) -> bool:
+    return column == Column(motion=column.motion) and column.motion.startswith("circle-")
 
 
 def with_table(readme: str, table: str) -> str:
@@ -55,9 +62,9 @@ def with_table(readme: str, table: str) -> str:
 def main() -> None:
     """Writes README.md."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
-    records = read_results((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))[2]
+    results = Results.from_json((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))
     path = ROOT / "README.md"
-    path.write_text(with_table(path.read_text(encoding="utf-8"), readme_table(records)), encoding="utf-8")
+    path.write_text(with_table(path.read_text(encoding="utf-8"), readme_table(results)), encoding="utf-8")
 
 
 if __name__ == "__main__":

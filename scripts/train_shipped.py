@@ -68,7 +68,10 @@ def main() -> None:
     )
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)")
     parser.add_argument(
-        "--draws", type=int, default=DRAWS, help="episodes at each payload under uncertainty (default: %(default)s)"
+        "--draws",
+        type=int,
+        default=DRAWS,
+        help="fresh draws that confirm a payload under uncertainty (default: %(default)s)",
     )
     parser.add_argument(
         "--held-out", type=int, default=HELD_OUT, help="number of held-out motions (default: %(default)s)"
@@ -145,7 +148,7 @@ def ship_all(
         pairs: policies and environments.
         seeds: number of training seeds.
         runs: folder of the runs.
-        draws: number of episodes at each payload under an uncertainty.
+        draws: number of fresh draws that confirm a payload under an uncertainty.
         held_out: number of held-out motions.
         searched: number of held-out motions with a search for the best known payload, for training on random loops.
         jobs: number of parallel trainings or evaluations.

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from readme_table import readme_table, with_table
 
-from cablebot_gym.benchmark.leaderboard import read_results
+from cablebot_gym.benchmark.leaderboard import Results
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -32,8 +32,8 @@ def test_python_of_the_readme_runs(index, tmp_path):
 
 
 def test_table_of_the_readme_has_the_stored_results():
-    records = read_results((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))[2]
-    assert with_table(README, readme_table(records)) == README, "make it anew: python scripts/readme_table.py"
+    results = Results.from_json((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))
+    assert with_table(README, readme_table(results)) == README, "make it anew: python scripts/readme_table.py"
 
 
 def test_every_link_of_the_readme_leads_to_a_file():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -76,6 +78,7 @@ UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and p
         (WALLED, {"home_pose": (0.31, 0.0)}, "home_pose .* outside the workspace"),
         (PLANAR, {"base_anchors": (*THREE, (0.0, 0.0))}, "zero length at home_pose"),
         (SPATIAL, {"gravity": -1.0}, "gravity must be a finite number at least 0"),
+        (SPATIAL, {"minimum_tension": -1.0}, "minimum_tension must be a finite number at least 0"),
         (PLANAR, {"home_pose": (0.4, 0.3), "workspace": WIDE}, "do not surround home_pose"),
         (PLANAR, {"base_anchors": ((-1.0, 0.0), (1.0, 0.0)), "workspace": WIDE}, "do not surround home_pose"),
         (SPATIAL, {"platform_anchors": UPRIGHT}, "no positive tensions hold"),
@@ -95,6 +98,8 @@ def test_impossible_robot_raises(robot, changes, message):
         ("transmission", "pulley_radius", 0.0),
         ("transmission", "pulley_inertia", -1e-6),
         ("transmission", "damping", -1e-6),
+        ("transmission", "coulomb_friction", -1e-6),
+        ("motors", "lag", -1e-6),
     ],
 )
 def test_one_value_per_motor_is_checked(part, field, bad):
@@ -233,12 +238,44 @@ def test_copy_has_its_own_arrays():
     np.testing.assert_array_equal(changed.speed_slope, np.full(6, 1.5))
 
 
-def test_robot_cannot_be_changed():
-    for name in ("base", "platform", "home", "pose_bounds", "pulley_radius", "stall_torque"):
+def used(robot):
+    """The robot after its arrays have been read."""
+    assert arrays_of(robot)
+    return robot
+
+
+def arrays_of(robot):
+    """All arrays of a robot by name."""
+    names = [name for name in dir(robot) if not name.startswith("_")]
+    found = {name: getattr(robot, name) for name in names if robot.flexible or name not in FLEXIBLE_ONLY}
+    return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+
+
+FLEXIBLE_ONLY = ("stiffness", "motor_inertia", "motor_damping")
+COPIES = {
+    "itself": used,
+    "copy": lambda robot: copy.copy(used(robot)),
+    "deepcopy": lambda robot: copy.deepcopy(used(robot)),
+    "pickle": lambda robot: pickle.loads(pickle.dumps(used(robot))),
+}
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+@each_of(PLANAR, UNEQUAL, FLEX_SPATIAL)
+def test_robots_and_their_copies_cannot_be_changed(robot, copied):
+    """Policies share a robot, and a copy of an array is writable in NumPy, also after pickling."""
+    one = copied(robot)
+    assert (one, hash(one)) == (robot, hash(robot))
+    arrays = arrays_of(one)
+    assert {"base", "home", "pose_bounds", "pulley_radius", "stall_torque", "speed_slope", "motor_lag"} <= set(arrays)
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(value, getattr(robot, name))
         with pytest.raises(ValueError, match="read-only"):
-            getattr(SPATIAL, name)[..., 0] = 1.0
+            value *= 0.5
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            value.flags.writeable = True
     with pytest.raises(dataclasses.FrozenInstanceError):
-        SPATIAL.mass = 1.0
+        one.mass = 1.0
 
 
 def test_workspace_is_the_box_of_the_anchors_or_the_given_one():

@@ -1,25 +1,29 @@
-"""Motions that leave the workspace raise before an episode starts."""
+"""Motions that leave the workspace raise before an episode starts, and the start pose."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.robots import PLANAR
-from cablebot_gym.task import ErrorBounds, check_workspace
-from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.task import ErrorBounds, Task, check_workspace
+from cablebot_gym.trajectories import find_trajectory, held_out_seeds
 
 PLANAR_ID = "CableBot-Planar-v0"
-OUTSIDE = {"name": "circle-planar", "radius": 3.0}
+OUTSIDE = {"name": "smooth-circle-planar", "radius": 3.0}
 
 
 @pytest.mark.parametrize("fly", [evaluate_dlcc, record_rollout])
 def test_motion_outside_the_workspace_raises(fly):
-    with pytest.raises(ValueError, match=r"'circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 "):
+    with pytest.raises(
+        ValueError, match=r"'smooth-circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 "
+    ):
         fly("fl", PLANAR_ID, trajectory=OUTSIDE)
 
 
@@ -43,3 +47,58 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds():
                     with pytest.raises(ValueError, match="leaves the workspace"):
                         check_workspace(robot, motion)
     check_workspace(PLANAR, find_trajectory("paper-planar", 2))
+
+
+# --- the start of an episode --------------------------------------------------------------------------------------
+
+
+def held_at_rest(robot: Robot, pose: np.ndarray) -> float:
+    """Largest payload that the motors hold at rest [kg]; a spatial robot's torques are proportional to the mass."""
+    per_mass = textbook.static_torque(robot, 1.0, pose)
+    return float(np.min(robot.stall_torque / per_mass)) - robot.mass
+
+
+def task(robot: Robot, trajectory: Any, position: float = 0.01) -> Task:
+    return Task(
+        robot=robot,
+        trajectory=find_trajectory(trajectory, robot.coordinates),
+        error_bounds=ErrorBounds(position=position),
+        control_frequency=500.0,
+        cable="unilateral",
+        model_payload=0.0,
+        payload_known=False,
+    )
+
+
+@pytest.mark.parametrize("position", [0.01, 0.03])
+@pytest.mark.parametrize(
+    ("robot", "trajectory", "at_rest", "lowered"),
+    [
+        (SPATIAL, "circle-spatial", True, True),
+        (FLEX_SPATIAL, {"name": "loop-spatial", "seed": 10_003}, True, True),
+        (SPATIAL, "dwell-spatial", True, True),
+        (SPATIAL, {"name": "line-spatial", "dwell": 0}, True, True),
+        (SPATIAL, {"name": "circle-spatial", "dwell": 0}, False, False),
+        (SPATIAL, "paper-spatial", False, False),
+        (PLANAR, "circle-planar", True, False),
+        (PLANAR, "paper-planar", False, False),
+    ],
+)
+def test_spatial_robots_start_half_the_bound_below_a_motion_that_starts_at_rest(
+    robot, trajectory, at_rest, lowered, position
+):
+    one = task(robot, trajectory, position)
+    expected = one.trajectory(0.0).position.copy()
+    if lowered:
+        expected[2] += position / 2
+    np.testing.assert_array_equal(one.start_pose, expected)
+    assert one.starts_at_rest == at_rest
+
+
+@pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
+def test_motors_hold_at_least_a_kilogram_more_at_the_start_pose(robot):
+    motions = ["circle-spatial", *({"name": "loop-spatial", "seed": seed} for seed in held_out_seeds(20))]
+    for motion in motions:
+        one = task(robot, motion)
+        gained = held_at_rest(robot, one.start_pose) - held_at_rest(robot, one.trajectory(0.0).position)
+        assert 1.0 <= gained <= 1.3

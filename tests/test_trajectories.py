@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from typing import Any
 
@@ -13,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablebot_gym.robots import ROBOTS
+from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import (
     KINDS,
     TRAJECTORIES,
+    BetweenDwells,
     Dwell,
     Lemniscate,
     PaperCircle,
@@ -36,6 +37,12 @@ every_name = pytest.mark.parametrize("name", NAMES)
 
 def stacked(reference: Reference) -> np.ndarray:
     return np.stack([getattr(reference, order) for order in ORDERS])
+
+
+def without_dwells(name: str, **fields: Any) -> Trajectory:
+    """A named motion without its dwells."""
+    motion = TRAJECTORIES[name](**fields)
+    return motion.motion if isinstance(motion, BetweenDwells) else motion
 
 
 # --- the paper's tables -------------------------------------------------------------------------------------------
@@ -111,11 +118,44 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
 
 @given(duration=st.floats(0.05, 50), fraction=st.floats(0, 1), name=st.sampled_from(NAMES))
 def test_duration_scales_each_derivative_and_keeps_the_path(duration: float, fraction: float, name: str) -> None:
-    unit, stretched = TRAJECTORIES[name](duration=1.0), TRAJECTORIES[name](duration=duration)
+    unit, stretched = without_dwells(name, duration=1.0), without_dwells(name, duration=duration)
     powers = duration ** np.arange(5)
     expected = stacked(unit(fraction)) / powers[:, None]
     scale = np.abs(stacked(unit(np.linspace(0, 1, 101)))).max(axis=(1, 2)) / powers
     assert np.all(np.abs(stacked(stretched(fraction * duration)) - expected).max(axis=1) <= 1e-9 * scale)
+
+
+# --- dwells -------------------------------------------------------------------------------------------------------
+
+
+@given(dwell=st.just(0.0) | st.floats(1e-3, 5), case=st.sampled_from(sorted(MOTIONS)), fraction=st.floats(-0.5, 1.5))
+def test_motion_between_dwells_is_the_shifted_motion_and_rests_before_and_after(
+    dwell: float, case: str, fraction: float
+) -> None:
+    motion = MOTIONS[case][0]
+    between, time = BetweenDwells(motion=motion, dwell=dwell), dwell + fraction * motion.duration
+    assert between.duration == pytest.approx(motion.duration + 2 * dwell, rel=1e-15)
+    expected = stacked(motion(time - dwell))
+    if time - dwell < 0:
+        expected[1:] = 0.0
+    np.testing.assert_array_equal(stacked(between(time)), expected)
+    ends = [stacked(between(end)) for end in ([-1.0, 0.0, dwell / 2], [dwell * 1.5 + motion.duration, 99.0])]
+    for values, end in zip(ends, (0.0, motion.duration), strict=True):
+        np.testing.assert_array_equal(values[0], np.broadcast_to(motion(end).position, values[0].shape))
+        assert dwell == 0 or not values[1:].any()
+
+
+def test_named_motions_have_dwells_and_the_printed_circle_has_none() -> None:
+    for name in NAMES:
+        dwells = 0.0 if name.startswith(("paper", "dwell")) else 0.3
+        assert TRAJECTORIES[name]().duration - without_dwells(name).duration == pytest.approx(2 * dwells)
+    for kind, robot in KINDS.items():
+        circle, printed = TRAJECTORIES[f"circle-{robot}"](dwell=0), TRAJECTORIES[f"paper-{robot}"]()
+        times = np.linspace(0, 1, 101)
+        np.testing.assert_array_equal(stacked(circle(times)), stacked(printed(times)))
+        assert circle.coordinates == kind
+        with pytest.raises(ValueError, match="unknown key of trajectory 'dwell'"):
+            find_trajectory({"name": f"paper-{robot}", "dwell": 0.3}, kind)
 
 
 # --- the ends -----------------------------------------------------------------------------------------------------
@@ -166,7 +206,7 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
 
 
 def test_registry_has_all_names() -> None:
-    kinds = ["paper", "circle", "dwell", "line", "lemniscate", "loop"]
+    kinds = ["circle", "paper", "smooth-circle", "dwell", "line", "lemniscate", "loop"]
     assert trajectory_names(2) == [f"{kind}-planar" for kind in kinds]
     assert trajectory_names(6) == [f"{kind}-spatial" for kind in kinds]
     assert sorted(trajectory_names()) == sorted(trajectory_names(2) + trajectory_names(6))
@@ -188,9 +228,9 @@ def test_default_motion_stays_within_the_triangle_and_the_workspace(name: str) -
 @every_name
 def test_motion_survives_json(name: str) -> None:
     motion: Any = TRAJECTORIES[name](duration=1.25)
-    data = json.loads(json.dumps(dataclasses.asdict(motion)))
+    data = json.loads(json.dumps(to_jsonable(motion)))
     found = find_trajectory(data, motion.coordinates)
-    assert (found, hash(found), found.duration) == (motion, hash(motion), 1.25)
+    assert (found, hash(found), data["duration"]) == (motion, hash(motion), 1.25)
     assert data["name"] == name  # the caller's dict is unchanged
 
 
@@ -232,7 +272,8 @@ def test_own_trajectory_is_returned_unchanged() -> None:
         (Drift(), 6, "'drift' has 2 coordinates and the robot has 6"),
         ({"name": "circle-spatial", "radios": 1}, 6, "unknown key of trajectory 'radios'; .*did you mean 'radius'"),
         ({"name": "line-planar", "duration": "fast"}, 2, "duration must be .* not 'fast'"),
-        (3.0, 2, "unknown trajectory 3.0; choose one of paper-planar, .* or pass a Trajectory"),
+        ({"name": "line-planar", "dwell": -0.1}, 2, "dwell must be .* at least 0 s, not -0.1"),
+        (3.0, 2, "unknown trajectory 3.0; choose one of circle-planar, .* or pass a Trajectory"),
     ],
 )
 def test_wrong_request_raises(trajectory: Any, coordinates: int, message: str) -> None:
@@ -248,6 +289,7 @@ def test_wrong_request_raises(trajectory: Any, coordinates: int, message: str) -
         (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must be finite"),
         (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
         (Lemniscate, {"amplitude": (0.1, 0.0), "center": (0, 0)}, "amplitude must be finite and greater than 0"),
+        (BetweenDwells, {"motion": "circle-planar"}, "motion must be a Trajectory, not 'circle-planar'"),
     ],
 )
 def test_unphysical_field_raises(make: Any, fields: dict[str, Any], message: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import math
@@ -206,7 +207,7 @@ def test_fastest_robot_bounds_every_drawn_one():
     found = drawn(FLEX_SPATIAL, parameters)
     for attribute in ("mass", "inertia", "pulley_inertia", "motor_inertia"):
         assert np.all(getattr(found, attribute) >= getattr(fastest, attribute)), attribute
-    for attribute in ("stiffness", "stall_torque", "motor_damping", "damping", "speed_slope"):
+    for attribute in ("stiffness", "stall_torque", "motor_damping", "damping", "coulomb_friction", "speed_slope"):
         assert np.all(getattr(found, attribute) <= getattr(fastest, attribute)), attribute
     assert FLEX_SPATIAL.to_dict() == before
 
@@ -233,14 +234,17 @@ IMPOSSIBLE_PARAMETERS: list[tuple[Any, str, Any, str]] = [
 IMPOSSIBLE: list[tuple[Any, Any, str]] = [
     *((robot, {"parameters": {name: value}}, message) for robot, name, value, message in IMPOSSIBLE_PARAMETERS),
     (PLANAR, {"delay": LONGEST_DELAY + 1}, f"delay must be an integer of at least 0 and at most {LONGEST_DELAY}"),
-    (PLANAR, {"noise": 1.0}, "unknown key of uncertainty 'noise'; choose one of parameters, wrench, sensors, delay"),
-    (PLANAR, "table6+noise", "unknown uncertainty 'noise'; choose one of none, table6, sensors, or join"),
+    (PLANAR, {"delay": [2, 1]}, "high of delay must be an integer of at least 2"),
+    (PLANAR, {"delay": [0, 1, 2]}, "delay must be one number of control steps or .low, high."),
+    (PLANAR, {"noise": 1.0}, "unknown key of uncertainty 'noise'; choose one of parameters, wrench, sensors, "),
+    (PLANAR, "table6+noise", "unknown uncertainty 'noise'; choose one of none, table6, .*sensors, or join"),
     (PLANAR, "table6+table6", "'table6.table6' defines parameters twice"),
     (PLANAR, {"wrench": {"force_mean": [1, 2, 3]}}, "force_mean needs 2 components for 'planar'"),
     (PLANAR, {"wrench": {"force_std": -1.0}}, "force_std must be finite and at least 0"),
     (PLANAR, {"wrench": {"correlation_time": 0.0}}, "correlation_time must be a finite number greater than 0 s"),
     (PLANAR, {"wrench": {"factor": [1.1, 0.9]}}, "factor must be .low, high. with low ≤ high"),
     (PLANAR, {"sensors": {"position": -1e-3}}, "sensors.position must be a finite number at least 0"),
+    (PLANAR, {"sensor_bias": {"position": -1e-3}}, "position must be a finite number at least 0"),
 ]
 
 
@@ -288,6 +292,27 @@ def test_table_6_is_that_of_the_paper(robot):
     assert (found.sensors, found.delay, found.random) == (None, 0, True)
 
 
+@each_of(PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)
+def test_table_6_with_load_varies_the_payload_too(robot):
+    paper, found = find_uncertainty("table6", robot), find_uncertainty("table6-load", robot)
+    load = {"payload": ParameterDistribution(low=-0.1, high=0.1, each=False)}
+    assert found == dataclasses.replace(paper, parameters=dict(paper.parameters) | load)
+
+
+@each_of(PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)
+def test_hardware_varies_every_part_of_the_robot(robot):
+    """Lag and friction too, which are zero in the nominal robot: a relative deviation would change nothing."""
+    found = find_uncertainty("hardware", robot)
+    missing = {name for name in PARAMETERS if has(robot, name)} - set(found.parameters)
+    assert missing == ({"damping"} if robot.flexible else set())  # the friction of its motors varies
+    draws = found.draw(robot, np.full(50, 2.0), numbers(robot, 50))
+    for name in found.parameters:
+        assert np.all(np.ptp(getattr(draws, PARAMETERS[name].attribute), axis=0) > 0), name
+    assert found.wrench.random
+    assert None not in (found.sensors, found.sensor_bias)
+    assert found.delay_range[0] < found.delay_range[1]
+
+
 @rigid_and_flexible
 def test_sensors_have_the_documented_noise(robot):
     found = find_uncertainty("sensors", robot)
@@ -311,7 +336,8 @@ EVERYTHING = {
     "parameters": {name: tenth_of(name) for name in PARAMETERS} | {"damping": NORMAL},
     "wrench": WRENCH,
     "sensors": SensorNoise(position=1e-3),
-    "delay": 3,
+    "sensor_bias": SensorNoise(rotation=1e-3),
+    "delay": (1, 3),
 }
 """Every field differs from its default."""
 
@@ -340,7 +366,8 @@ def test_caller_cannot_change_an_uncertainty_through_its_dict():
         {"parameters": {"platform_mass": ParameterDistribution(low=-0.1, high=0.2)}},
         {"wrench": ExternalWrench(force_std=1.0)},
         {"sensors": SensorNoise(position=2e-3)},
-        {"delay": 4},
+        {"sensor_bias": SensorNoise(position=2e-3)},
+        {"delay": 3},
     ],
 )
 def test_uncertainties_that_differ_in_one_field_are_not_equal(change):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import platform
 import re
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -15,9 +18,9 @@ import numpy as np
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.batch import versions
-from cablebot_gym.evaluation.evaluator import DEFAULT_RESOLUTION, DRAWN_RESOLUTION, PAYLOAD_MAX
-from cablebot_gym.policies import load_policy
+from cablebot_gym.evaluation.batch import Batch, versions
+from cablebot_gym.evaluation.timing import time_actions
+from cablebot_gym.policies.isolated import IsolatedPolicy
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
@@ -71,10 +74,6 @@ class Conditions:
             "control_frequency": self.control_frequency,
         }
 
-    def options(self) -> dict[str, Any]:
-        """JSON-able keyword arguments of the function that computes the cell."""
-        return self.env_options()
-
     def _stem(self, *words: str) -> str:
         fields = [str(value) for name, value in self.trajectory.items() if name != "name"]
         env_id = self.env_id.removeprefix("CableBot-").removesuffix("-v0")
@@ -99,11 +98,13 @@ class PolicyCell(Conditions):
     uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Number of sampled episodes per payload."""
+    """Number of fresh draws that confirm the payload; 1 without uncertainty, except in real time."""
     probability: float = 0.95
     """Required success rate over the draws."""
     seed: int = 0
-    """Seed of the environments."""
+    """Evaluation seed."""
+    real_time: bool = False
+    """Whether an action that comes after its control period is replaced by the last one."""
     resolution: float | None = None
     """Payload resolution of the search [kg]; None for the evaluator's default."""
     payload_max: float | None = None
@@ -118,8 +119,7 @@ class PolicyCell(Conditions):
     @property
     def source(self) -> str:
         """Hash of the code that computes the cell: this package's and the policy's."""
-        modules, data = policy_source(self.policy)
-        return source_hash("cablebot_gym.evaluation.evaluator", *modules, data=data)
+        return _policy_hash(self.policy)
 
     @property
     def payload_model(self) -> str:
@@ -133,27 +133,20 @@ class PolicyCell(Conditions):
 
     def options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
-        resolution = DEFAULT_RESOLUTION if self.draws == 1 else DRAWN_RESOLUTION
-        payload_max = PAYLOAD_MAX["planar" if self.robot.planar else "spatial"]
-        return self.env_options() | {
-            "criterion": self.criterion,
-            "payload_max": payload_max if self.payload_max is None else self.payload_max,
-            "resolution": resolution if self.resolution is None else self.resolution,
-            "draws": self.draws,
-            "probability": self.probability,
-            "seed": self.seed,
-        }
+        names = ("criterion", "payload_max", "resolution", "probability", "seed")
+        draws = self.draws if self.draws > 1 else None  # a stochastic policy has draws without uncertainty
+        return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
-        """The payload, its limiting violation, and the details of the search.
+        """The payload, its limiting violation, and the details of the search. The policy runs in a process of its own.
 
         The paper criterion applies to policies that declare ``unsaturated_actions``; for others the result says
-        ``applicable: False``.
+        ``applicable: False``. ``declared`` marks policies that this project does not hold to their declaration.
         """
-        policy = load_policy(self.policy, self.robot)
-        if self.criterion == "paper" and not getattr(policy, "unsaturated_actions", False):
-            return {"applicable": False, "payload": None, "total_mass": None}
-        result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.options())
+        with self._isolated() as policy:
+            if self.criterion == "paper" and not policy.unsaturated_actions:
+                return {"applicable": False, "payload": None, "total_mass": None}
+            result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.options())
         return {
             "applicable": True,
             "payload": result.payload,
@@ -162,11 +155,62 @@ class PolicyCell(Conditions):
             "violation": None if result.violation is None else asdict(result.violation),
             "scan_ended": result.scan_ended,
             "saturated": bool(np.abs(result.rollout.arrays["commanded_action"]).max() > 1 - 1e-9),
-            "assured_payload": result.assured_payload,
+            "assured": result.assured,
+            "stochastic": result.stochastic,
+            "draws": result.draws,
+            "declared": result.declared,
             "feasible": [list(interval) for interval in result.feasible],
             "failures": result.failures,
             "fallbacks": result.fallbacks,
         }
+
+    def success_rate(self, payload: float, draws: int, seed: int) -> float:
+        """Fraction of fresh draws in which the policy carries a payload.
+
+        Args:
+            payload: nominal payload [kg].
+            draws: number of draws.
+            seed: seed of the draws.
+        """
+        judged: dict[str, Any] = {
+            "criterion": self.criterion,
+            "error_bounds": dict(self.error_bounds),
+            "uncertainty": self.uncertainty,
+        }
+        keywords = {name: value for name, value in self.env_options().items() if name not in judged}
+        with self._isolated() as policy:
+            batch = Batch(policy, self.env_id, draws=draws, seed=seed, keywords=keywords, **judged)
+            verdicts = batch.run([(payload, one) for one in batch.seeds])
+        return sum(verdict.carried for verdict in verdicts) / draws
+
+    def _isolated(self) -> IsolatedPolicy:
+        period = 1 / self.control_frequency
+        return IsolatedPolicy(self.policy, self.robot, real_time=period if self.real_time else None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimingCell(Conditions):
+    """The computing time of a policy per action."""
+
+    kind: ClassVar[str] = "timing"
+
+    policy: str
+    """Policy name as on the command line."""
+
+    @property
+    def stem(self) -> str:
+        """Readable beginning of the name of the cell's file."""
+        return self._stem(self.policy, "timing")
+
+    @property
+    def source(self) -> str:
+        """Hash of the code that computes the cell."""
+        return _policy_hash(self.policy)
+
+    def compute(self) -> dict[str, Any]:
+        """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of this machine."""
+        with IsolatedPolicy(self.policy, self.robot) as policy:
+            return asdict(time_actions(policy, self.env_id, **self.env_options())) | {"processor": processor()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,10 +233,12 @@ class BestKnownCell(Conditions):
         """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able data."""
         from cablebot_gym.bounds.best_known import find_best_known
 
-        return dict(find_best_known(self.env_id, **self.options()).to_dict())
+        return dict(find_best_known(self.env_id, **self.env_options()).to_dict())
 
 
-Cell = PolicyCell | BestKnownCell
+Cell = PolicyCell | BestKnownCell | TimingCell
+
+_KINDS: Mapping[str, type[Cell]] = {one.kind: one for one in (PolicyCell, BestKnownCell, TimingCell)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,8 +294,23 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
     Raises:
         KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
-    kinds: dict[str, type[PolicyCell] | type[BestKnownCell]] = {one.kind: one for one in (PolicyCell, BestKnownCell)}
-    return kinds[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
+    return _KINDS[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
+
+
+def processor() -> str:
+    """Model of the processor, without the name of the machine."""
+    with suppress(OSError):
+        found = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+        if found:
+            return found[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _policy_hash(policy: str) -> str:
+    """Hash of the code that evaluates a policy: this package's and the policy's."""
+    modules, data = policy_source(policy)
+    judge = ("cablebot_gym.evaluation.evaluator", "cablebot_gym.evaluation.timing", "cablebot_gym.policies.isolated")
+    return source_hash(*judge, *modules, data=data)
 
 
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from operator import attrgetter
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, Record, compute, failed_record
+from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell, compute, failed_record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils import workers as processes
 
@@ -68,13 +69,18 @@ def run_cells(
 ) -> list[Record]:
     """The records of all cells, in the order of ``cells``. Cells found in the store are not computed again.
 
-    Cells with the longest computations start first, to balance the workers.
+    Cells with the longest computations start first, to balance the workers. Computing times are measured last, one
+    after the other in this process.
     """
     done = {key: record for key, cell in cells.items() if (record := store.find(cell)) is not None}
     pending = sorted((cell for key, cell in cells.items() if key not in done), key=_cost, reverse=True)
     jobs = [Job(key=cell.key, compute=partial(compute, cell), kind=(type(cell), cell.env_id)) for cell in pending]
+    timings = [job for job in jobs if isinstance(cells[job.key], TimingCell)]
+    others = [job for job in jobs if job not in timings]
     progress(len(done), len(cells))
-    for key, record in run_jobs(jobs, backend, say=say, returned=(processes.WorkerDied,)):
+    died = (processes.WorkerDied,)
+    results = (run_jobs(some, by, say=say, returned=died) for some, by in ((others, backend), (timings, local(1))))
+    for key, record in chain.from_iterable(results):
         if isinstance(record, processes.WorkerDied):
             record = failed_record(cells[key], str(record))
         elif record.source != cells[key].source:
@@ -87,4 +93,4 @@ def run_cells(
 
 
 def _cost(cell: Cell) -> float:
-    return float("inf") if isinstance(cell, BestKnownCell) else cell.draws
+    return cell.draws if isinstance(cell, PolicyCell) else float("inf")

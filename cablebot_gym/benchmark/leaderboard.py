@@ -1,85 +1,116 @@
-"""The results of the benchmark as JSON, and the leaderboard page in Markdown, which is rendered from them."""
+"""Results of a suite: the JSON file, and the leaderboard page, which is rendered from it."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from typing import Any
 
+from rich.markdown import Markdown
+
 from cablebot_gym.benchmark import tables
-from cablebot_gym.benchmark.cells import Record, cell_from_dict
+from cablebot_gym.benchmark.board import Board
+from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, cell_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
-from cablebot_gym.benchmark.scores import BestKnown, best_known_payloads, leaderboards, payload_maps, scores
+from cablebot_gym.benchmark.scores import CONFIDENCE, BestKnown, best_known_payloads, leaderboards, payload_maps, scores
 from cablebot_gym.benchmark.suites import find_suite
+from cablebot_gym.utils.console import results_console
 
 
-def results_json(suite: str, command: str, records: Sequence[Record]) -> str:
-    """The results of a suite and its command as JSON, one cell per line. Equal results give identical bytes."""
-    scored, versions = iter(scores(records)), _versions(records)
-    lines = []
-    for record in records:
-        entry: dict[str, Any] = {
-            "cell": record.cell.to_dict(),
-            "source": record.source,
-            "versions": versions.index(record.versions),
-            "result": record.result,
-        }
-        if entry["cell"]["kind"] == "policy":
-            score = next(scored)
-            entry |= {"best_known": score.best_known, "score": score.score, "raised": score.raised}
-        lines.append(json.dumps(entry, ensure_ascii=False, allow_nan=False))
-    head = {"suite": suite, "command": command, "versions": versions}
-    fields = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in head.items()]
-    fields.append(' "cells": [\n  ' + ",\n  ".join(lines) + "\n ]")
-    return "{\n" + ",\n".join(fields) + "\n}\n"
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """The results of one suite."""
+
+    suite: str
+    """Name of the suite."""
+    command: str
+    """Command that computes the results."""
+    records: Sequence[Record]
+    """Records of all cells."""
+    board: Board | None = None
+    """Board with the hidden motions; None for a suite without."""
+
+    def check_board(self) -> None:
+        """Checks the commitment of the board, and that every policy has all its motions and no others.
+
+        Raises:
+            ValueError: if they are not.
+        """
+        if self.board is None:
+            raise ValueError("the results have no board with hidden motions")
+        self.board.check()
+        cells = [record.cell for record in self.records if isinstance(record.cell, PolicyCell)]
+        if absent := set(self.board.policies) ^ {cell.policy for cell in cells}:
+            raise ValueError(f"board {self.board.version!r} and its results differ in {', '.join(sorted(absent))}")
+        for env_id, policy in {(cell.env_id, cell.policy) for cell in cells}:
+            own = [cell.trajectory for cell in cells if (cell.env_id, cell.policy) == (env_id, policy)]
+            seeds = {motion["seed"] for motion in own if "seed" in motion}
+            if seeds != set(self.board.seeds(env_id, find_suite(self.suite).hidden)):
+                raise ValueError(f"the motions of {policy} on {env_id} are not those of board {self.board.version!r}")
+
+    def to_json(self) -> str:
+        """The results as JSON, one cell per line. Equal results give identical bytes."""
+        scored, versions = iter(scores(self.records)), _versions(self.records)
+        lines = []
+        for record in self.records:
+            entry: dict[str, Any] = {
+                "cell": record.cell.to_dict(),
+                "source": record.source,
+                "versions": versions.index(record.versions),
+                "result": record.result,
+                "seconds": round(record.seconds, 3),
+                "final": record.final,
+            }
+            if entry["cell"]["kind"] == "policy":
+                score = next(scored)
+                entry |= {"best_known": score.best_known, "score": score.score}
+            lines.append(json.dumps(entry, ensure_ascii=False, allow_nan=False))
+        board = None if self.board is None else asdict(self.board)
+        head = {"suite": self.suite, "command": self.command, "board": board, "versions": versions}
+        fields = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in head.items()]
+        fields.append(' "cells": [\n  ' + ",\n  ".join(lines) + "\n ]")
+        return "{\n" + ",\n".join(fields) + "\n}\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Results:
+        """The results whose :meth:`to_json` returned ``text``.
+
+        Raises:
+            KeyError, TypeError, ValueError: if the text is something else.
+        """
+        data = json.loads(text)
+        records = [
+            Record(
+                cell=cell_from_dict(entry["cell"]),
+                versions=data["versions"][entry["versions"]],
+                **{name: entry[name] for name in ("source", "result", "seconds", "final")},
+            )
+            for entry in data["cells"]
+        ]
+        board = None if data["board"] is None else Board(**data["board"])
+        return cls(suite=data["suite"], command=data["command"], records=records, board=board)
 
 
-def read_results(text: str) -> tuple[str, str, list[Record]]:
-    """Suite, command and records from the output of :func:`results_json`."""
-    data = json.loads(text)
-    records = [
-        Record(
-            cell=cell_from_dict(entry["cell"]),
-            source=entry["source"],
-            versions=data["versions"][entry["versions"]],
-            result=entry["result"],
-            seconds=0.0,
-        )
-        for entry in data["cells"]
-    ]
-    return data["suite"], data["command"], records
-
-
-def markdown(suite: str, command: str, records: Sequence[Record]) -> str:
-    """The leaderboard page: tables by environment, payload maps, best known payloads and notes.
-
-    Args:
-        suite: name of the suite.
-        command: command that computes the results.
-        records: records of the suite's cells.
-    """
+def markdown(results: Results) -> str:
+    """The leaderboard page: a table for each environment, payload maps, best known payloads and notes."""
+    records = results.records
     cells = [score.cell for score in scores(records)]
     default = next((cell for cell in cells if not varied_fields(cell)), cells[0])
-    drawn = [cell for cell in cells if cell.draws > 1]
-    text = (
-        (files("cablebot_gym.benchmark") / "leaderboard_head.md")
-        .read_text(encoding="utf-8")
-        .format(
-            position=1e3 * default.error_bounds["position"],
-            rotation=1e3 * default.error_bounds["rotation"],
-            probability=drawn[0].probability if drawn else 0.95,
-            draws=drawn[0].draws if drawn else "the",
-        )
-    )
     boards = leaderboards(records)
-    for env_id in dict.fromkeys(leaderboard.env_id for leaderboard in boards):
-        text += f"\n## {env_id}\n"
-        for leaderboard in boards:
-            if leaderboard.env_id == env_id:
-                title, (head, *rows) = tables.motion_title(leaderboard), tables.leaderboard_rows(leaderboard)
-                rows = [[f"`{policy}`", *entries] for policy, *entries in rows]
-                text += f"\n{title[0].upper()}{title[1:]}:\n\n{_table([head, *rows])}"
+    template = (files("cablebot_gym.benchmark") / "leaderboard_head.md").read_text(encoding="utf-8")
+    position, rotation = (1e3 * default.error_bounds[name] for name in ("position", "rotation"))
+    text = template.format(position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE)
+    if results.board is not None:
+        text += _board_text(results.board, boards[0].motions(boards[0].columns[0]))
+    for leaderboard in boards:
+        head, *rows = tables.leaderboard_rows(leaderboard)
+        at = head.index("policy")
+        rows = [[*row[:at], f"`{row[at]}`", *row[at + 1 :]] for row in rows]
+        text += f"\n## {leaderboard.env_id}\n\n{_table([head, *rows])}"
+    if rows := tables.overall_rows(boards):
+        text += f"\n## All environments\n\n{_table(rows)}"
     for payload_map in payload_maps(records):
         note = tables.map_note(payload_map)
         text += f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}" + (
@@ -88,21 +119,32 @@ def markdown(suite: str, command: str, records: Sequence[Record]) -> str:
     if references := list(best_known_payloads(records).values()):
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
     notes = [*tables.failures(records), *tables.fallbacks(records)]
+    processors = {str(timing["processor"]) for board in boards for timing in board.timings.values()}
+    notes += [f"computing times were measured on: {processor}" for processor in sorted(processors)]
     if notes:
         text += "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
     used = "; ".join(
         ", ".join(f"{name} {value}" for name, value in versions.items()) for versions in _versions(records)
     )
-    return f"{text}\nSuite `{suite}` ({find_suite(suite).summary}), computed by `{command}` with {used}.\n"
+    summary = find_suite(results.suite).summary
+    return f"{text}\nSuite `{results.suite}` ({summary}), computed by `{results.command}` with {used}.\n"
+
+
+def _board_text(board: Board, motions: int) -> str:
+    return (
+        f"\n## Board {board.version}\n\n"
+        f"The {motions} held-out motions of each environment were hidden: a secret of 128 random bits determines them. "
+        "The commitment is the SHA-256 of the secret, the salt, and the hashes of code and weights of all policies. "
+        "Published before the run, it shows that neither motions nor policies were changed afterwards. It does not "
+        "show how many secrets were drawn before it.\n\n"
+        f"* commitment `{board.commitment}`\n* secret `{board.secret}`\n* salt `{board.salt}`\n\n"
+        "`cablebot benchmark --verify FOLDER` recomputes the commitment, and confirms payloads with fresh draws.\n"
+    )
 
 
 def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:
     """The distinct sets of package versions."""
-    distinct: list[Mapping[str, str]] = []
-    for record in records:
-        if record.versions not in distinct:
-            distinct.append(record.versions)
-    return distinct
+    return list({canonical(dict(record.versions)): record.versions for record in records}.values())
 
 
 def _best_known_table(references: Sequence[BestKnown]) -> str:
@@ -111,11 +153,14 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
         payloads = (best.result.get("payload"), best.result.get("total_mass"))
         upper = (best.result.get("upper") or {}).get("payload")
         note = best.result.get("error") or ("" if best.payload is not None else "not verified by the replay")
-        if best.raised_by:
-            note = f"raised to {best.payload:.3f} kg, the DLCC of {best.raised_by}*"
         numbers = ["–" if value is None else f"{value:.3f}" for value in (*payloads, upper)]
         rows.append([best.cell.env_id, tables.task_title(best.cell), *numbers, note])
     return _table(rows)
+
+
+def print_page(page: str) -> None:
+    """Prints the leaderboard page without its explanations."""
+    results_console().print(Markdown(page[page.index("\n## ") :]))
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from statistics import median
+from dataclasses import dataclass, fields
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, canonical
+import numpy as np
+
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell, canonical
 from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
+from cablebot_gym.kinematics import Array
 from cablebot_gym.task import payload_model_text
+
+RANKED_MOTIONS = 20
+"""Least number of motions for ranks. Fewer do not tell policies apart."""
+
+RESAMPLES = 10_000
+"""Number of bootstrap resamples."""
+
+CONFIDENCE = 0.95
+"""Confidence of the intervals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,11 +31,11 @@ class BestKnown:
     """The cell."""
     result: Mapping[str, Any]
     """Result of the search, or an ``error`` message if it failed."""
-    payload: float | None
-    """Reference of the scores [kg]: the payload found by the search, or the larger payload of a policy. None if the
-    search found no payload that its replay verifies."""
-    raised_by: str | None
-    """Policy and payload model that raised the payload; None if the payload is the search's own."""
+
+    @property
+    def payload(self) -> float | None:
+        """Reference of the scores [kg]; None if the search found no payload that its replay verifies."""
+        return self.result["payload"] if self.result.get("verified") else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +49,8 @@ class Score:
     best_known: float | None
     """Best known payload [kg]; None if there is none."""
     score: float | None
-    """Fraction of the best known payload; 0 if the policy fails unloaded. None for the paper criterion, without a best
-    known payload, and if the policy raised an error."""
-    raised: bool
-    """Whether this payload raised the best known payload."""
+    """Fraction of the best known payload; 0 if the policy fails unloaded or raised an error. None for the paper
+    criterion, under an uncertainty, without a best known payload, and if the computation can be repeated."""
 
     @property
     def error(self) -> str | None:
@@ -50,7 +59,8 @@ class Score:
 
     @property
     def payload(self) -> float | None:
-        """DLCC [kg]; None if the policy fails unloaded, raised an error, or if the criterion is not applicable."""
+        """DLCC [kg], a 95/95 lower tolerance bound under an uncertainty; None if the policy fails unloaded, raised an
+        error, or if the criterion is not applicable."""
         return self.result.get("payload")
 
     @property
@@ -58,30 +68,20 @@ class Score:
         """The payload as text. ``≥`` marks a lower bound: the scan ended while the payload was still feasible."""
         if self.payload is None:
             return "fails unloaded"
-        at_least = self.result.get("scan_ended")
-        return f"{'≥ ' if at_least else ''}{self.payload:.2f}"
+        at_least = "≥ " if self.result.get("scan_ended") else ""
+        declared = ", declared" if self.result.get("declared") else ""
+        random = self.result.get("stochastic") and self.cell.draws == 1
+        drawn = f", stochastic ({self.result['draws']} draws)" if random else ""
+        return f"{at_least}{self.payload:.2f}{declared}{drawn}"
 
 
 def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
-    """The best known payloads by :func:`motion_key`.
-
-    A policy that carries a payload by the task criterion without uncertainty demonstrates a motion within all limits,
-    whatever its payload model. If this payload exceeds the search's, it becomes the best known payload.
-    """
-    references: dict[str, BestKnown] = {}
-    for record in records:
-        if isinstance(record.cell, BestKnownCell):
-            payload = record.result["payload"] if record.result.get("verified") else None
-            reference = BestKnown(cell=record.cell, result=record.result, payload=payload, raised_by=None)
-            references[motion_key(record.cell)] = reference
-    for record in records:
-        cell, payload = record.cell, record.result.get("payload")
-        if isinstance(cell, BestKnownCell) or cell.criterion != "task" or cell.uncertainty or payload is None:
-            continue
-        current = references.get(motion_key(cell))
-        if current is not None and current.payload is not None and payload > current.payload:
-            references[motion_key(cell)] = replace(current, payload=payload, raised_by=_policy_and_model(cell))
-    return references
+    """The best known payloads by :func:`motion_key`."""
+    return {
+        motion_key(record.cell): BestKnown(cell=record.cell, result=record.result)
+        for record in records
+        if isinstance(record.cell, BestKnownCell)
+    }
 
 
 def scores(records: Sequence[Record]) -> list[Score]:
@@ -99,73 +99,113 @@ def motion_key(cell: PolicyCell | BestKnownCell) -> str:
 class Column:
     """Conditions of one column of a table."""
 
-    payload_known: bool
+    motion: str
+    """Name of the motion or of the family of motions."""
+    payload_known: bool = True
     """Whether the policies' models include the payload."""
-    model_payload_factor: float
+    model_payload_factor: float = 1.0
     """Ratio of the policies' model payload to the nominal payload."""
-    uncertainty: str | None
+    uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
-    criterion: str
+    criterion: str = "task"
     """DLCC criterion: ``task`` or ``paper``."""
-    draws: int
-    """Number of sampled episodes per payload."""
+    draws: int = 1
+    """Number of draws that confirm the payload."""
+    real_time: bool = False
+    """Whether late actions are replaced by the last one."""
 
     @classmethod
     def of(cls, cell: PolicyCell) -> Column:
         """The column of a cell."""
-        return cls(**{field.name: getattr(cell, field.name) for field in fields(cls)})
+        own = {field.name: getattr(cell, field.name) for field in fields(cls) if field.name != "motion"}
+        return cls(motion=str(cell.trajectory["name"]), **own)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leaderboard:
-    """One table: policies by conditions, for one environment and one motion or family of motions."""
+    """The table of one environment: policies by conditions."""
 
     env_id: str
     """Environment id."""
-    motion: str
-    """Name of the motion or of the family of motions."""
     columns: tuple[Column, ...]
-    """Columns in the order of the suite."""
+    """Columns; those with the most motions come first, otherwise in the order of the suite."""
     policies: tuple[str, ...]
-    """Policies by decreasing score in the first column; the median score for a family of motions."""
+    """Policies by decreasing mean fraction in the first column."""
+    ranks: Mapping[str, int]
+    """Ranks by policy in the first column, from 1; empty for fewer than :data:`RANKED_MOTIONS` motions. The rank is 1
+    plus the number of policies that are better with :data:`CONFIDENCE`, by the paired bootstrap of the difference of
+    the mean fractions. Policies of equal rank are a tie."""
     entries: Mapping[tuple[str, Column], tuple[Score, ...]]
     """Scores by policy and column, one score per motion."""
+    timings: Mapping[str, Mapping[str, Any]]
+    """Results of :class:`~cablebot_gym.benchmark.cells.TimingCell` by policy."""
 
-    @property
-    def motions(self) -> int:
-        """Number of motions: 1, or the size of the family."""
-        return len({canonical(dict(score.cell.trajectory)) for entry in self.entries.values() for score in entry})
+    def motions(self, column: Column) -> int:
+        """Number of motions of a column."""
+        return max(len(entry) for (_, its), entry in self.entries.items() if its == column)
 
     def fraction(self, policy: str, column: Column) -> Fraction | None:
         """The fraction of a policy in a column; None without a score for every motion."""
-        return _fraction(self.entries.get((policy, column), ()))
+        values = _values(self.entries.get((policy, column), ()))
+        return None if values is None else fraction([values])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fraction:
     """Fractions of the best known payload over one motion or several."""
 
-    median: float
-    """Median over the motions."""
+    mean: float
+    """Mean over the motions."""
+    low: float
+    """Lower end of the bootstrap interval of the mean."""
+    high: float
+    """Upper end of the interval."""
     worst: float
     """Minimum over the motions."""
 
 
+def fraction(strata: Sequence[Array]) -> Fraction:
+    """Mean fraction and its percentile interval by a bootstrap over the motions, stratified by environment.
+
+    Args:
+        strata: fractions of the motions of each environment.
+    """
+    means = np.mean([_resampled(values[None], seed)[0] for seed, values in enumerate(strata)], axis=0)
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    mean = float(np.mean([values.mean() for values in strata]))
+    return Fraction(mean=mean, low=float(low), high=float(high), worst=float(min(values.min() for values in strata)))
+
+
+def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], Fraction]]:
+    """Environments and fraction in the first columns of all policies that several ranked environments have."""
+    strata: dict[str, dict[str, Array]] = {}
+    for board in boards:
+        for policy in board.ranks:
+            values = _values(board.entries[policy, board.columns[0]])
+            if values is not None:
+                strata.setdefault(policy, {})[board.env_id] = values
+    return {name: (tuple(own), fraction(list(own.values()))) for name, own in strata.items() if len(own) > 1}
+
+
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
     """The tables in the order of the records. Cells with varied parameters, which belong to maps, are omitted."""
-    groups: dict[tuple[str, str], list[Score]] = {}
+    groups: dict[str, list[Score]] = {}
     for score in scores(records):
         if not varied_fields(score.cell):
-            groups.setdefault((score.cell.env_id, str(score.cell.trajectory["name"])), []).append(score)
-    return [_leaderboard(env_id, motion, group) for (env_id, motion), group in groups.items()]
+            groups.setdefault(score.cell.env_id, []).append(score)
+    timed = [(record.cell, record.result) for record in records if record.error is None]
+    timings = {(cell.env_id, cell.policy): result for cell, result in timed if isinstance(cell, TimingCell)}
+    return [_leaderboard(env_id, group, timings) for env_id, group in groups.items()]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadMap:
-    """DLCC of policies on the circle of one environment with known payload, as a function of one task parameter."""
+    """DLCC of policies on one motion of one environment with known payload, as a function of one task parameter."""
 
     env_id: str
     """Environment id."""
+    motion: str
+    """Name of the motion."""
     axis: Axis
     """Varied parameter."""
     constants: tuple[str, ...]
@@ -192,15 +232,20 @@ def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
     references = best_known_payloads(records)
     order = list(AXES.values())
     return [
-        _map(env_id, axis, constants, group, references)
+        _map(env_id, motion, axis, constants, group, references)
         for env_id, maps in groups.items()
-        for (axis, _, constants), group in sorted(maps.items(), key=lambda item: order.index(item[0][0]))
+        for (axis, motion, constants), group in sorted(maps.items(), key=lambda item: order.index(item[0][0]))
         if any(axis.varies(score.cell) for score in group)
     ]
 
 
 def _map(
-    env_id: str, axis: Axis, constants: tuple[str, ...], group: Sequence[Score], references: Mapping[str, BestKnown]
+    env_id: str,
+    motion: str,
+    axis: Axis,
+    constants: tuple[str, ...],
+    group: Sequence[Score],
+    references: Mapping[str, BestKnown],
 ) -> PayloadMap:
     group = sorted(group, key=lambda score: axis.varies(score.cell))
     by_value: dict[float, dict[str, Score]] = {axis.value(score.cell): {} for score in group}
@@ -212,6 +257,7 @@ def _map(
     names = [name for name in dict.fromkeys(score.cell.policy for score in group) if name in varied]
     return PayloadMap(
         env_id=env_id,
+        motion=motion,
         axis=axis,
         constants=constants,
         values=values,
@@ -220,39 +266,63 @@ def _map(
     )
 
 
-def _leaderboard(env_id: str, motion: str, group: Sequence[Score]) -> Leaderboard:
+def _leaderboard(
+    env_id: str, group: Sequence[Score], timings: Mapping[tuple[str, str], Mapping[str, Any]]
+) -> Leaderboard:
     entries: dict[tuple[str, Column], tuple[Score, ...]] = {}
     for score in group:
         key = (score.cell.policy, Column.of(score.cell))
         entries[key] = (*entries.get(key, ()), score)
-    columns = tuple(dict.fromkeys(column for _, column in entries))
+    motions: dict[Column, int] = {}
+    for (policy, column), entry in entries.items():
+        # Motions are compared in pairs, and therefore in the same order.
+        entries[policy, column] = tuple(sorted(entry, key=lambda score: canonical(dict(score.cell.trajectory))))
+        motions[column] = max(motions.get(column, 0), len(entry))
+    columns = sorted(motions, key=lambda column: (column.uncertainty is not None, -motions[column]))
+    first = {policy: _values(entries.get((policy, columns[0]), ())) for policy, _ in entries}
+    means = {policy: -1.0 if values is None else float(values.mean()) for policy, values in first.items()}
+    complete = {policy: own for policy, own in first.items() if own is not None and len(own) == motions[columns[0]]}
+    return Leaderboard(
+        env_id=env_id,
+        columns=tuple(columns),
+        policies=tuple(sorted(means, key=lambda policy: (-means[policy], policy))),
+        ranks=_ranks(complete) if motions[columns[0]] >= RANKED_MOTIONS else {},
+        entries=entries,
+        timings={policy: result for (own, policy), result in timings.items() if own == env_id},
+    )
 
-    def rank(policy: str) -> tuple[float, str]:
-        fraction = _fraction(entries.get((policy, columns[0]), ()))
-        return (1.0 if fraction is None else -fraction.median), policy
 
-    policies = sorted({policy for policy, _ in entries}, key=rank)
-    return Leaderboard(env_id=env_id, motion=motion, columns=columns, policies=tuple(policies), entries=entries)
+def _ranks(fractions: Mapping[str, Array]) -> dict[str, int]:
+    """Ranks by policy, see :attr:`Leaderboard.ranks`."""
+    if not fractions:
+        return {}
+    means = _resampled(np.stack(list(fractions.values())))
+    lead = np.quantile(means[:, None] - means[None], (1 - CONFIDENCE) / 2, axis=-1)
+    return dict(zip(fractions, (1 + (lead > 0).sum(axis=0)).tolist(), strict=True))
 
 
-def _fraction(entry: Sequence[Score]) -> Fraction | None:
+def _resampled(values: Array, seed: int = 0) -> Array:
+    """Means of bootstrap resamples of the columns of values (p, n), shape (p, RESAMPLES); rows share the columns."""
+    count = values.shape[1]
+    chosen = np.random.default_rng(seed).integers(count, size=(RESAMPLES, count))
+    weights = np.stack([(chosen == index).sum(axis=1) for index in range(count)]) / count
+    return np.asarray(values @ weights, float)
+
+
+def _values(entry: Sequence[Score]) -> Array | None:
+    """Fractions of the motions; None unless every motion has one."""
     values = [score.score for score in entry if score.score is not None]
-    return Fraction(median=median(values), worst=min(values)) if values and len(values) == len(entry) else None
+    return np.array(values) if values and len(values) == len(entry) else None
 
 
 def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
     best = references.get(motion_key(cell))
     reference = None if best is None else best.payload
     payload = record.result.get("payload")
-    ranked = cell.criterion == "task" and record.error is None and reference is not None and reference > 0
+    scored = cell.criterion == "task" and cell.uncertainty is None and (record.error is None or record.final)
     return Score(
         cell=cell,
         result=record.result,
         best_known=reference,
-        score=(payload or 0.0) / reference if ranked and reference else None,
-        raised=ranked and cell.uncertainty is None and best is not None and best.raised_by == _policy_and_model(cell),
+        score=(payload or 0.0) / reference if scored and reference else None,
     )
-
-
-def _policy_and_model(cell: PolicyCell) -> str:
-    return f"{cell.policy}, {cell.payload_model}"

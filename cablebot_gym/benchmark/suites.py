@@ -10,13 +10,20 @@ from itertools import product
 from types import MappingProxyType
 from typing import Any
 
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, cell_from_dict, merged
+from cablebot_gym.benchmark.board import Board
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, TimingCell, cell_from_dict, merged
 from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
-from cablebot_gym.policies import load_policy, policy_entries
+from cablebot_gym.evaluation.statistics import fewest_draws
+from cablebot_gym.policies import policy_entries
+from cablebot_gym.policies.isolated import IsolatedPolicy
+from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
 from cablebot_gym.utils.checks import choice
+
+REAL_TIME_DRAWS = fewest_draws(0.95, 0.95)
+"""Number of repeats of each episode in real time without uncertainty: computing times differ between runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +32,12 @@ class Block:
 
     policies: tuple[str, ...] = ()
     """The only policies of the block; all policies if empty."""
-    loops: int = 0
-    """Number of held-out motions; 0 for the paper's circle."""
-    payload_known: tuple[bool, ...] = (True, False)
+    motion: str = "circle"
+    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed; ``loop``, held-out motions; or
+    ``hidden``, the hidden motions of a board."""
+    motions: int = 1
+    """Number of held-out or hidden motions."""
+    payload_known: tuple[bool, ...] = (True,)
     """Whether the policies' models include the payload."""
     model_payload_factors: tuple[float, ...] = (1.0,)
     """Ratios of the policies' model payload to the nominal payload."""
@@ -36,7 +46,7 @@ class Block:
     uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Number of sampled episodes per payload."""
+    """Number of draws that confirm a payload; 1 without uncertainty."""
     axis: str | None = None
     """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none. Rigid robots have no
     joint stiffness, and flexible ones no varied pulley friction."""
@@ -62,6 +72,13 @@ class Suite:
     """Environment ids."""
     best_known: bool = True
     """Whether to compute the best known payloads."""
+    timing: bool = False
+    """Whether to measure the computing time per action of every policy."""
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden motions of each environment, which take a board."""
+        return max((block.motions for block in self.blocks if block.motion == "hidden"), default=0)
 
 
 def _suites() -> Iterator[Suite]:
@@ -126,30 +143,45 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     return {env_id: tuple(name for name in chosen if env_id in supported[name]) for env_id in env_ids}
 
 
-def suite_cells(suite: Suite, policies: Mapping[str, tuple[str, ...]]) -> dict[str, Cell]:
+def suite_cells(
+    suite: Suite,
+    policies: Mapping[str, tuple[str, ...]],
+    *,
+    seed: int = 0,
+    board: Board | None = None,
+    real_time: bool = False,
+) -> dict[str, Cell]:
     """The cells by key, grouped by environment; the best known payloads of an environment come first.
 
     Args:
         suite: the suite.
         policies: names of the policies by environment, from :func:`find_policies`.
+        seed: evaluation seed.
+        board: board with the hidden motions; None for suites without.
+        real_time: whether late actions are replaced by the last one.
     """
     cells: list[Cell] = []
     for env_id, names in policies.items():
         without = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
         blocks = [block for block in suite.blocks if block.axis != without]
         for block in blocks if suite.best_known else ():
-            for motion in _motions(env_id, block.loops):
-                cells += _varied(block, BestKnownCell(env_id=env_id, trajectory=motion))
+            if block.criterion == "task" and block.uncertainty is None:
+                for motion in _motions(env_id, block, board):
+                    cells += _varied(block, BestKnownCell(env_id=env_id, trajectory=motion))
         for block in blocks:
-            cells += _policy_cells(block, env_id, names)
+            cells += _policy_cells(block, env_id, names, board, {"seed": seed, "real_time": real_time})
+        circle = _motions(env_id, Block(), board)[0]
+        cells += [TimingCell(env_id=env_id, trajectory=circle, policy=name) for name in names if suite.timing]
     return {cell.key: cell for cell in cells}
 
 
-def _policy_cells(block: Block, env_id: str, names: Sequence[str]) -> Iterator[PolicyCell]:
+def _policy_cells(
+    block: Block, env_id: str, names: Sequence[str], board: Board | None, run: Mapping[str, Any]
+) -> Iterator[PolicyCell]:
     slow = {name for name, entry in policy_entries().items() if entry.slow}
     included = [name for name in block.policies or names if name in names and (block.slow or name not in slow)]
     for motion, name, known, factor in product(
-        _motions(env_id, block.loops), included, block.payload_known, block.model_payload_factors
+        _motions(env_id, block, board), included, block.payload_known, block.model_payload_factors
     ):
         cell = PolicyCell(
             env_id=env_id,
@@ -159,7 +191,8 @@ def _policy_cells(block: Block, env_id: str, names: Sequence[str]) -> Iterator[P
             payload_known=known,
             model_payload_factor=factor,
             uncertainty=block.uncertainty,
-            draws=block.draws,
+            draws=max(block.draws, REAL_TIME_DRAWS if run["real_time"] else 1),
+            **run,
         )
         changed = cell_from_dict(merged(cell.to_dict(), block.changes))
         assert isinstance(changed, PolicyCell)
@@ -171,20 +204,23 @@ def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
     return [AXES[block.axis].with_value(cell, value) for value in block.values] if block.axis else [cell]
 
 
-def _motions(env_id: str, loops: int) -> list[dict[str, Any]]:
+def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
     kind = "planar" if find_robot(env_robot(env_id)).planar else "spatial"
-    if not loops:
-        return [{"name": f"paper-{kind}"}]
-    return [{"name": f"loop-{kind}", "seed": seed} for seed in held_out_seeds(loops)]
+    if block.motion in ("circle", "paper"):
+        return [{"name": f"{block.motion}-{kind}"}]
+    if block.motion == "hidden" and board is None:
+        raise ValueError("hidden motions need a board: commit one first, with the option --commit VERSION")
+    seeds = board.seeds(env_id, block.motions) if board and block.motion == "hidden" else held_out_seeds(block.motions)
+    return [{"name": f"loop-{kind}", "seed": seed} for seed in seeds]
 
 
 def _check_loadable(name: str, env_ids: Sequence[str]) -> None:
-    """Rejects a policy that cannot be loaded for any of the environments."""
-    errors: list[ValueError] = []
+    """Rejects a policy that cannot be loaded for any of the environments. It is loaded in a process of its own."""
+    errors: list[Exception] = []
     for env_id in env_ids:
         try:
-            load_policy(name, find_robot(env_robot(env_id)))
-        except ValueError as error:
+            IsolatedPolicy(name, find_robot(env_robot(env_id))).close()
+        except (ValueError, PolicyError) as error:
             errors.append(error)
     if len(errors) == len(env_ids):
-        raise errors[0]
+        raise ValueError(str(errors[0])) from errors[0]

@@ -1,80 +1,95 @@
-"""The tables of the benchmark: entries as text, console output and CSV."""
+"""The tables of the benchmark: entries as text."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
-
-from rich.table import Table
 
 from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.task import payload_model_text
-from cablebot_gym.utils.console import results_console
-
-_CSV_FIELDS = (
-    *("env_id", "trajectory", "policy", "criterion", "payload_known", "model_payload_factor"),
-    *("uncertainty", "draws", "probability", "position_bound", "rotation_bound", "stiffness"),
-    *("control_frequency", "seed", "payload", "total_mass", "best_known", "score", "raised"),
-    *("violation", "assured_payload", "fallbacks", "error"),
-)
 
 
 def heading(column: scores.Column) -> str:
-    """Heading of a column: payload model, uncertainty and, if it is not ``task``, the criterion."""
-    words = [
-        payload_model_text(column.payload_known, column.model_payload_factor),
-        *([column.uncertainty] if column.uncertainty else []),
-    ]
-    return ", ".join([*words, "paper criterion [kg]"] if column.criterion == "paper" else words)
+    """Conditions of a column: payload model, uncertainty, number of draws and, if it is not ``task``, the criterion."""
+    words = [payload_model_text(column.payload_known, column.model_payload_factor)]
+    if column.uncertainty:
+        words.append(column.uncertainty)
+    if column.real_time:
+        words.append("real time")
+    if column.draws > 1:
+        words.append(f"{column.draws} draws")
+    if column.criterion == "paper":
+        words.append("paper criterion")
+    return ", ".join(words) + (" [kg]" if column.uncertainty or column.criterion == "paper" else "")
 
 
-def motion_title(leaderboard: scores.Leaderboard) -> str:
-    """Title of a table: its motion or its family of motions."""
-    if leaderboard.motions > 1:
-        return f"{leaderboard.motions} held-out motions, {leaderboard.motion}: median and worst fraction"
-    if leaderboard.motion.startswith("paper-"):
-        return "the paper's circle"
-    number = next(iter(leaderboard.entries.values()))[0].cell.trajectory.get("seed")
-    return f"held-out motion {leaderboard.motion}" + ("" if number is None else f" {number}")
+def motion_title(column: scores.Column, motions: int) -> str:
+    """Motion of a column, or its family of motions."""
+    if column.motion.startswith(("circle-", "paper-")):
+        return "circle" if column.motion.startswith("circle-") else "the paper's circle"
+    return f"{motions} held-out motions" if motions > 1 else f"held-out motion of {column.motion}"
+
+
+def column_titles(leaderboard: scores.Leaderboard) -> list[str]:
+    """Titles of the columns of a table: motion and conditions."""
+    return [f"{motion_title(column, leaderboard.motions(column))}: {heading(column)}" for column in leaderboard.columns]
 
 
 def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
-    """Table entry of a policy in a column: payload [kg] and fraction, or the fractions of several motions."""
+    """Table entry of a policy in a column: payload [kg] and fraction, or the mean fraction of several motions."""
     entry = leaderboard.entries.get((policy, column), ())
-    if not entry:
-        return "–"
-    if any(score.error is not None for score in entry):
-        return "error"
+    errors = sum(score.error is not None for score in entry)
+    if not entry or errors == len(entry):
+        return "error" if entry else "–"
     if not all(score.result.get("applicable", True) for score in entry):
         return "n/a"
     fraction = leaderboard.fraction(policy, column)
-    if leaderboard.motions > 1:
-        payloads = [score.payload or 0.0 for score in entry]
-        kilograms = f"{median(payloads):.2f} kg, {min(payloads):.2f} kg"
-        mark = "*" if any(score.raised for score in entry) else ""
-        return kilograms if fraction is None else f"{fraction.median:.0%}, {fraction.worst:.0%}{mark}"
-    text = entry[0].payload_text + ("*" if entry[0].raised else "")
-    return text if fraction is None else f"{text}, {fraction.median:.0%}"
+    if len(entry) == 1:
+        text = entry[0].payload_text
+        return text if fraction is None else f"{text}, {fraction.mean:.0%}"
+    counted = f"; errors: {errors}" if errors else ""
+    if fraction is None:
+        return f"{median(score.payload or 0.0 for score in entry):.2f} kg{counted}"
+    interval = f" [{fraction.low:.1%}, {fraction.high:.1%}]" if len(entry) >= scores.RANKED_MOTIONS else ""
+    return f"{fraction.mean:.1%}{interval}, worst {fraction.worst:.0%}{counted}"
+
+
+def timing_text(timing: Mapping[str, Any] | None) -> str:
+    """Computing time per action: median and 99th percentile [ms], and the fraction of late actions."""
+    if timing is None:
+        return "–"
+    return f"{1e3 * timing['median']:.2g}, {1e3 * timing['p99']:.2g}, {timing['missed']:.0%}"
 
 
 def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
-    """Head and rows of a table: one row per policy."""
-    head = ["policy", *map(heading, leaderboard.columns)]
-    return [head] + [
-        [policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns)]
-        for policy in leaderboard.policies
+    """Head and rows of a table: one row per policy, with its rank if there are ranks, and its computing time."""
+    ranks, timings = leaderboard.ranks, leaderboard.timings
+    head = [*(["rank"] if ranks else []), "policy", *column_titles(leaderboard)]
+    rows = [[*head, *(["median, p99 [ms], late"] if timings else [])]]
+    for policy in leaderboard.policies:
+        row = [policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns)]
+        row = [*([str(ranks.get(policy, "–"))] if ranks else []), *row]
+        rows.append([*row, *([timing_text(timings.get(policy))] if timings else [])])
+    return rows
+
+
+def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
+    """Head and rows of the table of the policies that several ranked environments have; no rows without any."""
+    found = scores.overall(boards).items()
+    rows = [
+        [policy, str(len(env_ids)), f"{one.mean:.1%} [{one.low:.1%}, {one.high:.1%}]"]
+        for policy, (env_ids, one) in sorted(found, key=lambda item: -item[1][1].mean)
     ]
+    return [["policy", "environments", "mean fraction"], *rows] if rows else []
 
 
 def map_title(payload_map: scores.PayloadMap) -> str:
     """Title of the table of a map."""
-    conditions = ", ".join([payload_map.env_id, "the paper's circle", "payload known", *payload_map.constants])
+    motion = motion_title(scores.Column(motion=payload_map.motion), 1)
+    conditions = ", ".join([payload_map.env_id, motion, "payload known", *payload_map.constants])
     return f"{conditions}: payload by {payload_map.axis.label}"
 
 
@@ -119,17 +134,14 @@ def best_known_text(best: scores.BestKnown) -> str:
     if best.payload is None:
         reason = best.result.get("error") or "the replay does not verify the result of the search"
         return f"{best.cell.env_id}, {motion}: none: {reason}"
-    raised = f"; raised to {best.payload:.3f} kg, the DLCC of {best.raised_by}" if best.raised_by else ""
-    return f"{best.cell.env_id}, {motion}: {best.result['payload']:.3f} kg{raised}"
+    return f"{best.cell.env_id}, {motion}: {best.payload:.3f} kg"
 
 
 def failures(records: Sequence[Record]) -> list[str]:
     """One sentence per distinct error of a policy."""
-    lines: dict[str, None] = {}
-    for score in scores.scores(records):
-        if score.error is not None:
-            lines[f"{score.cell.policy} failed on {score.cell.env_id}: {score.error}"] = None
-    return list(lines)
+    failed = [(one.cell, one.error) for one in records if one.error is not None]
+    lines = [f"{cell.policy} failed on {cell.env_id}: {error}" for cell, error in failed if hasattr(cell, "policy")]
+    return list(dict.fromkeys(lines))
 
 
 def fallbacks(records: Sequence[Record]) -> list[str]:
@@ -144,55 +156,3 @@ def fallbacks(records: Sequence[Record]) -> list[str]:
         for (policy, env_id), numbers in groups.items()
         if max(numbers) > 0
     ]
-
-
-def print_benchmark(records: Sequence[Record]) -> None:
-    """Prints the tables, the best known payloads and the notes."""
-    console = results_console()
-    boards, maps = scores.leaderboards(records), scores.payload_maps(records)
-    tables = [(f"{board.env_id}, {motion_title(board)}", leaderboard_rows(board)) for board in boards]
-    for title, (head, *rows) in [*tables, *((map_title(one), map_rows(one)) for one in maps)]:
-        console.print(title, highlight=False)
-        table = Table()
-        for index, name in enumerate(head):
-            table.add_column(name, justify="right" if index else "left", overflow="fold")
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
-    console.print(
-        "Entries: payload [kg] and its fraction of the best known payload, task criterion. Best known payloads:",
-        highlight=False,
-    )
-    references = list(scores.best_known_payloads(records).values())
-    for line in [*map(best_known_text, references), *failures(records), *fallbacks(records)]:
-        console.print(f"  {line}", highlight=False, soft_wrap=True)
-    if any(best.raised_by for best in references):
-        console.print("*: this payload raised the best known payload", highlight=False)
-
-
-def csv_text(records: Sequence[Record]) -> str:
-    """CSV text with one row per policy cell, in SI units."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _CSV_FIELDS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(csv_row(score) for score in scores.scores(records))
-    return text.getvalue()
-
-
-def csv_row(score: scores.Score) -> dict[str, Any]:
-    """One score as a row of :func:`csv_text`."""
-    cell, result, violation = score.cell, score.result, score.result.get("violation") or {}
-    values = {name: getattr(source, name) for source in (cell, score) for name in _CSV_FIELDS if hasattr(source, name)}
-    return (
-        {name: result.get(name) for name in _CSV_FIELDS}
-        | values
-        | {
-            "trajectory": json.dumps(dict(cell.trajectory)),
-            "position_bound": cell.error_bounds["position"],
-            "rotation_bound": cell.error_bounds["rotation"],
-            "stiffness": cell.robot_changes.get("transmission", {}).get("stiffness"),
-            "violation": " ".join(
-                str(violation[name]) for name in ("kind", "index") if violation.get(name) is not None
-            ),
-        }
-    )

@@ -1,7 +1,8 @@
 """Best known payload: the largest known payload for which a motion and its inputs stay within all limits.
 
-It is a lower bound of the largest feasible payload. A local solver computes it, and a replay of the inputs in the
-environment verifies it. Only a certificate gives an upper bound. Needs the extra ``optimal``.
+It is a lower bound of the largest feasible payload. A local solver computes it. Replays of the inputs in the
+environment verify it, with the physics step and with a tenth of it. Only a certificate gives an upper bound. Needs the
+extra ``optimal``.
 """
 
 from __future__ import annotations
@@ -9,23 +10,23 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 
-from cablebot_gym.bounds.certificate import planar_certificate
+from cablebot_gym.bounds.certificate import upper_bound
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.envs.settings import default_trajectory
+from cablebot_gym.envs.settings import default_trajectory, make_settings
 from cablebot_gym.evaluation.batch import versions
+from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.library import fingerprint, load_or_compute, read_cached
 from cablebot_gym.planning.program import HEAVIEST
@@ -48,17 +49,23 @@ _SMALL = 0.1
 MAX_MESH_FACTOR = 16
 """Largest ratio of the number of intervals to that of the first mesh."""
 
-_FIRST_FRACTION = 5e-4
-_FIRST_MARGINS = Margins(action=1e-4, tension=0.05)
+_SMALLEST_FRACTION = 5e-4
+_SMALLEST = Margins(action=1e-4, tension=0.05)
 """Smallest margins: fraction of the error bounds, and margins of action and tension. They cover errors of solver and
 sampling."""
 
-_MARGIN_LEVELS = 10
-"""Number of margin levels. Each level doubles the margins of the previous one."""
+_MARGIN_OF = {"position": "position", "rotation": "rotation", "slack": "tension"}
+"""Margin that a violation in a replay doubles; the other kinds double that of the action."""
 
-_ENOUGH = 0.997
-"""Least accepted ratio of the replayed payload to that of the program. Below it, a mesh of half the width is tried,
-because springs oscillate between the collocation points."""
+_TRIALS = 15
+"""Largest number of margins that are tried on a mesh."""
+
+_MOST_LOST = 0.01
+"""Largest accepted difference between the payloads of the program and of the replays [kg]. Above it, a mesh of half the
+width is tried, because springs oscillate between the collocation points."""
+
+REPLAY_FACTORS = (1, 10)
+"""Physics steps of the replays: the environment's step is divided by these factors."""
 
 _GAINS = {"rigid": (2500.0, 100.0), "flexible": (100.0, 10.0)}
 """Gains (K_P, K_D) of the controller that computes the inputs of a motion [1/s², 1/s]. The replay has no feedback."""
@@ -76,6 +83,27 @@ Progress = Callable[[str], None]
 """Callback with a description of the next step."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """An episode under the stored inputs, without feedback."""
+
+    substeps: int
+    """Physics steps per control period."""
+    violation: str | None
+    """First violation of the task criterion as text; None if the episode carries the payload."""
+    least_tension: float
+    """Least tension of any cable at the physics steps [N]."""
+    position_peak: float
+    """Largest position error at the physics steps [m]."""
+    rotation_peak: float
+    """Largest rotation error at the physics steps [rad]; 0 for a planar robot."""
+
+    def __str__(self) -> str:
+        text = f"least tension {self.least_tension:.3f} N, largest errors {1e3 * self.position_peak:.3f} mm"
+        text += f" and {1e3 * self.rotation_peak:.3f} mrad" if self.rotation_peak else ""
+        return text if self.violation is None else f"{text}; fails: {self.violation}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BestKnownPayload:
     """Largest known payload for which a motion and its inputs stay within all limits: a lower bound."""
@@ -87,8 +115,9 @@ class BestKnownPayload:
     total_mass: float
     """Mass of platform and payload [kg]."""
     verified: bool
-    """Whether a replay of the inputs carried the payload in the environment. The inputs are constant during a control
-    period. The DLCC monitor checks every physics step under the task criterion."""
+    """Whether all replays of the inputs carry the payload in the environment under the task criterion."""
+    replays: tuple[Replay, ...]
+    """Replays with the environment's physics step and with a tenth of it."""
     error_bounds: dict[str, float | None]
     """Bounds of the position error [m] and the rotation error [rad]; None for a planar robot."""
     program_payload: float
@@ -111,7 +140,8 @@ class BestKnownPayload:
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data without the motion and its actions."""
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
-        return data | {"meshes": [list(mesh) for mesh in self.meshes]}
+        replays = [asdict(replay) for replay in self.replays]
+        return data | {"meshes": [list(mesh) for mesh in self.meshes], "replays": replays}
 
     def to_json(self) -> str:
         """The result as JSON, indented."""
@@ -121,12 +151,14 @@ class BestKnownPayload:
         bounds = f"{1e3 * (self.error_bounds['position'] or 0):g} mm"
         if self.error_bounds["rotation"] is not None:
             bounds += f", {1e3 * self.error_bounds['rotation']:g} mrad"
-        status = "verified by replay" if self.verified else "not verified: every replay violates a limit"
+        status = "verified by replays" if self.verified else "not verified"
         text = (
             f"{self.env_id}, {self.environment['trajectory']['name']}, {bounds}: best known payload {self.payload:.3f} "
             f"kg (total {self.total_mass:.3f} kg), {status}; a lower bound of the feasible payload"
         )
-        if self.upper is not None and self.upper["total_mass"] is not None:
+        for replay in self.replays:
+            text += f"\nreplay with {replay.substeps} physics steps per control period: {replay}"
+        if self.upper is not None:
             text += f"\nproved upper bound: {self.upper['payload']:.3f} kg"
             text += f" (total {self.upper['total_mass']:.3f} kg); {self.upper['conditions']}"
         return text
@@ -147,7 +179,8 @@ def find_best_known(
     A nonlinear program with splines and collocation (:mod:`cablebot_gym.planning`) is solved from several starts. The
     mesh is halved until the relative change of the payload is below :data:`MESH_TOLERANCE`. The final motion keeps
     margins to the limits. A controller with feedback computes its inputs once. The margins are the smallest ones with
-    which an open-loop replay of these inputs carries the payload in the environment.
+    which open-loop replays of these inputs carry the payload in the environment, with its physics step and with a tenth
+    of it.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -225,27 +258,32 @@ class _Case:
     def solve(self, report: Progress) -> BestKnownPayload:
         """Solves and refines the program, verifies the motion, and adds the upper bound."""
         check_workspace(self.robot, self.trajectory)
-        meshes = list(self._refine(report))
-        intervals, program = meshes[-1]
-        motion, actions, margins, verified = self._verify(intervals, program, report)
-        if not verified or motion.payload < _ENOUGH * program.payload:
-            finer = self._verify(2 * intervals, program, report)
-            if finer[-1] and (not verified or finer[0].payload > motion.payload):
-                motion, actions, margins, verified = finer
-        robot, upper = self.robot, None
-        if robot.planar and not robot.flexible:
-            report("computing the certificate of an upper bound")
-            with suppress(ValueError):  # no certificate exists if the tube reaches an anchor
-                upper = planar_certificate(robot, self.trajectory, self.error_bounds).to_dict()
+        meshes, program = self._refine(report)
+        best = meshes[-1][1]
+        found = self._verify(program, best, report)
+        if found is None or found.motion.payload < best.payload - _MOST_LOST:
+            finer = self._verify(self._program(2 * meshes[-1][0]), best, report)
+            if finer is not None and (found is None or finer.motion.payload > found.motion.payload):
+                found = finer
+        if found is None:
+            actions = self._actions(best)
+            replays, _ = self._replays(actions, best.payload)
+            found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
+        robot, motion, upper = self.robot, found.motion, None
+        report("computing the certificate of an upper bound")
+        with suppress(ValueError):  # no certificate exists if the tube reaches an anchor
+            bound = upper_bound(robot, self.trajectory, self.error_bounds).to_dict()
+            upper = bound if bound["total_mass"] is not None else None
         return BestKnownPayload(
             env_id=self.env_id,
             payload=motion.payload,
             total_mass=robot.mass + motion.payload,
-            verified=verified,
+            verified=all(replay.violation is None for replay in found.replays),
+            replays=found.replays,
             error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.planar else {}),
-            program_payload=program.payload,
+            program_payload=best.payload,
             meshes=tuple((count, mesh.payload) for count, mesh in meshes),
-            margins=to_jsonable(margins),
+            margins=to_jsonable(found.margins),
             upper=upper,
             environment={
                 "robot": robot.to_dict(),
@@ -254,40 +292,41 @@ class _Case:
             },
             versions=versions() | {"casadi": version("casadi")},
             motion=motion,
-            actions=actions,
+            actions=found.actions,
         )
 
     # --- program ---
 
-    def _refine(self, report: Progress) -> Iterator[tuple[int, PlannedMotion]]:
-        """Number of intervals and motion of every mesh."""
+    def _refine(self, report: Progress) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
+        """Number of intervals and motion of every mesh, and the program of the last mesh after its solution."""
         intervals, best = max(MIN_INTERVALS, math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration)), None
         for _ in range(_FIRST_MESHES):
             report(f"solving on {intervals} intervals from several starts")
-            best = self._first(intervals)
+            program = self._program(intervals)
+            best = self._first(program)
             if best is not None:
                 break
             intervals *= 2
         if best is None or best.payload < 0 or best.payload > (1 - 1e-3) * HEAVIEST:
             raise ValueError(self._infeasibility(intervals, best))
-        yield intervals, best
-        finest = MAX_MESH_FACTOR * intervals
+        meshes, finest = [(intervals, best)], MAX_MESH_FACTOR * intervals
         while 2 * intervals <= finest:
             intervals *= 2
             report(f"solving on {intervals} intervals, {best.payload:.3f} kg so far")
+            finer = self._program(intervals)
             try:
-                finer = self._solve(intervals, best)
+                motion = _solve(finer, best)
             except Infeasible:  # the motion on the coarser mesh remains a candidate
                 report(f"no motion on {intervals} intervals, continuing with the coarser mesh")
-                return
-            yield intervals, finer
-            change, best = abs(finer.payload - best.payload), finer
+                break
+            meshes.append((intervals, motion))
+            change, best, program = abs(motion.payload - best.payload), motion, finer
             if change < MESH_TOLERANCE * max(best.payload, _SMALL * self.robot.mass):
-                return
+                break
+        return meshes, program
 
-    def _first(self, intervals: int) -> PlannedMotion | None:
+    def _first(self, program: MotionProgram) -> PlannedMotion | None:
         """Best motion from several starts: the reference, a lowered one, and a wave about it; None if all fail."""
-        program = self._program(intervals)
         n, motions = self.robot.coordinates, []
         sag = np.zeros(n)
         sag[min(2, n - 1)] = 0.7
@@ -301,18 +340,9 @@ class _Case:
                 continue
         return max(motions, key=lambda motion: motion.payload, default=None)
 
-    def _program(self, intervals: int, margins: Margins | None = None) -> MotionProgram:
+    def _program(self, intervals: int) -> MotionProgram:
         period = 1 / self.control_frequency
-        return MotionProgram(
-            self.robot, self.trajectory, self.error_bounds, intervals=intervals, margins=margins, period=period
-        )
-
-    def _solve(self, intervals: int, start: PlannedMotion, margins: Margins | None = None) -> PlannedMotion:
-        program = self._program(intervals, margins)
-        try:
-            return program.solve(start)
-        except Infeasible:  # a start close to the limits can make the solver fail
-            return program.solve()
+        return MotionProgram(self.robot, self.trajectory, self.error_bounds, intervals=intervals, period=period)
 
     def _infeasibility(self, intervals: int, best: PlannedMotion | None) -> str:
         """Error message for a problem without a solution."""
@@ -343,46 +373,52 @@ class _Case:
 
     # --- replay ---
 
-    def _verify(
-        self, intervals: int, program: PlannedMotion, report: Progress
-    ) -> tuple[PlannedMotion, Array, Margins, bool]:
-        """Bisects over the margins for the heaviest motion whose inputs pass a replay."""
-        low, high = 0, _MARGIN_LEVELS
-        best: tuple[PlannedMotion, Array, Margins] | None = None
-        level = _MARGIN_LEVELS // 5
-        while low < high:
-            margins = self._margins(2.0**level)
-            report(f"replaying inputs with a margin of {margins.position * 1e3:.3g} mm")
+    def _verify(self, program: MotionProgram, start: PlannedMotion, report: Progress) -> _Verified | None:
+        """The motion with the smallest margins whose inputs pass all replays; None if there is none.
+
+        A replay that violates a limit doubles the margin to this limit.
+        """
+        bounds = self.error_bounds
+        position, rotation = _SMALLEST_FRACTION * bounds.position, _SMALLEST_FRACTION * bounds.rotation
+        margins = replace(_SMALLEST, position=position, rotation=rotation)
+        for _ in range(_TRIALS):
+            report("replaying inputs with margins of " + ", ".join(f"{k} {v:.3g}" for k, v in vars(margins).items()))
             try:
-                motion = self._solve(intervals, program, margins)
-                actions = self._actions(motion)
-                passed = self._record(OpenLoop(actions), motion.payload).verdict.carried
-            except Infeasible:
-                high = level  # larger margins are infeasible as well
-                level = (low + high) // 2
-                continue
-            if passed:
-                best, high = (motion, actions, margins), level
-            else:
-                low = level + 1
-            level = (low + high) // 2
-        if best is None:
-            return program, self._actions(program), Margins(), False
-        return *best, True
+                motion = _solve(program, start, margins)
+            except (Infeasible, ValueError):  # larger margins are infeasible as well
+                return None
+            actions = self._actions(motion)
+            replays, violation = self._replays(actions, motion.payload)
+            if violation is None:
+                return _Verified(motion=motion, actions=actions, margins=margins, replays=replays)
+            name = _MARGIN_OF.get(violation.kind, "action")
+            margins = replace(margins, **{name: 2 * getattr(margins, name)})
+        return None
 
-    def _margins(self, factor: float) -> Margins:
-        """The smallest margins times a factor."""
-        fraction = factor * _FIRST_FRACTION
-        rest = _FIRST_MARGINS.scaled(factor)
-        return Margins(
-            position=fraction * self.error_bounds.position,
-            rotation=fraction * self.error_bounds.rotation,
-            action=rest.action,
-            tension=min(rest.tension, MINIMUM_TENSION),  # a larger margin only reduces the payload
+    def _replays(self, actions: Array, payload: float) -> tuple[tuple[Replay, ...], Violation | None]:
+        """Replays of actions up to the first one with a violation, and this violation."""
+        settings = make_settings(
+            robot=self.robot, count=1, trajectory=self.trajectory, control_frequency=self.control_frequency
         )
+        replays: list[Replay] = []
+        for factor in REPLAY_FACTORS:
+            substeps = factor * settings.substeps
+            verdict = self._record(OpenLoop(actions), payload, substeps=substeps).verdict
+            replays.append(
+                Replay(
+                    substeps=substeps,
+                    violation=None if verdict.violation is None else str(verdict.violation),
+                    least_tension=verdict.least_tension,
+                    position_peak=verdict.position_peak,
+                    rotation_peak=verdict.rotation_peak,
+                )
+            )
+            if verdict.violation is not None:
+                return tuple(replays), verdict.violation
+        return tuple(replays), None
 
-    def _record(self, policy: Any, payload: float) -> Rollout:
-        """The episode of a policy with a payload [kg]."""
+    def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
+        """The episode of a policy with a payload [kg] and further keywords of the environment."""
         return record_rollout(
             policy,
             self.env_id,
@@ -391,6 +427,7 @@ class _Case:
             trajectory=self.trajectory,
             error_bounds=self.error_bounds,
             control_frequency=self.control_frequency,
+            **keywords,
         )
 
     def _actions(self, motion: PlannedMotion) -> Array:
@@ -406,6 +443,31 @@ class _Case:
         return np.concatenate([actions, np.repeat(actions[-1:], self.steps - len(actions), axis=0)])
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Verified:
+    """A motion, its inputs and their replays."""
+
+    motion: PlannedMotion
+    actions: Array
+    margins: Margins
+    replays: tuple[Replay, ...]
+
+
+def _solve(program: MotionProgram, start: PlannedMotion, margins: Margins | None = None) -> PlannedMotion:
+    """The motion of a program, from its last solution if there is one.
+
+    Raises:
+        Infeasible: if the solver finds no motion within the constraints.
+    """
+    if margins is not None:
+        with suppress(Infeasible):
+            return program.resolve(margins)
+    try:
+        return program.solve(start)
+    except Infeasible:  # a start close to the limits can make the solver fail
+        return program.solve()
+
+
 def _bytes(result: BestKnownPayload) -> bytes:
     buffer = BytesIO()
     arrays = {"result": np.array(result.to_json()), "actions": result.actions, **result.motion.to_arrays()}
@@ -417,4 +479,5 @@ def _read(data: bytes) -> BestKnownPayload:
     with np.load(BytesIO(data), allow_pickle=False) as file:
         result = json.loads(str(file["result"]))
         result["meshes"] = tuple((count, payload) for count, payload in result["meshes"])
+        result["replays"] = tuple(Replay(**replay) for replay in result["replays"])
         return BestKnownPayload(**result, motion=PlannedMotion.from_arrays(file), actions=file["actions"])

@@ -1,33 +1,38 @@
 """Certificate of an upper payload bound for planar robots: a proof that no motion and no inputs carry more.
 
 **Statement.** A rigid planar robot starts at the pose and velocity of the reference. Consider all motions that stay
-within R of the reference ``p_d`` at every time, with taut cables that only pull (T ≥ 0) and motors below their
-torque-speed lines. No such motion has a total mass above ``total_mass``. The statement makes no assumption about the
-speed or acceleration of the motion.
+within R of the reference ``p_d`` at every time, with all tensions T ≥ T₀, the robot's minimum tension, and motors below
+their torque-speed lines. No such motion has a total mass above ``total_mass``. The statement makes no assumption about
+the speed or acceleration of the motion.
 
 **Proof.** Let M be the total mass, ``q_i`` the lengths of the cables and ``d_i`` their directions from the platform to
-the anchors. Equations 1 and 37 give ``M p̈ = Σ T_i d_i`` and, since ``β̇ = −q̇/r``,
+the anchors. Let F_i = T_i − T₀ and ``D = Σ d_i``. Equations 1 and 37 give ``M p̈ = Σ F_i d_i + T₀ D`` and, as
+``β̇ = −q̇/r``,
 
-    0 ≤ T_i ≤ s_i + k_i q̇_i + μ_i q̈_i,    s = τ_s/r,  k = (τ_s/ω_n + c)/r²,  μ = J/r².                            (1)
+    0 ≤ F_i ≤ s_i + k_i q̇_i + μ_i q̈_i,  s = (τ_s + τ_c)/r − T₀,  k = (τ_s/ω_n + c)/r²,  μ = J/r²,                (1)
+
+where Coulomb friction τ_c helps a motor to hold a cable that unwinds.
 
 Choose *any* functions of time, w(t) in the plane and φ_i(t) ≥ 0, with
 
     φ_i(t) ≥ w(t)·d_i(p)  for every p within R of p_d(t).                                                          (2)
 
-As T_i ≥ 0, every motion satisfies ``M ∫ w·p̈ = ∫ Σ T_i w·d_i ≤ ∫ Σ T_i φ_i ≤ ∫ Σ φ_i (s_i + k_i q̇_i + μ_i q̈_i)``.
-Let w, φ and their rates vanish at the end. Let them also vanish at their start, unless that is t = 0, where pose and
-velocity are known. Integration by parts until only positions remain gives, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
+As F_i ≥ 0, every motion satisfies ``M ∫ w·p̈ − T₀ ∫ w·D = ∫ Σ F_i w·d_i ≤ ∫ Σ F_i φ_i ≤ ∫ Σ φ_i (s_i + k_i q̇_i +
+μ_i q̈_i)``. Let w, φ and their rates vanish at the end. Let them also vanish at their start, unless that is t = 0, where
+pose and velocity are known. Integration by parts until only positions remain gives, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
 
     M (ẇ(0)·p(0) − w(0)·ṗ(0) + ∫ ẅ·p) − Σ (∫ s_i φ_i + μ_i (φ̇_i(0) q_i(0) − φ_i(0) q̇_i(0)) − k_i φ_i(0) q_i(0)
-      + ∫ b_i q_i) ≤ 0.                                                                                            (3)
+      + ∫ b_i q_i) − T₀ ∫ w·D(p) ≤ 0.                                                                              (3)
 
 Positions are known up to the tube. With ``p = p_d + e``, |e| ≤ R and u_i = −d_i(p_d), geometry gives
-``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i``. Hence the left side of (3) is at least
+``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i`` and ``|D(p) − D(p_d)| ≤ R Σ 1/(q_i − R)``. Hence the left
+side of (3) is at least
 
-    h(M) = [the same at p_d] − ∫ (R |M ẅ − Σ b_i u_i| + Σ max(b_i, 0) κ_i) dt.                                     (4)
+    h(M) = [the same at p_d, without T₀ ∫ w·D] − ∫ (R |M ẅ − Σ b_i u_i| + Σ max(b_i, 0) κ_i) dt + min(g, 0)        (4)
 
-If h(M) > 0, no motion carries M. No motion carries a larger mass either: there is no gravity, so a lighter mass admits
-the same motion with tensions scaled down. The certificate is the zero of the concave function h.
+with ``g = −T₀ ∫ (w·D(p_d) + |w| R Σ 1/(q_i − R)) dt``. If h(M) > 0, no motion carries M. No motion carries a larger
+mass c M either: w/c and φ satisfy (2) as well, and with them only g changes in (4), to g/c. The certificate is the zero
+of the concave function h.
 
 **Quadrature.** w and φ are quadratic splines, C¹. Between instants η apart, p_d is replaced by its chord, and R by
 ``R + max|p̈_d| η²/8``. The remaining functions have a known curvature along straight lines. A function differs from its
@@ -54,6 +59,7 @@ from scipy.optimize import brentq, linprog, minimize_scalar
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.planning.program import hold_payload
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
@@ -126,7 +132,7 @@ class Certificate:
     """Method of the proof, as text."""
     multiplier: Multiplier | None
     """Multiplier of the proof: ``proved_mass(robot, trajectory, error_bounds, multiplier)`` returns ``total_mass``.
-    None without proof."""
+    None without proof, or if the proof needs none."""
 
     @property
     def payload(self) -> float:
@@ -138,18 +144,51 @@ class Certificate:
         return {
             "total_mass": self.total_mass if math.isfinite(self.total_mass) else None,
             "payload": self.payload if math.isfinite(self.payload) else None,
-            "error_bounds": {"position": self.error_bounds.position},
+            "error_bounds": {"position": self.error_bounds.position},  # the rotation bound has no effect
             "conditions": self.conditions,
             "method": self.method,
         }
 
 
 CONDITIONS = (
-    "the nominal rigid robot without disturbances, started on the reference; taut cables that only pull; errors and "
-    "torque-speed lines kept at every instant (a simulated drive reads its speed once in a physics step); a reference "
-    f"whose acceleration, between samples, stays below {ACCELERATION_FACTOR} times the largest one sampled"
+    "the nominal rigid robot without disturbances, started at the start pose; minimum tension, errors and torque-speed "
+    f"lines kept at every instant; a reference whose acceleration, between samples, stays below {ACCELERATION_FACTOR} "
+    "times the largest one sampled"
 )
 METHOD = "duality: multipliers in time for force balance and torque-speed lines, integrated by parts to positions"
+
+
+HOLD_CONDITIONS = "the nominal robot at rest at the start pose, where each motor torque is at most the stall torque"
+HOLD_METHOD = "hold: static torques at the start pose"
+
+
+def upper_bound(
+    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None = None
+) -> Certificate:
+    """Computes an upper bound of the mass: that of :func:`planar_certificate` for a planar rigid robot.
+
+    For the other robots, it is the mass that the motors hold at rest at the start pose, in closed form. It is ``inf``
+    if the motion does not start at rest, or if the static torques do not depend on the mass (planar).
+
+    Args:
+        robot: any robot.
+        trajectory: reference motion for this kind of robot.
+        error_bounds: bounds of the tracking error; None for the default.
+
+    Raises:
+        ValueError: if an argument is invalid, or if the tube of a planar rigid robot reaches an anchor.
+    """
+    if robot.planar and not robot.flexible:
+        return planar_certificate(robot, trajectory, error_bounds)
+    trajectory, error_bounds = find_trajectory(trajectory, robot.coordinates), find_error_bounds(error_bounds)
+    return Certificate(
+        total_mass=robot.mass + hold_payload(robot, trajectory, error_bounds),
+        platform_mass=robot.mass,
+        error_bounds=error_bounds,
+        conditions=HOLD_CONDITIONS,
+        method=HOLD_METHOD,
+        multiplier=None,
+    )
 
 
 def planar_certificate(
@@ -242,7 +281,7 @@ class _Tube:
         self.position, self.first_velocity = twice.position[::2], twice.velocity[0]
         self.speed = np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
 
-        self.pull = robot.stall_torque / robot.pulley_radius
+        self.pull = (robot.stall_torque + robot.coulomb_friction) / robot.pulley_radius - robot.minimum_tension
         self.slope = (robot.speed_slope + robot.damping) / robot.pulley_radius**2
         self.inertia = robot.pulley_inertia / robot.pulley_radius**2
         self.away = textbook.jacobian(robot, self.position)  # u
@@ -258,6 +297,7 @@ class _Tube:
         nearest = shortest - self.radius
         self.turning_in_tube, self.bending_in_tube = self.speed / nearest, _TURN * (self.speed / nearest) ** 2
         self.sagging = self.speed**2 / shortest
+        self.fanning = self.radius * np.sum(1 / nearest, axis=-1)  # |D(p) − D(p_d)|
 
         fractions = np.arange(REFINEMENT + 1) / REFINEMENT
         self.splines: Array = np.array(_spline(fractions, self.width))  # (derivative, coefficient, point in interval)
@@ -282,15 +322,18 @@ class _Tube:
     def _functionals(self) -> None:
         """Computes the left side of (3) as linear functions of the coefficients. Every q_i is linear along each chord.
 
-        The result is ``force`` (N + 2, 2), without its factor M, and ``tension`` (N + 2, m).
+        The result is ``force`` (N + 2, 2), without its factor M, and ``tension`` (N + 2, m). ``rest`` (N + 2, 2) is
+        ∫ w·D by the trapezoidal rule.
         """
         n, eta = self.intervals, self.chord
         self.force, self.tension = np.zeros((n + 2, 2)), np.zeros((n + 2, self.robot.cables))
-        position = self.position[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
-        length = self.length[np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)]
+        self.rest = np.zeros((n + 2, 2))
+        points = np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)
+        position, length, towards = self.position[points], self.length[points], -self.away[points].sum(axis=2)
         trapezoid = eta * np.concatenate([[0.5], np.ones(REFINEMENT - 1), [0.5]])
         for j in range(3):
-            _, rate, second = self.splines[:, j]
+            value, rate, second = self.splines[:, j]
+            self.rest[j : j + n] += np.einsum("s,ksi->ki", trapezoid * value, towards)
             self.force[j : j + n] += np.einsum("s,ksi->ki", trapezoid * second, position)
             area = self.width * (1 / 6, 2 / 3, 1 / 6)[j]
             bent = np.einsum("s,ksi->ki", trapezoid * second, length)
@@ -310,15 +353,26 @@ class _Tube:
 
     def deficits(self, force: Array, tension: Array) -> Array:
         """Upper bound of the violation of (2) on each chord, shape (chords, m); ≤ 0 where (2) holds."""
-        w, w_rate, w_second = (_norm(x) for x in self.chords(force))
+        largest, fastest, w_second = self._sizes(force)
         phi, _, phi_second = self.chords(tension)
-        bend = w_second[:, None] + 2 * w_rate.max(axis=1)[:, None] * self.turning_in_tube
-        largest = w.max(axis=1) + w_second * self.chord**2 / 8
+        bend = w_second[:, None] + 2 * fastest[:, None] * self.turning_in_tube
         bend = bend + largest[:, None] * self.bending_in_tube + phi_second
         margin = np.maximum(bend, 0.0) * self.chord**2 / 8
         deficit = (self._support(force) - phi).max(axis=1) + margin
         # Where w vanishes, (2) is φ ≥ 0, which follows from coefficients ≥ 0.
         return np.where((largest > 0)[:, None], deficit, 0.0)
+
+    def _sizes(self, force: Array) -> tuple[Array, Array, Array]:
+        """Upper bounds of |w|, |ẇ| and |ẅ| on each chord, each (chords,)."""
+        w, rate, second = (_norm(x) for x in self.chords(force))
+        return w.max(axis=1) + second * self.chord**2 / 8, rate.max(axis=1), second
+
+    def _least_forces(self, force: Array) -> float:
+        """Lower bound of min(g, 0) in (4)."""
+        largest, fastest, second = self._sizes(force)
+        bend = second * self.robot.cables + 2 * fastest * self.turning.sum(axis=1) + largest * self.bending.sum(axis=1)
+        away = np.sum(bend * self.chord**2 / 8 + largest * self.fanning)
+        return min(-self.robot.minimum_tension * float(np.sum(self.rest * force) + self.chord * away), 0.0)
 
     def _support(self, force: Array) -> Array:
         """Maximum of w·d_i over the disc at both ends of each chord, shape (chords, 2, m)."""
@@ -343,7 +397,7 @@ class _Tube:
         bulge = np.sum(np.maximum(b.max(axis=1), 0.0) * self.bulge, axis=-1)
         sag = np.sum(np.maximum(-b.min(axis=1), 0.0) * self.sagging, axis=-1) * self.chord**2 / 8
         known = mass * np.sum(self.force * force) + np.sum(self.tension * tension)
-        return float(known - self.chord * np.sum(tube + bulge + sag))
+        return float(known - self.chord * np.sum(tube + bulge + sag)) + self._least_forces(force)
 
 
 def _norm(vectors: Array) -> Array:
@@ -477,7 +531,11 @@ class _LinearProgram:
             rows.append([*known, *pulled, -sparse.eye_array(n)])
         inequalities: Any = sparse.vstack([sparse.block_array(rows, format="csr"), self.cone], format="csr")
         gain = np.concatenate(
-            [tube.force.T.ravel(), tube.tension.T.ravel() / mass, np.full(n, -tube.radius / tube.width)]
+            [
+                (tube.force - tube.robot.minimum_tension / mass * tube.rest).T.ravel(),
+                tube.tension.T.ravel() / mass,
+                np.full(n, -tube.radius / tube.width),
+            ]
         )
         scaled = np.concatenate([tube.force.T.ravel(), np.zeros(m * (n + 2) + n)])
         free = np.concatenate([tube.free_force] * 2 + [tube.free_tension] * m + [np.ones(n, bool)])

@@ -3,6 +3,9 @@
 On the reference, lengths and speeds of the cables do not depend on the payload, and the required torques are piecewise
 affine in it. Therefore no simulation and no search is necessary. Each limit is violated on intervals of payloads whose
 ends are ratios. The result is an end of one of the remaining intervals.
+
+The episode starts on the reference, as with the environment option ``initial_error=0``. By default a spatial robot
+whose motion starts at rest starts lower (:func:`~cablebot_gym.task.start_pose`), which exact tracking excludes.
 """
 
 from __future__ import annotations
@@ -81,7 +84,8 @@ def exact_payload(
     Args:
         robot: robot with a rigid transmission.
         trajectory: reference motion with as many coordinates as the robot.
-        minimum_tension: minimum tension of every cable [N]; ≥ 0. Planar robots use the least tensions that satisfy it.
+        minimum_tension: minimum tension of every cable [N]; ≥ 0. ``robot.minimum_tension`` for the task criterion, 0
+            for the paper's. Planar robots use the least tensions that satisfy it.
         frequency: control instants per second [Hz]; None for all times.
         line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor; 0 for limits
             independent of the speed.

@@ -22,8 +22,9 @@ def best_known(
     """Compute the best known payload of an environment by trajectory optimisation.
 
     It is the largest payload for which a motion and torques within all limits are known, and therefore a lower bound of
-    the optimal payload. A replay of the torques in the environment verifies it under the task criterion. For rigid
-    planar robots, the result also has a proven upper bound. Requires the extra: pip install 'cablebot-gym[optimal]'.
+    the optimal payload. Replays of the torques in the environment, with its physics step and with a tenth of it, verify
+    it under the task criterion. The result also has a proven upper bound: for rigid planar robots, and for spatial
+    robots and motions that start at rest. Requires the extra: pip install 'cablebot-gym[optimal]'.
 
     Example: cablebot best-known CableBot-Spatial-v0 --position-bound 0.02 --json
     """

@@ -32,7 +32,7 @@ def dlcc(
     criterion: Annotated[
         CriterionChoice,
         typer.Option(
-            help="Success criterion: task (saturated torques; position, rotation and slack), "
+            help="Success criterion: task (saturated torques; position, rotation and tension), "
             "paper (torques within the limits without saturation; position and slack), or both."
         ),
     ] = CriterionChoice.both,
@@ -46,11 +46,13 @@ def dlcc(
     ] = None,
     draws: options.Draws = None,
     probability: Annotated[
-        float, typer.Option(help="Required success rate: the fraction of the draws that must carry the payload.")
+        float, typer.Option(help="Required success probability of the payload over the draws.")
     ] = 0.95,
     confidence: Annotated[
-        float, typer.Option(help="Confidence of the assured payload, a lower tolerance bound.")
+        float, typer.Option(help="Confidence of the payload over the draws, which is a lower tolerance bound.")
     ] = 0.95,
+    isolate: options.Isolate = False,
+    deadline: options.Deadline = None,
     out: Annotated[Path | None, typer.Option(help="Folder for result.json and figures.")] = None,
     as_json: options.Json = False,
 ) -> None:
@@ -62,17 +64,14 @@ def dlcc(
 
     cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
 
-    cablebot dlcc CableBot-Spatial-v0 --policy robust-tuned --uncertainty table6 --draws 256 --probability 0.95
+    cablebot dlcc CableBot-Spatial-v0 --policy robust-tuned --uncertainty table6
     """
-    from cablebot_gym.envs import env_robot
     from cablebot_gym.evaluation.constraints import CRITERIA
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
-    from cablebot_gym.policies import load_policy
-    from cablebot_gym.robots import find_robot
     from cablebot_gym.utils.files import atomic_write_text
 
     options.check_figure_folder(out, "result.json")
-    loaded = load_policy(policy, find_robot(env_robot(env_id)))
+    loaded = options.loaded_policy(policy, env_id, isolate=isolate, deadline=deadline)
     options.note_unsupported([policy], env_id)
     chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
     inapplicable = []
@@ -89,7 +88,8 @@ def dlcc(
     results = []
     for name in chosen:
         with progress(f"{name} criterion") as step:
-            results.append(evaluate_dlcc(loaded, env_id, criterion=name, progress=step, **settings, **episode))
+            subject = loaded if isolate else policy
+            results.append(evaluate_dlcc(subject, env_id, criterion=name, progress=step, **settings, **episode))
     text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
     if out is not None:
         from cablebot_gym.plotting.figures import save_figures
@@ -101,6 +101,8 @@ def dlcc(
         print(text)
     else:
         print_payloads(results, inapplicable)
+        if isolate:
+            print(f"seed {episode['seed']}")
 
 
 def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
@@ -118,7 +120,8 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
     words += [first.environment["trajectory"].get("name", "")]
     words += [payload_model_text(first.payload_known, first.model_payload_factor)]
     words += [first.uncertainty] if first.uncertainty is not None else []
-    words += [options.counted(first.draws, "draw")] if first.uncertainty is not None or first.draws > 1 else []
+    words += ["stochastic policy"] if first.stochastic else []
+    draws = "" if first.assured is None else f", {options.counted(first.draws, 'draw')}"
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     for result in results:
         failures = ", ".join(f"{kind} in {number}" for kind, number in result.failures.items())
@@ -127,10 +130,11 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
             violation = f"{failures} of {result.draws} draws; {violation}"
         if result.payload is None:
             intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
-            rest = ["fails unloaded", "–", violation, f"feasible: {intervals}" if intervals else "–"]
+            rest = [f"fails unloaded{draws}", "–", violation, f"feasible: {intervals}" if intervals else "–"]
         else:
-            rest = [f"{result.payload:.3f} kg", f"{result.total_mass:.3f} kg", violation, _margins_text(result)]
-        rows.append([result.criterion, *rest])
+            total = f"{result.total_mass:.3f} kg"
+            rest = [f"{result.payload:.3f} kg{draws}", total, violation, _margins_text(result)]
+        rows.append([f"{result.criterion} (declared)" if result.declared else result.criterion, *rest])
     for criterion in inapplicable:
         rows.append([criterion, "n/a", "–", "not applicable: the policy does not declare unsaturated_actions", "–"])
     print_table(", ".join(words), rows, right=False)
@@ -139,34 +143,31 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
 
 
 def _notes(results: list[DLCCResult]) -> list[str]:
+    from cablebot_gym.evaluation.statistics import fewest_draws
+
     first = results[0]
     bounds = f"error bounds: position {1e3 * (first.error_bounds['position'] or 0.0):g} mm"
     rotations = [result.error_bounds["rotation"] for result in results if result.error_bounds["rotation"] is not None]
     notes = [f"{bounds}, rotation {1e3 * rotations[0]:g} mrad (task only)" if rotations else bounds]
     if (resolution := max(result.resolution for result in results)) > 0:
-        notes.append(f"resolution {resolution * 1e3:.2g} g")
-    if first.probability is not None:
-        notes.append(f"required success rate: {first.probability:.0%} of the draws")
-        notes += [f"{result.criterion}: {_assured_text(result)}" for result in results if result.payload is not None]
+        size, checked = float(f"{resolution * 1e3:.2g}"), "without" if first.discretisation is None else "with"
+        notes.append(f"resolution {size:g} g, {checked} the discretisation error of the physics steps")
+    if first.assured is not None:
+        notes.append(f"payload: {first.assurance}")
+    if first.assured is False:
+        fewest = fewest_draws(first.probability or 0.95, first.confidence or 0.95)
+        notes.append(f"a lower tolerance bound needs at least {fewest} draws")
+    if any(result.declared for result in results):
+        notes.append("declared: only the policy itself says that its actions are not saturated")
     for result in results:
-        if result.violation_seed is not None and first.probability is not None:
-            payload = (result.payload or 0.0) + result.resolution
-            again = f"cablebot rollout --payload {payload!r} --seed {result.violation_seed}"
-            notes.append(f"{result.criterion}: that failure is repeated by {again}")
+        if result.violation_seed is not None and result.assured is not None and not result.stochastic:
+            repeated = f"--payload {result.failed_payload!r} --seed {result.violation_seed}"
+            notes.append(
+                f"{result.criterion}: cablebot rollout with the same options and {repeated} repeats the failure"
+            )
     if any(result.scan_ended for result in results):
         notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
     return notes
-
-
-def _assured_text(result: DLCCResult) -> str:
-    from cablebot_gym.evaluation.statistics import fewest_draws
-
-    if result.assured_payload is not None:
-        bound = f"{result.confidence:.0%}/{result.probability:.0%} lower tolerance bound"
-        return f"assured payload {result.assured_payload:.2f} kg ({bound})"
-    text = f"no assured payload with {result.confidence:.0%} confidence from {result.draws} draws"
-    fewest = fewest_draws(result.probability or 0.0, result.confidence or 0.0)
-    return f"{text}: at least {fewest} draws are needed" if result.draws < fewest else text
 
 
 def _margins_text(result: DLCCResult) -> str:

@@ -62,6 +62,11 @@ def _data() -> dict[str, Any]:
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     """Default and unit of each JSON field of a trajectory, the duration first."""
+    from cablebot_gym.trajectories import BetweenDwells
+
+    if isinstance(trajectory, BetweenDwells):
+        dwell = {"default": trajectory.dwell, "unit": _UNITS["trajectory"]["dwell"]}
+        return _trajectory_fields(trajectory.motion) | {"dwell": dwell}
     if not is_dataclass(trajectory):
         return {}
     found = {}
@@ -75,19 +80,25 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _uncertainty_fields(name: str) -> dict[str, dict[str, Any]]:
-    """Value, unit and environments of each field that a named uncertainty sets, over all environments."""
+def _uncertainty_fields(name: str) -> list[dict[str, Any]]:
+    """Path, value, unit and environments of each field that a named uncertainty sets.
+
+    A field whose value depends on the robot has one entry for each value.
+    """
     from cablebot_gym.envs import ENV_IDS, env_robot
     from cablebot_gym.robots import find_robot
     from cablebot_gym.uncertainty import find_uncertainty
 
-    found: dict[str, dict[str, Any]] = {}
+    found: list[dict[str, Any]] = []
     for env_id in ENV_IDS:
         uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
         for path, (value, unit) in _set_values(uncertainty).items():
-            found.setdefault(path, {"value": value, "unit": unit, "env_ids": []})["env_ids"].append(env_id)
-    groups = ("parameters", "wrench", "sensors", "delay")
-    return dict(sorted(found.items(), key=lambda item: groups.index(item[0].partition(".")[0])))
+            same = [entry for entry in found if (entry["field"], entry["value"]) == (path, value)]
+            if not same:
+                found.append({"field": path, "value": value, "unit": unit, "env_ids": []})
+            (same or found)[-1]["env_ids"].append(env_id)
+    groups = ("parameters", "wrench", "sensors", "sensor_bias", "delay")
+    return sorted(found, key=lambda entry: groups.index(entry["field"].partition(".")[0]))
 
 
 def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
@@ -99,7 +110,7 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
         values = {field.name: (getattr(distribution, field.name), field.default) for field in fields(distribution)}
         changed = {field: value for field, (value, default) in values.items() if value != default}
         found[f"parameters.{name}"] = (changed, "" if distribution.relative else PARAMETERS[name].unit)
-    for group in ("wrench", "sensors"):
+    for group in ("wrench", "sensors", "sensor_bias"):
         part = getattr(uncertainty, group)
         for field in () if part is None else fields(part):
             found[f"{group}.{field.name}"] = (getattr(part, field.name), _UNITS["uncertainty"].get(field.name, ""))
@@ -128,22 +139,24 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
         for field, entry in _trajectory_fields(trajectory).items():
             default = _json_text(entry["default"])
             if entry["default"] is None:
-                default += f" ({_json_text(getattr(trajectory, field))} with these fields)"
+                motion = getattr(trajectory, "motion", trajectory)
+                default += f" ({_json_text(getattr(motion, field))} with these fields)"
             rows.append([name, field, default, entry["unit"]])
     yield "trajectories", 'Trajectories: {"name": NAME, FIELD: VALUE}', _without_repeats(rows)
 
     rows = [["name", "field", "value"]]
     for name in UNCERTAINTIES:
         entries = _uncertainty_fields(name)
-        for path, entry in entries.items():
+        for entry in entries:
             only = "" if len(entry["env_ids"]) == len(ENV_IDS) else f" ({_short_ids(entry['env_ids'])} only)"
-            rows.append([name, path, f"{_json_text(entry['value'])} {entry['unit']}".strip() + only])
+            rows.append([name, entry["field"], f"{_json_text(entry['value'])} {entry['unit']}".strip() + only])
         if not entries:
             rows.append([name, "–", "no uncertainty"])
     yield "uncertainties", "Uncertainties", _without_repeats(rows)
 
     rows = [["group", "field", "default", "unit"]]
-    groups = {"parameters.NAME": ParameterDistribution, "wrench": ExternalWrench, "sensors": SensorNoise}
+    groups = {"parameters.NAME": ParameterDistribution, "wrench": ExternalWrench}
+    groups |= {"sensors": SensorNoise, "sensor_bias": SensorNoise}
     for group, kind in groups.items():
         for item in fields(kind):
             default = "required" if item.default is MISSING else _json_text(item.default)

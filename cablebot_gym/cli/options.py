@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import inspect
 import json
+import secrets
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cablebot_gym.utils.console import notes_console
+
+if TYPE_CHECKING:
+    from cablebot_gym.policies import Policy
 
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all.")
@@ -25,12 +29,19 @@ Draws = Annotated[
     int | None,
     typer.Option(
         "--draws",
-        help="Number of sampled episodes of each policy and payload. The default is 256 if the uncertainty is random, "
+        help="Number of sampled episodes of each policy and payload. The default is 512 if the uncertainty is random, "
         "else 1.",
     ),
 ]
 Workers = Annotated[
     int | None, typer.Option("--workers", help="Number of worker processes. The default is one per core.")
+]
+Isolate = Annotated[
+    bool,
+    typer.Option("--isolate", help="Run the policy in a process of its own, which gets only observations and tasks."),
+]
+Deadline = Annotated[
+    float | None, typer.Option("--deadline", help="Deadline of a call of the isolated policy [s]. The default is 60.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
@@ -64,7 +75,7 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         typer.Option(
             callback=_read_data,
             help='Name of a trajectory, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'. '
-            "`cablebot list` shows the fields. The default is the paper's trajectory for the robot.",
+            "`cablebot list` shows the fields. The default is the paper's circle between two dwells.",
         ),
     ),
     "payload_known": (
@@ -93,9 +104,19 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         ),
     ),
     "control_frequency": (float, 500.0, typer.Option(help="Control steps per second [Hz].")),
-    "seed": (int, 0, typer.Option(help="Seed of the environments.")),
+    "seed": (
+        int | None,
+        None,
+        typer.Option(
+            help="Seed of the environments. The default is 0; with `dlcc --isolate`, a secret number that is printed "
+            "after the evaluation."
+        ),
+    ),
 }
 """Type, default and typer's description of each option of an episode."""
+
+SEED_BITS = 53
+"""Size of a secret seed, which every JSON parser reads exactly [bits]."""
 
 BOUNDS = ("position_bound", "rotation_bound")
 """Options that a command receives as ``error_bounds``."""
@@ -116,6 +137,8 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
         @wraps(command)
         def run(**values: Any) -> None:
             episode = {name: values.pop(name) for name in chosen}
+            if "seed" in episode and episode["seed"] is None:
+                episode["seed"] = secrets.randbits(SEED_BITS) if values.get("isolate") else 0
             if BOUNDS[0] in episode:
                 position, rotation = (episode.pop(name) for name in BOUNDS)
                 episode["error_bounds"] = {"position": position, "rotation": rotation}
@@ -134,6 +157,24 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
         return run
 
     return decorate
+
+
+def loaded_policy(name: str, env_id: str, *, isolate: bool, deadline: float | None) -> Policy:
+    """The policy with a name, made for the robot of an environment, in a process of its own with ``isolate``.
+
+    Raises:
+        ValueError: if the policy cannot be loaded, or if there is a deadline without ``isolate``.
+    """
+    from cablebot_gym.envs import env_robot
+    from cablebot_gym.policies import IsolatedPolicy, load_policy
+    from cablebot_gym.robots import find_robot
+
+    robot = find_robot(env_robot(env_id))
+    if isolate:
+        return IsolatedPolicy(name, robot, **({} if deadline is None else {"deadline": deadline}))
+    if deadline is not None:
+        raise ValueError("--deadline needs --isolate: only the process of an isolated policy can be ended")
+    return load_policy(name, robot)
 
 
 def split_names(text: str | None) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,6 @@ from cablebot_gym.cli.options import Workers, counted
 from cablebot_gym.utils.console import notes_console, progress
 
 if TYPE_CHECKING:
-    from cablebot_gym.report.page import Source
     from cablebot_gym.report.recording import ReplayResult
 
 
@@ -40,7 +38,7 @@ def report(
 
     cablebot report results maps --title "My controller" --workers 8 --out report.html
     """
-    from cablebot_gym.cli.benchmark import JSON
+    from cablebot_gym.cli.benchmark import read_results
     from cablebot_gym.report.page import html, merge_records, replay_queries
     from cablebot_gym.report.recording import FOLDER, record_all
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, check_writable_file
@@ -49,10 +47,9 @@ def report(
     processes = check_workers(workers)
     if out.suffix != ".html":
         raise ValueError(f"--out must end in .html, such as report.html, not {str(out)!r}")
-    paths = [path / JSON if path.is_dir() else path for path in results]
-    sources = [_source(path) for path in paths]
+    sources = [read_results(path) for path in results]
     check_writable_file(out)
-    folder = paths[0].parent / FOLDER
+    folder = (results[0] if results[0].is_dir() else results[0].parent) / FOLDER
     errors = notes_console()
     replays: dict[str, ReplayResult] = {}
     if episodes:
@@ -68,26 +65,3 @@ def report(
     for reason, count in failures.items():
         errors.print(f"{counted(count, 'cell')}: {reason}")
     print(f"wrote {out}, {len(page.encode()) / 1e6:.1f} MB. Open it in a browser.")
-
-
-def _source(path: Path) -> Source:
-    """Reads the results of a benchmark.
-
-    Raises:
-        ValueError: if the results cannot be read. The message says how to create results.
-    """
-    from cablebot_gym.benchmark.leaderboard import read_results
-    from cablebot_gym.report.page import Source
-
-    advice = "Give a folder that `cablebot benchmark --out FOLDER` wrote."
-    try:
-        suite, command, records = read_results(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"cannot read {str(path)!r} ({getattr(error, 'strerror', None) or error}). {advice}"
-        ) from error
-    except (json.JSONDecodeError, KeyError, TypeError, IndexError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} does not hold benchmark results ({error!r}). {advice}") from error
-    if not records:
-        raise ValueError(f"{str(path)!r} holds no cells. {advice}")
-    return Source(suite, command, records)

@@ -26,19 +26,18 @@ FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
 RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV_IDS)
 """Ids of the environments whose robots have no joint springs."""
 
-MAX_EPISODE_STEPS = 500
-"""Time limit of the registered specs [control steps]: 1 s at the default control frequency."""
-
 
 def register_envs() -> None:
-    """Registers every id with Gymnasium. A second call has no effect."""
+    """Registers every id with Gymnasium. A second call has no effect.
+
+    The specs have no time limit: the environments truncate an episode when its motion is complete.
+    """
     for env_id, robot in ENV_ROBOTS.items():
         if env_id not in gym.registry:
             gym.register(
                 id=env_id,
                 entry_point="cablebot_gym.envs.single:CableBotEnv",
                 vector_entry_point="cablebot_gym.envs.vector:CableBotVectorEnv",
-                max_episode_steps=MAX_EPISODE_STEPS,
                 kwargs={"robot": robot},
             )
 

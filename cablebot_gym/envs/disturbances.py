@@ -1,4 +1,4 @@
-"""Disturbances of running episodes: external wrench, sensor noise and actuation delay."""
+"""Disturbances of running episodes: external wrench, sensor noise and bias, and actuation delay."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cablebot_gym.envs.streams import NormalRows, Purpose, Streams
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Robot
-from cablebot_gym.uncertainty import Uncertainty
+from cablebot_gym.uncertainty import SensorNoise, Uncertainty
 
 EnvIndices = NDArray[np.int64]
 
@@ -23,10 +23,10 @@ class Disturbances:
         self._wrench_interval = np.zeros(count, np.int64)  # [control steps], 0 without wrench
         self._wrench_mean = self._wrench_std = self._factor = np.zeros((count, 0))
         self._wrench: NormalRows | None = None
-        self._noise_std = np.zeros((count, 0))
+        self._noise_std = self._bias = np.zeros((count, 0))
         self._noise: NormalRows | None = None
         self.noise = np.zeros((count, 0))
-        """Present noise on the measured blocks of the observation, (N, components); (N, 0) before the first noise."""
+        """Present noise and bias on the measured blocks of the observation, (N, components); (N, 0) without any."""
         self._delay = np.zeros(count, np.int64)
         self._pending = np.zeros((count, 0, robot.cables))
         self.quiet = True
@@ -40,19 +40,23 @@ class Disturbances:
             uncertainty: the uncertainty of these episodes.
             holding: actions that are applied until the first delayed action arrives, (k, m).
         """
-        self.quiet &= uncertainty.wrench is None and uncertainty.sensors is None and uncertainty.delay == 0
+        shortest, longest = uncertainty.delay_range
+        sensors = uncertainty.sensors is not None or uncertainty.sensor_bias is not None
+        self.quiet &= uncertainty.wrench is None and not sensors and longest == 0
         if self.quiet:
             return
         self._reset_wrench(env_indices, uncertainty)
         self._reset_noise(env_indices, uncertainty)
-        delay = uncertainty.delay
-        if delay > self._pending.shape[1]:
-            longer = np.zeros((self._count, delay, self._robot.cables))
+        if longest > self._pending.shape[1]:
+            longer = np.zeros((self._count, longest, self._robot.cables))
             longer[:, : self._pending.shape[1]] = self._pending
             self._pending = longer
-        self._delay[env_indices] = delay
-        if delay:
-            self._pending[env_indices, :delay] = holding[:, None]
+        self._delay[env_indices] = shortest
+        if longest > shortest:
+            uniform = self._streams.uniform(env_indices, Purpose.DELAY, 1)[:, 0]
+            self._delay[env_indices] += (uniform * (longest - shortest + 1)).astype(np.int64)
+        if longest:
+            self._pending[env_indices, :longest] = holding[:, None]
 
     def _reset_wrench(self, env_indices: EnvIndices, uncertainty: Uncertainty) -> None:
         self._wrench_interval[env_indices] = 0
@@ -72,15 +76,17 @@ class Disturbances:
         )
 
     def _reset_noise(self, env_indices: EnvIndices, uncertainty: Uncertainty) -> None:
-        if uncertainty.sensors is None:
-            self._noise_std[env_indices] = 0.0
+        if uncertainty.sensors is None and uncertainty.sensor_bias is None:
+            self._noise_std[env_indices] = self._bias[env_indices] = 0.0
             return
-        std = uncertainty.sensors.deviations(self._robot)
+        given = (uncertainty.sensors, uncertainty.sensor_bias)
+        noise, bias = ((one or SensorNoise()).deviations(self._robot) for one in given)
         if self._noise is None:
-            self._noise_std, self.noise = np.zeros((self._count, std.size)), np.zeros((self._count, std.size))
-            self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, std.size)
+            self._noise_std, self._bias, self.noise = (np.zeros((self._count, noise.size)) for _ in range(3))
+            self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, noise.size)
         self._noise.restart(env_indices)
-        self._noise_std[env_indices] = std
+        self._noise_std[env_indices] = noise
+        self._bias[env_indices] = bias * self._streams.normal(env_indices, Purpose.SENSOR_BIAS, bias.size)
 
     def delayed(self, action: Array) -> Array:
         """The actions (N, m) that arrive now; ``action`` is sent now, (N, m), or (m,) for one environment."""
@@ -110,4 +116,5 @@ class Disturbances:
     def measure(self, env_indices: EnvIndices, step: NDArray[np.int64]) -> None:
         """Draws :attr:`noise` of the environments ``env_indices`` at their control steps ``step``, (k,)."""
         if self._noise is not None:
-            self.noise[env_indices] = self._noise_std[env_indices] * self._noise.at(env_indices, step)
+            white = self._noise_std[env_indices] * self._noise.at(env_indices, step)
+            self.noise[env_indices] = self._bias[env_indices] + white

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.compiling import njit
 
-TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite")
+TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
 """Value of ``info["termination_reason"]`` by code. Code 0, the empty string, means "not terminated"."""
 
-_TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE = range(1, len(TERMINATION_REASONS))
+_TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
 
-REWARD_TERMS = ("position", "rotation", "saturation", "slack", "failure")
-"""Names of the reward terms, in the order of the weights."""
+REWARD_TERMS = ("inside", "position", "rotation", "saturation", "violation")
+"""Names of the reward terms, in the order of the weights; defined in the manual of the single environment."""
 
 INFO_SCALARS = (
     "time",
@@ -33,20 +33,23 @@ INFO_SCALARS = (
     "tracking_error_peak",
     "rotation_error_peak",
     *(f"reward_{name}" for name in REWARD_TERMS),
+    "violated",
 )
 """Names of the first columns of the info array."""
 
-INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "slack")
+INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "least_tensions", "slack")
 """Names of the quantities with one column per cable, which follow the scalars."""
 
 _TIME, _ACTION_TIME, _PAYLOAD, _POSITION, _ROTATION, _POSITION_PEAK, _ROTATION_PEAK, _FIRST_TERM = range(8)
 _FIRST_CABLE = len(INFO_SCALARS)
 _TERMS = len(REWARD_TERMS)
-_SLACK_MARK = 0.5  # the column of a slack cable is 1, of a taut cable 0
+_INSIDE, _POSITION_TERM, _ROTATION_TERM, _SATURATION, _VIOLATION_TERM = range(_FIRST_TERM, _FIRST_TERM + _TERMS)
+_VIOLATED = _FIRST_TERM + _TERMS
+_TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
 
 # Columns of the episode settings.
-PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND = range(5)
-EPISODE_SETTINGS = 5
+PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND, STARTS_AT_REST = range(6)
+EPISODE_SETTINGS = 6
 
 LARGEST = 1e6
 """Largest magnitude in ``info``: larger and non-finite values become ±1e6. Actions must be smaller."""
@@ -68,6 +71,7 @@ class RecordRows(NamedTuple):
     slack: int
     motor_angle: int
     motor_speed: int
+    least_tension: int
 
 
 class Constants(NamedTuple):
@@ -80,21 +84,32 @@ class Constants(NamedTuple):
     """Lower and upper bounds of the pose, (2, n)."""
     bounds: Array
     """Lower and upper bounds of the observation, (2, size)."""
+    normalised: bool
+    """Whether the observation is normalised."""
+    centre: Array
+    """Centres of the normalised observation, (size,)."""
+    per_scale: Array
+    """Reciprocal scales of the normalised observation, (size,)."""
     weights: Array
     """Weights of the reward terms, (5,)."""
     period: float
     """Control period [s]."""
+    minimum_tension: float
+    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only have to pull."""
     termination_radius: float
     slack_time: float
+    terminate_on_violation: bool
 
 
 class Episodes(NamedTuple):
-    """State and settings of the present episodes; ``slack_for`` is updated."""
+    """State and settings of the present episodes; ``slack_for`` and ``violated`` are updated."""
 
     record: Array
     """The plant's record, (tiles, rows · lanes)."""
     step: NDArray[np.int64]
     """Control steps since the reset, (width,)."""
+    motion_steps: NDArray[np.int64]
+    """Control steps of the motion, (N,)."""
     trajectory_index: NDArray[np.int64]
     """Index of the reference table, (width,)."""
     references: Array
@@ -107,19 +122,25 @@ class Episodes(NamedTuple):
     """True stall torques [N·m], (N, m)."""
     noise: Array
     """Noise of the measured blocks, (N, components); (N, 0) without noise."""
+    sent: Array
+    """Actions that were sent last, before delay, (N, m)."""
     slack_for: Array
     """Time for which some cable has been slack [s], (N,)."""
+    violated: NDArray[np.bool_]
+    """Whether a limit has been violated in the episode, (N,)."""
 
 
 class Outputs(NamedTuple):
     """Results of a step, which are overwritten."""
 
     observation: Array
-    """(N, size)."""
+    """(N, size). The last observation is read too: it holds the actions that were sent before."""
     reward: Array
     """(N,)."""
     reason: NDArray[np.int64]
     """Index of the termination reason, (N,)."""
+    complete: NDArray[np.bool_]
+    """Whether the motion is complete, (N,)."""
     info: Array
     """Info array, (N, columns)."""
 
@@ -155,30 +176,43 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
     workspace, bounds, weights, spatial = batch.workspace, batch.bounds, batch.weights, n > 2
     # Arrays as local variables: in the loop, each access to an array of a record counts a reference.
     records, settings, stall, noise, slack_for = now.record, now.settings, now.stall, now.noise, now.slack_for
+    sent, violations, motion_steps = now.sent, now.violated, now.motion_steps
+    centre, per_scale = batch.centre, batch.per_scale
     steps, trajectories, references, last_rows = now.step, now.trajectory_index, now.references, now.last_rows
-    observations, infos, rewards, reasons = out.observation, out.info, out.reward, out.reason
+    observations, infos, rewards, reasons, completes = out.observation, out.info, out.reward, out.reason, out.complete
     for k in range(env_indices.shape[0]):
         env_index = env_indices[k]
-        record, at = records[env_index // lanes], env_index % lanes
+        tile, at = env_index // lanes, env_index % lanes  # a view of the tile would count a reference
         step, trajectory = steps[env_index], trajectories[env_index]
         reference = references[trajectory, min(step, last_rows[trajectory])]
 
-        # Observation: pose, velocity, motors of flexible robots, tabulated reference blocks, payload of the model.
+        # Observation: pose, velocity, motors of flexible robots, tabulated reference blocks, payload of the model, last
+        # actions, slack time.
         observation = observations[env_index]
         for j in range(n):
-            observation[j] = record[(row.pose + j) * lanes + at]
-            observation[n + j] = record[(row.velocity + j) * lanes + at]
+            observation[j] = records[tile, (row.pose + j) * lanes + at]
+            observation[n + j] = records[tile, (row.velocity + j) * lanes + at]
         first_reference = 2 * n
         if batch.flexible:
             first_reference = 2 * n + 2 * m
             for i in range(m):
                 at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
-                observation[2 * n + i] = record[row.motor_angle * lanes + at_cable]
-                observation[2 * n + m + i] = record[row.motor_speed * lanes + at_cable]
+                observation[2 * n + i] = records[tile, row.motor_angle * lanes + at_cable]
+                observation[2 * n + m + i] = records[tile, row.motor_speed * lanes + at_cable]
         for j in range(reference.shape[0]):
             observation[first_reference + j] = reference[j]
-        observation[first_reference + reference.shape[0]] = settings[env_index, MODEL_PAYLOAD]
-        observation[first_reference + reference.shape[0] + 1] = settings[env_index, KNOWN]
+        after_reference = first_reference + reference.shape[0]
+        observation[after_reference] = settings[env_index, MODEL_PAYLOAD]
+        observation[after_reference + 1] = settings[env_index, KNOWN]
+        first_action, slack_column = after_reference + 2, observation.shape[0] - 1
+        if fresh:
+            for j in range(first_action, slack_column):
+                observation[j] = 0.0
+        else:  # the last observation holds the actions that were sent before
+            for j in range(slack_column - 1, first_action + m - 1, -1):
+                observation[j] = observation[j - m]
+            for i in range(m):
+                observation[first_action + i] = min(max(sent[env_index, i], -1.0), 1.0)
         finite = True
         for j in range(first_reference):
             finite &= math.isfinite(observation[j])
@@ -195,15 +229,11 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
             else:
                 rotation = max(rotation, abs(difference))
         position = math.sqrt(square)
-        position_peak = max(position, record[row.position_peak * lanes + at])
-        rotation_peak = max(rotation, record[row.rotation_peak * lanes + at])
+        position_peak = max(position, records[tile, row.position_peak * lanes + at])
+        rotation_peak = max(rotation, records[tile, row.rotation_peak * lanes + at])
         if not finite:  # comparisons with NaN are false and would hide it
             position = position_peak = LARGEST
             rotation = rotation_peak = LARGEST if spatial else 0.0
-        for j in range(noise.shape[1]):
-            observation[j] += noise[env_index, j]
-        for j in range(observation.shape[0]):
-            observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
 
         info = infos[env_index]
         info[_TIME] = step * batch.period
@@ -213,24 +243,32 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         info[_ROTATION] = _finite(rotation)
         info[_POSITION_PEAK] = _finite(position_peak)
         info[_ROTATION_PEAK] = _finite(rotation_peak)
-        slack_cables, excess = 0.0, 0.0
+        slack_cables, excess, taut, held = 0.0, 0.0, True, True
         for i in range(m):
             at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
-            action = record[row.demand * lanes + at_cable]
-            slack = 1.0 if record[row.slack * lanes + at_cable] > 0.0 else 0.0
+            action = records[tile, row.demand * lanes + at_cable]
+            torque = records[tile, row.torque * lanes + at_cable]
+            least_tension = records[tile, row.least_tension * lanes + at_cable]
+            slack = 1.0 if records[tile, row.slack * lanes + at_cable] > 0.0 else 0.0
+            margin = stall[env_index, i] - abs(torque) if fresh else stall[env_index, i] * (1.0 - abs(action))
             first = _FIRST_CABLE + i
-            info[first] = _finite(record[row.tension * lanes + at_cable])
-            info[first + m] = _finite(record[row.torque * lanes + at_cable])
-            info[first + 2 * m] = _finite(record[row.speed * lanes + at_cable])
+            info[first] = _finite(records[tile, row.tension * lanes + at_cable])
+            info[first + m] = _finite(torque)
+            info[first + 2 * m] = _finite(records[tile, row.speed * lanes + at_cable])
             info[first + 3 * m] = action
-            info[first + 4 * m] = stall[env_index, i] * (1.0 - abs(action))
-            info[first + 5 * m] = slack
+            info[first + 4 * m] = margin
+            info[first + 5 * m] = _finite(least_tension)
+            info[first + 6 * m] = slack
             slack_cables += slack
-            excess += max(0.0, abs(action) - 1.0)
+            excess += min(max(0.0, abs(action) - 1.0), 1.0)
+            taut &= least_tension >= batch.minimum_tension
+            held &= margin >= 0.0
 
+        # Termination and violation. Comparisons with NaN are false, so they are written to be true if all is well.
         reason = 0
         if fresh:
             slack_for[env_index] = 0.0
+            violated = settings[env_index, STARTS_AT_REST] > 0.0 and not held
         else:
             slack_for[env_index] = slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
             if not finite:
@@ -241,21 +279,43 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
                 reason = _TRACKING_ERROR
             elif slack_for[env_index] > batch.slack_time + 1e-9:
                 reason = _SLACK
-        reasons[env_index] = reason
-        for j in range(_TERMS):
-            info[_FIRST_TERM + j] = 0.0
+            violated = violations[env_index] or reason > 0 or slack_cables > 0.0 or not taut
+        if not (
+            position_peak <= settings[env_index, POSITION_BOUND]
+            and rotation_peak <= settings[env_index, ROTATION_BOUND]
+        ):
+            violated = True
+        first_violation = violated and (step == 1 or not violations[env_index])
+        violations[env_index] = violated
+        if violated and not fresh and reason == 0 and batch.terminate_on_violation:
+            reason = _VIOLATION
+        reasons[env_index], completes[env_index] = reason, step >= motion_steps[env_index]
+        info[_VIOLATED] = 1.0 if violated else 0.0
+
+        # The observation is complete: noise, saturation at the bounds, scales.
+        observation[slack_column] = min(slack_for[env_index], bounds[1, slack_column])
+        for j in range(noise.shape[1]):
+            observation[j] += noise[env_index, j]
+        for j in range(first_action):
+            observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
+        if batch.normalised:
+            for j in range(n):  # the time to go precedes the reference pose, and the reference velocity follows it
+                observation[j] -= observation[first_reference + 1 + j]
+                observation[n + j] -= observation[first_reference + 1 + n + j]
+            for j in range(observation.shape[0]):  # the scale of actions is 1
+                observation[j] = (observation[j] - centre[j]) * per_scale[j]
+
+        inside_term, position_term, rotation_term, saturation_term, violation_term = 0.0, 0.0, 0.0, 0.0, 0.0
         if not fresh:
-            info[_FIRST_TERM] = 1.0 / (1.0 + info[_POSITION] / settings[env_index, POSITION_BOUND])
+            inside_term = 0.0 if violated else weights[0]
+            position_term = weights[1] / (1.0 + info[_POSITION] / settings[env_index, POSITION_BOUND])
             if spatial:
-                info[_FIRST_TERM + 1] = 1.0 / (1.0 + info[_ROTATION] / settings[env_index, ROTATION_BOUND])
-            info[_FIRST_TERM + 2] = -excess / m
-            info[_FIRST_TERM + 3] = -slack_cables / m
-            info[_FIRST_TERM + 4] = -1.0 if reason > 0 else 0.0
-        total = 0.0
-        for j in range(_TERMS):
-            info[_FIRST_TERM + j] *= weights[j]
-            total += info[_FIRST_TERM + j]
-        rewards[env_index] = total
+                rotation_term = weights[2] / (1.0 + info[_ROTATION] / settings[env_index, ROTATION_BOUND])
+            saturation_term = -weights[3] * excess / m
+            violation_term = -weights[4] * motion_steps[env_index] if first_violation else 0.0
+        info[_INSIDE], info[_POSITION_TERM], info[_ROTATION_TERM] = inside_term, position_term, rotation_term
+        info[_SATURATION], info[_VIOLATION_TERM] = saturation_term, violation_term
+        rewards[env_index] = inside_term + position_term + rotation_term + saturation_term + violation_term
 
 
 def info_columns(cables: int) -> int:
@@ -273,12 +333,13 @@ def _cable_columns(cables: int) -> tuple[tuple[str, slice], ...]:
 def info_dict(info: Array, cables: int) -> dict[str, Any]:
     """Values by name of an info array: Python floats and (m,) of one row, (N,) and (N, m) of several rows.
 
-    Arrays are views, except ``slack``, which is boolean.
+    Arrays are views, except ``slack`` and ``violated``, which are boolean.
     """
     single = info.ndim == 1
     scalars = info[:_FIRST_CABLE].tolist() if single else info.T  # tolist() converts all scalars at once
     named: dict[str, Any] = dict(zip(INFO_SCALARS, scalars, strict=False))
     for name, columns in _cable_columns(cables):
         named[name] = info[columns] if single else info[:, columns]
-    named["slack"] = named["slack"] > _SLACK_MARK
+    named["violated"] = named["violated"] > _TRUE
+    named["slack"] = named["slack"] > _TRUE
     return named

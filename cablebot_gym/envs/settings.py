@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.textbook import fastest_motor_rate, highest_frequency
+from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
 from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
@@ -22,7 +22,7 @@ from cablebot_gym.utils.checks import choice, mapping, number, numbers, whole
 
 LONGEST_PHYSICS_STEP = 1e-3
 """Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at this step. Accuracy
-allows longer steps, but checks of slack and errors every 2 ms raise the DLCC by about 0.05 kg."""
+allows longer steps, but checks of slack and errors every 2 ms find later violations."""
 
 MODE_LOSS = {"planar": 1e-6, "spatial": 1e-5}
 """Bound of the fraction of its energy that a flexible robot's fastest mode loses per second to RK4 with the default
@@ -34,12 +34,12 @@ MOST_SUBSTEPS = 1000
 """Largest default number of physics steps per control period. A need for more indicates an error in the stiffness."""
 
 STABLE_PHASE = 2.6
-"""Largest product of the physics step and the fastest rate of a flexible robot at its home pose. RK4 is stable up to
-2√2 for an undamped oscillation and up to 2.78 for a decay. Elsewhere in the workspace the springs oscillate up to 6 %
-faster."""
+"""Largest product of the physics step and the fastest rate of a robot at its home pose. RK4 is stable up to 2√2 for an
+undamped oscillation and up to 2.78 for a decay by friction or along the torque-speed line. Elsewhere in the workspace
+the springs oscillate up to 6 % faster."""
 
-DEFAULT_WEIGHTS = {"position": 1.0, "rotation": 1.0, "saturation": 0.1, "slack": 0.1, "failure": 1.0}
-"""Default weights of the reward terms."""
+DEFAULT_WEIGHTS = {"inside": 1.0, "position": 0.05, "rotation": 0.05, "saturation": 0.02, "violation": 0.1}
+"""Default weights of the reward terms. They order success before failure; the single environment's manual proves it."""
 
 FOREIGN_OPTIONS = ("reset_mask", "minari_autoseed")
 """Reset options of Gymnasium's vector API and of Minari, which the checks here ignore."""
@@ -64,14 +64,14 @@ class Settings:
     """
     trajectory: Trajectory
     """Default reference motion."""
-    initial_error: Array
-    """Start pose minus reference pose, (n,) or (N, n) [m, rad]."""
+    initial_error: Array | None
+    """Start pose minus reference pose, (n,) or (N, n) [m, rad]; None for :func:`cablebot_gym.task.start_pose`."""
     initial_error_range: Array | None
-    """Half widths of a uniform start error, (n,) [m, rad], drawn in each episode and added to ``initial_error``."""
+    """Half widths of a uniform start error, (n,) [m, rad], drawn in each episode and added to the start pose."""
     uncertainty: tuple[Uncertainty, ...]
     """Uncertainty of the plant, as a tuple of one for all environments, or of N."""
     error_bounds: ErrorBounds
-    """Bounds of the tracking errors, which scale the reward."""
+    """Bounds of the tracking errors. A larger error is a violation, and they scale the reward."""
     cable: Cable
     """``unilateral``: cables only pull; ``bilateral``: cables also push, as in the paper's equations."""
     control_frequency: float
@@ -82,8 +82,12 @@ class Settings:
     """Position error beyond which an episode terminates [m]."""
     slack_time: float
     """Longest time for which a cable may be slack before the episode terminates [s]."""
+    terminate_on_violation: bool
+    """Whether an episode terminates at the first violation of a limit."""
     weights: Array
     """Weights of the reward terms, in the order of ``REWARD_TERMS``."""
+    normalised_observation: bool
+    """Whether the observation is that of :meth:`ObservationLayout.normalise`."""
 
     @property
     def period(self) -> float:
@@ -97,8 +101,8 @@ class Settings:
 
 
 def default_trajectory(robot: Robot) -> str:
-    """Name of the default reference motion of a robot: the paper's circle."""
-    return "paper-planar" if robot.planar else "paper-spatial"
+    """Name of the default reference motion of a robot: the paper's circle between two dwells."""
+    return "circle-planar" if robot.planar else "circle-spatial"
 
 
 def make_settings(
@@ -110,7 +114,7 @@ def make_settings(
     payload_known: Any = True,
     model_payload_factor: Any = 1.0,
     trajectory: Any = None,
-    initial_error: Any = 0.0,
+    initial_error: Any = None,
     initial_error_range: Any = None,
     uncertainty: Any = None,
     error_bounds: Any = None,
@@ -119,14 +123,16 @@ def make_settings(
     substeps: int | None = None,
     termination_radius: float = 0.1,
     slack_time: float = 0.1,
+    terminate_on_violation: bool = False,
     reward_weights: Mapping[str, float] | None = None,
+    normalised_observation: bool = False,
 ) -> Settings:
     """Checked settings of ``count`` environments from their keywords, which :class:`Settings` describes.
 
-    Values are objects or JSON-able data. None stands for the default: the motion of :func:`default_trajectory`, no
-    uncertainty, the default error bounds, :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that satisfy
-    :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS` and :data:`STABLE_PHASE`. ``uncertainty`` can be a list with one
-    item per environment.
+    Values are objects or JSON-able data. None stands for the default: the motion of :func:`default_trajectory`, the
+    start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, the default error bounds,
+    :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that satisfy :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS`
+    and :data:`STABLE_PHASE`. ``uncertainty`` can be a list with one item per environment.
 
     Raises:
         ValueError: if a value is invalid; the message names the keyword.
@@ -164,6 +170,8 @@ def make_settings(
         substeps=substeps,
         termination_radius=number("termination_radius", termination_radius, above=0),
         slack_time=number("slack_time", slack_time, least=0),
+        terminate_on_violation=_boolean("terminate_on_violation", terminate_on_violation),
+        normalised_observation=_boolean("normalised_observation", normalised_observation),
         weights=np.array([number(f"reward weight {name!r}", weights[name]) for name in REWARD_TERMS]),
         **episode,
     )
@@ -171,43 +179,41 @@ def make_settings(
 
 def _fewest_substeps(robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float) -> int:
     """Default number of physics steps per control period, see :func:`make_settings`."""
-    longest = LONGEST_PHYSICS_STEP
+    fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in uncertainties)
+    longest = min(LONGEST_PHYSICS_STEP, STABLE_PHASE / fastest)
     if robot.flexible:
         frequency = highest_frequency(robot)
         phase = (72 * MODE_LOSS["planar" if robot.planar else "spatial"] / frequency) ** 0.2
-        fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in uncertainties)
-        longest = min(longest, phase / frequency, STABLE_PHASE / fastest)
+        longest = min(longest, phase / frequency)
     needed = 1 / (control_frequency * longest)
     if needed > MOST_SUBSTEPS:
         raise ValueError(
             f"robot {robot.name!r} needs {needed:.3g} physics steps in a control period: raise control_frequency, use "
-            "softer springs or larger inertias, or set substeps"
+            "softer springs, less friction or larger inertias, or set substeps"
         )
     return max(1, math.ceil(needed - 1e-9))
 
 
 def _fastest_rate(robot: Robot, uncertainty: Uncertainty) -> float:
-    """Largest rate at which a flexible robot can oscillate or settle under an uncertainty [rad/s]."""
+    """Largest rate at which a robot can oscillate or settle under an uncertainty [rad/s]."""
     true = uncertainty.fastest(robot)
-    return max(highest_frequency(true), fastest_motor_rate(true))
+    return max(highest_frequency(true) if robot.flexible else 0.0, fastest_decay_rate(true))
 
 
 def check_stability(
     robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float, substeps: int
 ) -> None:
-    """Checks that the physics step is short enough for the joint springs at the limits of the uncertainties.
+    """Checks that the physics step is short enough for springs and friction at the limits of the uncertainties.
 
     Raises:
         ValueError: if it is too long; the message gives the number of substeps that is sufficient.
     """
-    if not robot.flexible:
-        return
     fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in uncertainties)
     if fastest / (control_frequency * substeps) > STABLE_PHASE:
         needed = math.ceil(fastest / (control_frequency * STABLE_PHASE))
         raise ValueError(
-            f"substeps={substeps} is too small for the springs of robot {robot.name!r} with this uncertainty: use at "
-            f"least {needed}, or omit substeps when you make the environment"
+            f"substeps={substeps} is too small for the springs or the friction of robot {robot.name!r} with this "
+            f"uncertainty: use at least {needed}, or omit substeps when you make the environment"
         )
 
 
@@ -232,9 +238,25 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "initial_error": lambda name, value: _initial_error(name, value, n, count),
         "uncertainty": lambda _, value: _uncertainties(value, robot, count),
         "error_bounds": lambda _, value: find_error_bounds(value),
+        "noise_seed": lambda name, value: _seeds(name, value, count),
     }
     given = mapping("options", {} if options is None else options, [*checks, *FOREIGN_OPTIONS])
     return {name: checks[name](name, value) for name, value in given.items() if name not in FOREIGN_OPTIONS}
+
+
+def _boolean(name: str, value: Any) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} must be True or False, not {value!r}")
+    return bool(value)
+
+
+def _seeds(name: str, value: Any, count: int) -> list[int]:
+    """Seeds of all environments; one integer is the seed of the first one and counts up, as in Gymnasium."""
+    if not isinstance(value, (list, tuple, np.ndarray)):
+        return [whole(name, value) + index for index in range(count)]
+    if len(value) != count:
+        raise ValueError(f"{name} must be one integer, or {count}, one per environment, not {len(value)}")
+    return [whole(name, seed) for seed in value]
 
 
 def _booleans(name: str, value: Any, count: int) -> NDArray[np.bool_]:
@@ -244,10 +266,12 @@ def _booleans(name: str, value: Any, count: int) -> NDArray[np.bool_]:
     return known
 
 
-def _initial_error(name: str, value: Any, n: int, count: int) -> Array:
+def _initial_error(name: str, value: Any, n: int, count: int) -> Array | None:
+    if value is None:
+        return None
     if isinstance(value, Real) and value == 0:
         return np.zeros(n)
-    return numbers(name, value, shapes=[(n,), (count, n)], form=f"0 or {n} coordinates, or {n} per environment")
+    return numbers(name, value, shapes=[(n,), (count, n)], form=f"None, 0 or {n} coordinates, or {n} per environment")
 
 
 def _uncertainties(value: Any, robot: Robot, count: int) -> tuple[Uncertainty, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds, Task, at_rest, start_pose
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
 from cablebot_gym.utils.checks import choice
@@ -31,7 +33,8 @@ class Simulation:
     """N environments, each with its own episode. The single environment is a batch of one.
 
     :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
-    an index of :data:`outcome.TERMINATION_REASONS`, and ``info`` (N, columns). The next call overwrites them.
+    an index of :data:`outcome.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete, and ``info``
+    (N, columns). The next call overwrites them.
 
     Args:
         robot: robot, as the environments take it.
@@ -53,11 +56,15 @@ class Simulation:
         self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
         self._stall = np.tile(robot.stall_torque, (count, 1))
         self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
+        self._sent = np.zeros((count, robot.cables))
         self._slack_for = np.zeros(count)
+        self._violated = np.zeros(count, np.bool_)
         self._all_indices = np.arange(count)
         self.streams = Streams(count)
         """Random streams of all draws."""
         self._disturbances = Disturbances(robot, count, settings.control_frequency, self.streams)
+        self.motion_steps = np.ones(count, np.int64)
+        """Number of control steps of each environment's motion, (N,)."""
         self.truth: dict[str, Array] = {}
         """True parameters of the present episodes by name, each (N, …)."""
         self._trajectories: list[Trajectory] = [settings.trajectory] * count
@@ -65,6 +72,7 @@ class Simulation:
         self.observation = np.zeros((count, self.layout.size))
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
+        self.complete = np.zeros(count, np.bool_)
         self.info = np.zeros((count, outcome.info_columns(robot.cables)))
         space = self.layout.space()
         self._constants = outcome.Constants(
@@ -72,10 +80,15 @@ class Simulation:
             lanes=self._plant.lanes,
             workspace=np.array(robot.pose_bounds, order="C"),  # numba compiles once per memory order
             bounds=np.array([space.low, space.high]),
+            normalised=settings.normalised_observation,
+            centre=self.layout.centre.copy(),  # writable, as in copies of this object: numba compiles once
+            per_scale=self.layout.per_scale.copy(),
             weights=settings.weights,
             period=settings.period,
+            minimum_tension=robot.minimum_tension if settings.cable == "unilateral" else -math.inf,
             termination_radius=settings.termination_radius,
             slack_time=settings.slack_time,
+            terminate_on_violation=settings.terminate_on_violation,
         )
         self._bind()
 
@@ -90,15 +103,20 @@ class Simulation:
         episodes = outcome.Episodes(
             record=plant.record,
             step=plant.step_index,
+            motion_steps=self.motion_steps,
             trajectory_index=plant.trajectory_index,
             references=tables.control,
             last_rows=tables.control_ends,
             settings=self._episode_settings,
             stall=self._stall,
             noise=self._disturbances.noise,
+            sent=self._sent,
             slack_for=self._slack_for,
+            violated=self._violated,
         )
-        outputs = outcome.Outputs(observation=self.observation, reward=self.reward, reason=self.reason, info=self.info)
+        outputs = outcome.Outputs(
+            observation=self.observation, reward=self.reward, reason=self.reason, complete=self.complete, info=self.info
+        )
         self._records = _RECORD_ROWS, tuple(self._constants), tuple(episodes), tuple(outputs)
 
     @property
@@ -122,6 +140,11 @@ class Simulation:
     def stall_torque(self) -> Array:
         """True stall torques τ_s [N·m], shape (N, m)."""
         return self._stall
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Control steps since the reset of each environment, shape (N,)."""
+        return self._plant.step_index[: self.count]
 
     @property
     def pose(self) -> Array:
@@ -162,6 +185,8 @@ class Simulation:
             check_stability(robot, uncertainties, settings.control_frequency, settings.substeps)
         self._tables.prepare(trajectory)
 
+        if "noise_seed" in given:
+            self.streams.noise_seeds[env_indices] = np.array(given["noise_seed"], object)[env_indices]
         self.streams.start_episode(env_indices)
         payload = self._values_of(env_indices, given.get("payload", settings.payload))
         if settings.payload_range is not None and "payload" not in given:
@@ -169,9 +194,10 @@ class Simulation:
             payload = low + (high - low) * self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
         known = self._values_of(env_indices, given.get("payload_known", settings.payload_known))
         factor = self._values_of(env_indices, given.get("model_payload_factor", settings.model_payload_factor))
-        error = np.broadcast_to(given.get("initial_error", settings.initial_error), (self.count, robot.coordinates))
         start = trajectory(0.0)
-        pose = start.position + error[env_indices]
+        error = given.get("initial_error", settings.initial_error)
+        first = start_pose(robot, trajectory, error_bounds) if error is None else start.position + error
+        pose = np.broadcast_to(first, (self.count, robot.coordinates))[env_indices]
         if settings.initial_error_range is not None and "initial_error" not in given:
             uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
             pose = pose + settings.initial_error_range * (2 * uniform - 1)
@@ -185,6 +211,8 @@ class Simulation:
         self._episode_settings[env_indices, outcome.MODEL_PAYLOAD] = payload * known * factor
         self._episode_settings[env_indices, outcome.KNOWN] = known
         self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
+        self._episode_settings[env_indices, outcome.STARTS_AT_REST] = at_rest(start)
+        self.motion_steps[env_indices] = max(1, round(trajectory.duration * settings.control_frequency))
         for env_index in env_indices:
             self._trajectories[env_index], self._error_bounds[env_index] = trajectory, error_bounds
         for apply in starts:
@@ -213,7 +241,7 @@ class Simulation:
         """Draws the true robots of k episodes. The returned function writes their initial conditions to the plant.
 
         Raises:
-            ValueError: if a robot has to be at rest at its start pose and no cable tensions hold it there.
+            ValueError: if no cable tensions hold a robot at rest at its start pose.
         """
         robot: RobotArrays = self.settings.robot
         parameters = self._parameters
@@ -223,15 +251,19 @@ class Simulation:
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
-        angle = torque = speed = np.zeros((len(env_indices), robot.cables))
-        loaded, minimum = robot.mass + payload, textbook.MINIMUM_TENSION
+        torque = angle = speed = np.zeros((len(env_indices), robot.cables))
         try:
-            if robot.flexible:
-                angle = textbook.static_motor_angle(robot, loaded, pose, minimum=minimum)
-            if uncertainty.delay:
-                torque = textbook.static_torque(robot, loaded, pose, minimum=minimum)
+            if any(PARAMETERS[name].position for name in uncertainty.parameters) or np.any(pose != pose[0]):
+                per_mass = _static_torque(robot, pose)
+            else:  # no other parameter changes the torques per mass
+                per_mass = _nominal_static_torque(self.settings.robot, tuple(pose[0].tolist()))
+            # Spatial: proportional to the mass. Planar: there is no weight.
+            torque = torque + per_mass * (1.0 if robot.planar else (robot.mass + payload)[:, None])
         except np.linalg.LinAlgError as error:
             raise ValueError("no tensions hold the robot at rest at its start pose: choose another one") from error
+        if robot.flexible:
+            wound = np.clip(torque, -robot.stall_torque, robot.stall_torque)
+            angle = textbook.pulley_angle(robot, pose) + wound / robot.stiffness
         if robot.flexible or uncertainty.delay:
             speed = textbook.pulley_speed(robot, pose, velocity)
 
@@ -243,7 +275,8 @@ class Simulation:
             self._plant.set_state(env_indices, pose, velocity)
             if robot.flexible:
                 self._plant.set_motors(env_indices, angle, speed)
-            holding = textbook.normalised_action(robot, torque, speed)
+            self._plant.set_torques(env_indices, torque)
+            holding = np.clip(textbook.normalised_action(robot, torque, speed), -1.0, 1.0)
             self._disturbances.reset(env_indices, uncertainty, holding)
 
         return apply
@@ -266,6 +299,7 @@ class Simulation:
         """
         plant, tables, settings = self._plant, self._tables, self.settings
         checked = _check_actions(actions, self._action_shape)
+        self._sent[...] = checked
         if not self._disturbances.quiet:
             checked = self._disturbances.delayed(checked)
             self._disturbances.update_wrench(plant)
@@ -277,6 +311,17 @@ class Simulation:
         if not self._disturbances.quiet:
             self._disturbances.measure(env_indices, self._plant.step_index[env_indices])
         outcome.outcome(fresh, env_indices, *self._records)
+
+
+def _static_torque(robot: RobotArrays, pose: Array) -> Array:
+    """Torques (k, m) that hold robots of 1 kg at rest at poses (k, n)."""
+    return textbook.static_torque(robot, np.ones(len(pose)), pose, minimum=textbook.MINIMUM_TENSION)
+
+
+@lru_cache(maxsize=64)
+def _nominal_static_torque(robot: Robot, pose: tuple[float, ...]) -> Array:
+    """:func:`_static_torque` at one pose, (1, m): most episodes start at the same one."""
+    return _static_torque(robot, np.array([pose]))
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

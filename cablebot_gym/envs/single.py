@@ -37,12 +37,12 @@ class CableBotEnv(gym.Env[Array, Array]):
     motor to U⁻ ≤ τ ≤ U⁺, with U± = ±τ_s − (τ_s/ω_n)·β̇ for the stall torque τ_s, the free speed ω_n and the present
     motor speed β̇. Action +1 requests U⁺, action −1 requests U⁻.
 
-    At the start of a control period, the action sets the requested torque τ_s a − (τ_s/ω_n)·β̇, which is constant
-    during the period. At the start of each physics step, the requested torque is clipped to the present U±. The result
-    is the applied torque.
+    At the start of a control period, the action, clipped to ±1, sets the requested torque τ_s a − (τ_s/ω_n)·β̇, which
+    is constant during the period. The motor follows it with the time constant `lag` of the robot's motors, usually 0.
+    The result is clipped to the present U± at every stage of every physics step. This is the applied torque.
 
-    Actions outside [−1, 1] are accepted if their magnitude is below 10⁶. They are returned as
-    `info["commanded_action"]`, and the applied torque saturates at U±. |a| > 1 is the torque violation of the paper.
+    Actions outside [−1, 1] are accepted if their magnitude is below 10⁶. They act like ±1 and are returned unclipped as
+    `info["commanded_action"]`: |a| > 1 is the torque violation of the paper.
 
     ## Observation space
 
@@ -67,26 +67,68 @@ class CableBotEnv(gym.Env[Array, Array]):
     | `preview_200ms` | n | X_d in 0.2 s minus X_d now |
     | `model_payload` | 1 | payload of the controller's model; 0 if the payload is unknown |
     | `payload_known` | 1 | 1 if the payload is known, else 0 |
+    | `last_actions` | 3m | the last three actions, latest first, clipped to ±1; 0 before the first |
+    | `slack_time` | 1 | time for which some cable has been slack without a pause, see "Termination" |
+
+    `last_actions` are the actions that the policy sent, before a `delay` of the uncertainty. Together with them and
+    `slack_time` the observation has the Markov property if all parameters are known, the motors have no lag, and the
+    delay is at most three control periods. It does not have it with a longer delay, with sensor noise or a wrench, or
+    with unknown parameters. The reward also depends on whether a limit has been violated before; with
+    `terminate_on_violation` it does not.
+
+    `normalised_observation=True` is recommended for learning: the components above differ by many orders of magnitude,
+    those of the normalised observation are of order one. Each component is (value − centre)/scale. The scales follow
+    from the robot alone, and `layout.table()` prints them. `pose` and `velocity` become tracking errors, with the
+    default error bounds as the scale of the pose. `layout.normalise(observation)` is the same function, and
+    `layout.space(normalised=True)` the space.
 
     ## Reward
 
     The reward is the weighted sum of five terms. `reward_weights` sets the weights, and `info` contains each weighted
-    term as `reward_…`. The error bounds R are those of `error_bounds`.
+    term as `reward_…`.
 
-    | term | value |
-    |---|---|
-    | `position` | 1/(1 + e/R), with the position error e and its bound R |
-    | `rotation` | 1/(1 + e/R), with the rotation error e and its bound R; 0 for planar robots |
-    | `saturation` | minus the mean over the motors of max(0, abs(a) − 1) |
-    | `slack` | minus the fraction of cables that were slack in the control period |
-    | `failure` | −1 when the episode terminates, else 0 |
+    | term | weight | value |
+    |---|---|---|
+    | `inside` | 1 | 1 while no limit has been violated in the episode, else 0 |
+    | `position` | 0.05 | 1/(1 + e/R), with the position error e and its bound R |
+    | `rotation` | 0.05 | 1/(1 + e/R), with the rotation error e and its bound R; 0 for planar robots |
+    | `saturation` | 0.02 | minus the mean over the motors of min(1, max(0, abs(a) − 1)) |
+    | `violation` | 0.1 | minus the number of control steps of the motion, once, at the first violation |
+
+    The limits are those of the task criterion, by which a policy is evaluated, and `info["violated"]` tells whether one
+    has been violated in the episode, at the start included:
+
+    * the position and rotation errors are within the bounds R of `error_bounds` at every physics step;
+    * each cable has at least the tension `minimum_tension` of the robot (1 N) at every physics step, or is not pushed,
+      if cables are bilateral;
+    * the motors can hold the robot at the start, if the motion starts at rest;
+    * the episode does not terminate.
+
+    With the default weights, every episode that keeps all limits has a larger return than every episode of the same
+    motion that violates one. For a motion of K steps:
+
+    * Without violation, each step yields 1 from `inside`, at least 0.05/2 from `position`, because e ≤ R, and at least
+      −0.02 from `saturation`: the return exceeds K.
+    * With the first violation in step k ≤ K, `inside` yields k − 1 ≤ K − 1, `position` and `rotation` yield at most
+      0.1 K, and `violation` takes 0.1 K: the return is at most K − 1.
 
     ## Start
 
-    An episode starts at time 0 with the pose and velocity of the reference. `initial_error` is added to the pose. The
-    springs of a flexible robot start in static equilibrium with the true payload (planar: with a tension of at least
-    5 N in each cable), and its motors start at the speed of the pulleys. A policy that reads `motor_angle` can
-    therefore infer an unknown payload; this is physically correct.
+    An episode starts at time 0 with the velocity of the reference. The start pose is the same for all payloads:
+
+    * Planar robots start at the first pose of the reference.
+    * Spatial robots start lower (larger z) than this pose by half the position error bound, if the motion starts at
+      rest: there the cables are steeper, and the motors hold more payload at rest. `paper-spatial`, the circle as
+      printed, accelerates from time 0 and starts on the reference.
+    * `initial_error` sets the difference between start pose and reference pose; 0 starts on the reference.
+
+    `info["torques"]` after a reset are the torques that hold the true robot at rest at the start pose (planar: with a
+    tension of at least 5 N in each cable). `torque_margin` is their distance from the stall torques. If a component is
+    negative, no policy can hold the robot there, and the payload counts as not carried, if the motion starts at rest.
+
+    The springs of a flexible robot start with these torques, clipped to the stall torques, and its motors start at the
+    speed of the pulleys. A policy that reads `motor_angle` can therefore infer an unknown payload; this is physically
+    correct.
 
     ## Termination
 
@@ -95,15 +137,21 @@ class CableBotEnv(gym.Env[Array, Array]):
     1. `tracking_error`: the position error exceeds `termination_radius`;
     2. `slack`: some cable has been slack for longer than `slack_time`;
     3. `workspace`: the pose is outside the workspace of the robot;
-    4. `non_finite`: the state is not finite.
+    4. `non_finite`: the state is not finite;
+    5. `violation`: a limit is violated, see "Reward", and `terminate_on_violation` is set.
 
     `info["termination_reason"]` is the name of the condition, or an empty string. If several conditions are met,
-    `non_finite` takes precedence, then `workspace`, `tracking_error` and `slack`.
+    `non_finite` takes precedence, then `workspace`, `tracking_error`, `slack` and `violation`.
 
     ## Truncation
 
-    Only the wrapper `TimeLimit` truncates episodes, after `max_episode_steps` of the spec (500). A reference motion can
-    be longer or shorter than that. After its duration the reference stays at its final pose.
+    The step that completes the motion truncates the episode: step `env.unwrapped.task.steps`, the duration of the
+    motion times `control_frequency`. The default motion has 800 steps at 500 Hz. The ids are registered without
+    `max_episode_steps`; `gym.make(id, max_episode_steps=100)` adds Gymnasium's wrapper `TimeLimit`, which truncates
+    earlier.
+
+    `step` may be called after the truncation: the reference stays at its final pose, and every further step is
+    truncated too.
 
     ## Copies
 
@@ -116,15 +164,16 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     * At the present instant: `time` [s], `tracking_error` (position error) [m], `rotation_error` (largest difference of
       an angle) [rad], `payload` (true payload) [kg].
+    * Since the start: `violated` (whether a limit has been violated, see "Reward").
     * Over the last control period: `tracking_error_peak` and `rotation_error_peak` (largest values at any physics
-      step), and `slack` (m booleans: whether the cable was slack at any physics step or, if cables are bilateral,
-      pushed).
+      step), `least_tensions` (m least tensions at the start of any physics step) [N], and `slack` (m booleans: whether
+      the cable was slack at any physics step or, if cables are bilateral, pushed).
     * At the start of the last control period, which is at `action_time` [s]: `commanded_action`, `torques` (applied
       torques) [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin` (distance of the requested torque from
       the torque limit, τ_s (1 − abs(a))) [N·m]. Each has m components.
 
-    After a reset there is no last period: actions, torques, tensions and speeds are 0, and the peaks are the errors at
-    the start.
+    After a reset there is no last period: actions, tensions and speeds are 0, and the peaks are the errors at the
+    start. `torques` and `torque_margin` are those at rest, see "Start".
 
     ## Arguments
 
@@ -137,18 +186,20 @@ class CableBotEnv(gym.Env[Array, Array]):
     | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode; replaces `payload` |
     | `payload_known`* | True | whether the payload is known to the controller |
     | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
-    | `trajectory`* | the paper's circle | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
-    | `initial_error`* | 0 | start pose minus reference pose, n values |
-    | `initial_error_range` | None | n half widths of a uniform start error, drawn in each episode |
+    | `trajectory`* | the paper's circle between dwells | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
+    | `initial_error`* | None | start pose minus reference pose, n values; None for the start pose under "Start" |
+    | `initial_error_range` | None | n half widths of a uniform error, drawn in each episode, added to the start pose |
     | `uncertainty`* | None | difference between the true and the nominal robot, see below |
-    | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds that scale the reward |
+    | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds of the tracking errors |
     | `robot` | by id | a name, `Robot.to_dict()` data or a `Robot` |
     | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
     | `control_frequency` | 500 | actions per second [Hz] |
     | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
     | `termination_radius` | 0.1 | position error beyond which the episode terminates [m] |
     | `slack_time` | 0.1 | longest time for which a cable may be slack [s] |
-    | `reward_weights` | see `DEFAULT_WEIGHTS` | weights by reward term |
+    | `terminate_on_violation` | False | whether the first violation of a limit terminates the episode |
+    | `reward_weights` | see "Reward" | weights by reward term |
+    | `normalised_observation` | False | whether the observation is normalised, see "Observation space" |
 
     ## Payload known or unknown
 
@@ -162,19 +213,22 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     `uncertainty` describes how the true robot differs from the nominal robot. It is one of:
 
-    * a name: `"table6"` (the paper's Table 6) or `"sensors"`, or names joined by `+`;
+    * a name: `"table6"` (the paper's Table 6), `"table6-load"`, `"hardware"` (a real winch robot) or `"sensors"`, or
+      names joined by `+`;
     * a dict such as `{"parameters": {"stiffness": {"low": -0.2, "high": 0.2}}, "wrench": {"force_std": 1.0},
       "delay": 1}`;
     * a :class:`~cablebot_gym.uncertainty.Uncertainty`.
 
-    It has four parts:
+    It has five parts:
 
     * `parameters`: true parameters, drawn around the nominal values at each reset.
     * `wrench`: an external wrench on the platform.
-    * `sensors`: noise on the blocks `pose`, `velocity`, `motor_angle` and `motor_speed`.
-    * `delay`: number of control steps by which actions arrive late. Until the first action arrives, the motors hold the
-      true robot, with its true payload, at rest at the start pose. `info["commanded_action"]` is the action that
-      arrives.
+    * `sensors`: white noise on the blocks `pose`, `velocity`, `motor_angle` and `motor_speed`.
+    * `sensor_bias`: normal errors of the same blocks, constant in an episode.
+    * `delay`: number of control steps by which actions arrive late, or `(low, high)` of a number drawn at each reset.
+      The observation holds the last three actions; with a longer delay it is not Markov. Until the first action
+      arrives, the motors hold the true robot, with its true payload, at rest at the start pose.
+      `info["commanded_action"]` is the action that arrives.
 
     The observation and the task contain the nominal robot and the model payload. `env.unwrapped.truth` contains the
     true parameters, and `info["payload"]` is the true payload.
@@ -189,8 +243,9 @@ class CableBotEnv(gym.Env[Array, Array]):
     | `each` | true | one draw for each motor, axis or coordinate; false: one draw for all of them |
 
     The names of the parameters are `platform_mass`, `payload`, `platform_inertia`, `pulley_inertia`, `damping`,
-    `stiffness`, `motor_inertia`, `motor_damping`, `motor_strength` (τ_s at constant free speed), `base_anchors` and
-    `platform_anchors`.
+    `stiffness`, `motor_inertia`, `motor_damping`, `motor_strength` (τ_s at constant free speed), `base_anchors`,
+    `platform_anchors`, `motor_lag` and `coulomb_friction`. The nominal robots have no lag and no Coulomb friction: give
+    these two with `"relative": false`.
 
     `wrench` has these fields:
 
@@ -201,8 +256,12 @@ class CableBotEnv(gym.Env[Array, Array]):
     | `correlation_time` | 0.01 | time for which a draw is constant [s] |
     | `factor` | (1, 1) | (low, high) of a uniform factor for each component, drawn once per episode |
 
-    `sensors` has the standard deviations of white noise, 0 by default: `position` [m], `rotation` [rad], `velocity`
+    `sensors` and `sensor_bias` have standard deviations, 0 by default: `position` [m], `rotation` [rad], `velocity`
     [m/s], `rotation_rate` [rad/s], `motor_angle` [rad] and `motor_speed` [rad/s].
+
+    The wrench and the white noise have a seed of their own, the reset option `noise_seed` (default: the seed). In a
+    vector environment it is one integer, which counts up like the seed, or one per environment. Episodes with equal
+    seeds and different noise seeds have the same parameters and different noise.
 
     ## Rendering
 
@@ -222,7 +281,7 @@ class CableBotEnv(gym.Env[Array, Array]):
 
     ## Version history
 
-    * v0: first release.
+    * v0: not released yet. It may change until the first release; the changelog gives the reason of each change.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": RATE}  # noqa: RUF012 - Gymnasium's
@@ -235,7 +294,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         self.layout = self._simulation.layout
         """Layout of the observation: names, slices, units and bounds of its blocks."""
         self.action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
-        self.observation_space = self.layout.space()
+        self.observation_space = self.layout.space(normalised=self.settings.normalised_observation)
         self._env_index = np.zeros(1, np.int64)
         self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
         self._started = self._terminated = False
@@ -303,7 +362,7 @@ class CableBotEnv(gym.Env[Array, Array]):
         return observation, info
 
     def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Advances the episode by one control period.
+        """Advances the episode by one control period. The step that completes the motion truncates the episode.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -319,7 +378,7 @@ class CableBotEnv(gym.Env[Array, Array]):
             if self.render_mode == "human":
                 self._pictures.show()
         observation, reward, self._terminated, info = self._result()
-        return observation, reward, self._terminated, False, info
+        return observation, reward, self._terminated, bool(self._simulation.complete[0]), info
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation, reason = self._simulation, int(self._simulation.reason[0])

@@ -27,14 +27,22 @@ class Purpose(IntEnum):
     WRENCH_FACTOR = 3
     WRENCH = 4
     SENSORS = 5
+    SENSOR_BIAS = 6
+    DELAY = 7
+
+
+NOISE = (Purpose.WRENCH, Purpose.SENSORS)
+"""Purposes with numbers for every control step, from the noise seed. All others are drawn once per episode."""
 
 
 class Streams:
-    """Random streams of N environments. Environments with equal seed and episode number read the same numbers."""
+    """Random streams of N environments. Environments with equal seeds and episode number read the same numbers."""
 
     def __init__(self, count: int) -> None:
         self.seeds: NDArray[np.object_] = np.zeros(count, object)
         """Seed of each environment, (N,)."""
+        self.noise_seeds: NDArray[np.object_] = np.zeros(count, object)
+        """Seed of the :data:`NOISE` of each environment, (N,)."""
         self.episodes = np.full(count, -1, np.int64)
         """Number of each environment's present episode since it was seeded, from 0; −1 before the first. Shape (N,)."""
         self._philox = np.random.Philox(0)
@@ -42,28 +50,38 @@ class Streams:
         self._generator = np.random.Generator(self._philox)
 
     def seed(self, env_indices: NDArray[np.int64], seeds: Sequence[int | None]) -> None:
-        """Seeds the environments ``env_indices``, one seed each, or None; the next episode after a seed is number 0."""
+        """Seeds the environments ``env_indices``, one seed each, or None; the next episode after a seed is number 0.
+
+        A seed is the noise seed, too, until another one is set.
+        """
         for env_index, seed in zip(env_indices, seeds, strict=True):
             if seed is not None:
-                self.seeds[env_index], self.episodes[env_index] = seed, -1
+                self.seeds[env_index] = self.noise_seeds[env_index] = seed
+                self.episodes[env_index] = -1
 
     def start_episode(self, env_indices: NDArray[np.int64]) -> None:
         """Advances the environments ``env_indices`` to their next episode."""
         self.episodes[env_indices] += 1
 
-    def state(self) -> tuple[NDArray[np.object_], NDArray[np.int64]]:
-        """Copies of seeds and episode numbers, for :meth:`restore`."""
-        return self.seeds.copy(), self.episodes.copy()
+    def state(self) -> tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.int64]]:
+        """Copies of seeds, noise seeds and episode numbers, for :meth:`restore`."""
+        return self.seeds.copy(), self.noise_seeds.copy(), self.episodes.copy()
 
-    def restore(self, state: tuple[NDArray[np.object_], NDArray[np.int64]]) -> None:
-        """Restores seeds and episode numbers from :meth:`state`."""
-        self.seeds, self.episodes = state
+    def restore(self, state: tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.int64]]) -> None:
+        """Restores seeds, noise seeds and episode numbers from :meth:`state`."""
+        self.seeds, self.noise_seeds, self.episodes = state
 
     def uniform(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
         """Uniform numbers in [0, 1) for the present episodes of ``env_indices``, (len(env_indices), size)."""
         return self._draw(env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=False)
 
-    def normal(self, env_indices: NDArray[np.int64], purpose: Purpose, blocks: NDArray[np.int64], width: int) -> Array:
+    def normal(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
+        """Standard normal numbers for the present episodes of ``env_indices``, (len(env_indices), size)."""
+        return self._draw(env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=True)
+
+    def normal_block(
+        self, env_indices: NDArray[np.int64], purpose: Purpose, blocks: NDArray[np.int64], width: int
+    ) -> Array:
         """Standard normal numbers, one block for each environment, (len(env_indices), BLOCK, width)."""
         return self._draw(env_indices, purpose, blocks, (BLOCK, width), normal=True)
 
@@ -81,7 +99,8 @@ class Streams:
         counter, key = self._state["state"]["counter"], self._state["state"]["key"]
         draw = self._generator.standard_normal if normal else self._generator.random
         episodes, block_list = self.episodes[env_indices].tolist(), blocks.tolist()
-        for row, (seed, episode, block) in enumerate(zip(self.seeds[env_indices], episodes, block_list, strict=True)):
+        seeds = (self.noise_seeds if purpose in NOISE else self.seeds)[env_indices]
+        for row, (seed, episode, block) in enumerate(zip(seeds, episodes, block_list, strict=True)):
             first = first_rows.setdefault((seed, episode, block), row)
             if first < row:
                 numbers[row] = numbers[first]
@@ -117,7 +136,8 @@ class NormalRows:
         blocks = interval // BLOCK
         if (stale := np.flatnonzero(self._blocks[env_indices] != blocks)).size:
             renewed = env_indices[stale]
-            self._values[renewed] = self._streams.normal(renewed, self._purpose, blocks[stale], self._values.shape[-1])
+            width = self._values.shape[-1]
+            self._values[renewed] = self._streams.normal_block(renewed, self._purpose, blocks[stale], width)
             self._blocks[renewed] = blocks[stale]
         rows: Array = self._values[env_indices, interval % BLOCK]
         return rows

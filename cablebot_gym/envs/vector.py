@@ -36,11 +36,15 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
     Args:
         robot: as for the single environment.
         num_envs: number of environments, N.
-        max_episode_steps: number of control steps until truncation; None for no limit.
+        max_episode_steps: number of control steps after which an episode is truncated, if its motion is longer; None
+            for the whole motion.
         autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor keywords: reset
             options apply to one episode only.
         render_mode: None or ``rgb_array``.
         keywords: further keywords of the single environment.
+
+    An environment is truncated by the step that completes its motion. With autoreset disabled it may be stepped on
+    without effect on the others: its reference stays at the final pose, and it is truncated at every further step.
 
     ``info`` contains arrays with a leading axis N, valid for every environment. With same-step autoreset, ``final_obs``
     and ``final_info`` contain the last observation and info of the environments that are marked in ``_final_obs``. The
@@ -76,11 +80,10 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         self.layout = self._simulation.layout
         """Layout of the observation: names, slices, units and bounds of its blocks."""
         self.single_action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
-        self.single_observation_space = self.layout.space()
+        self.single_observation_space = self.layout.space(normalised=self.settings.normalised_observation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
-        self._steps = np.zeros(self.num_envs, np.int64)
         self._done = np.zeros(self.num_envs, np.bool_)
         self._started = False
         self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
@@ -142,7 +145,6 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
         seeds: Sequence[int | None] | None = None,
     ) -> None:
         self._simulation.reset(env_indices, options, seeds)
-        self._steps[env_indices] = 0
         if self._pictures is not None:
             self._pictures.on_reset(env_indices.tolist())
 
@@ -183,12 +185,12 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
             raise ResetNeeded("call reset() before step()")
         simulation, ended, autoreset = self._simulation, self._done, self.metadata["autoreset_mode"]
         simulation.step(actions)
-        self._steps += 1
         if self._pictures is not None:
             self._pictures.on_step()
         if autoreset is AutoresetMode.NEXT_STEP and ended.any():
             self._reset(np.flatnonzero(ended))
-        reward, terminated, truncated = simulation.reward.copy(), simulation.reason > 0, self._steps >= self._max_steps
+        reward, terminated = simulation.reward.copy(), simulation.reason > 0
+        truncated = simulation.complete | (simulation.steps >= self._max_steps)
         self._done = terminated | truncated
         final = {}
         if autoreset is AutoresetMode.SAME_STEP and self._done.any():

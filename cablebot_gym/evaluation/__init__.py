@@ -7,11 +7,13 @@ from cablebot_gym.evaluation.comparison import Comparison, compare_policies
 from cablebot_gym.evaluation.constraints import CRITERIA, DLCCMonitor, Verdict, Violation
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.evaluation.result import DLCCResult
+from cablebot_gym.evaluation.timing import ActionTimes, time_actions
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.task import ErrorBounds, Task
 
 __all__ = [
     "CRITERIA",
+    "ActionTimes",
     "Comparison",
     "DLCCMonitor",
     "DLCCResult",
@@ -22,4 +24,5 @@ __all__ = [
     "Violation",
     "compare_policies",
     "evaluate_dlcc",
+    "time_actions",
 ]

@@ -1,10 +1,12 @@
-"""Batched episodes of one policy: payloads × draws. All evaluations, comparisons and recordings run this loop."""
+"""Batched episodes of one policy. All evaluations, comparisons and recordings run this loop."""
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from collections import Counter
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, Protocol
@@ -19,26 +21,30 @@ from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import Policy, as_policy, load_policy, name_of
 from cablebot_gym.policies.protocol import checked_actions, reset_policy
+from cablebot_gym.policies.sb3 import fitted
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
 from cablebot_gym.uncertainty import find_uncertainty
 from cablebot_gym.utils.checks import whole
 
 BATCH = 1024
-"""Number of episodes in one batch; at least the draws of one payload. This many episodes fit into the caches of a core.
-A batch of heavy payloads ends as soon as all of them have failed."""
+"""Number of episodes that one batch should have: this many fit into the caches of a core. A batch of heavy payloads
+ends as soon as all of them have failed."""
 
-DEFAULT_DRAWS = 256
-"""Default number of draws at each payload under a random uncertainty."""
+DEFAULT_DRAWS = 512
+"""Default number of draws at each payload under a random uncertainty, and of repeats of a stochastic policy."""
+
+Row = tuple[float, int]
+"""Nominal payload [kg] and seed of an episode."""
 
 Progress = Callable[[int, int], None]
 """Callback after every control step: number of finished steps, expected number of steps."""
 
 
 class Observer(Protocol):
-    """Receives the control steps of the episodes of one payload."""
+    """Receives the control steps of a batch."""
 
-    def start(self, observation: Array, info: dict[str, Any]) -> None:
+    def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Called after the reset, with arrays (N, …)."""
 
     def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
@@ -57,6 +63,8 @@ class Trial:
     """Nominal payload [kg]."""
     verdicts: tuple[Verdict, ...]
     """One verdict for each draw."""
+    seeds: tuple[int, ...]
+    """Seed of each draw."""
 
     @property
     def carried(self) -> int:
@@ -108,9 +116,18 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{package: version(package) for package in packages}}
 
 
-def uncertainty_name(uncertainty: Any) -> str | None:
-    """Name of an uncertainty in results: its own name, ``custom`` for data, or None without uncertainty."""
-    return uncertainty if isinstance(uncertainty, str | None) else "custom"
+def noise_seed(seed: int, payload: float) -> int:
+    """Seed of the sensor noise and the wrench in an episode of an evaluation.
+
+    Payloads share the parameters of a draw and have independent noise. The reset option ``noise_seed`` with this value,
+    or ``cablebot rollout`` with the same seed and payload, repeats the episode.
+
+    Args:
+        seed: seed of the draw.
+        payload: nominal payload [kg], which counts in whole milligrams.
+    """
+    digest = hashlib.blake2b(f"{seed} {payload:.6f}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little") >> 11
 
 
 def draw_seeds(seed: int, draws: int) -> list[int]:
@@ -118,14 +135,18 @@ def draw_seeds(seed: int, draws: int) -> list[int]:
 
     The seeds have 53 bits, so that every JSON parser reads them exactly.
     """
-    if draws == 1:
-        return [seed]
-    words = np.random.SeedSequence(seed).generate_state(draws, np.uint64)
-    return [int(word) >> 11 for word in words]
+    return [seed] if draws == 1 else derived_seeds(np.random.SeedSequence(seed), draws)
+
+
+def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
+    """Seeds of 53 bits from a seed sequence."""
+    return [int(word) >> 11 for word in sequence.generate_state(count, np.uint64)]
 
 
 class Batch:
-    """Rolls out payloads × draws with one policy in one vector environment.
+    """Rolls out payloads and draws with one policy in vector environments.
+
+    The judge's task is read once, before the policy is loaded; the policy receives copies.
 
     Args:
         policy: an object with ``predict``, a callable ``observation -> action``, or a name as on the command line.
@@ -136,8 +157,8 @@ class Batch:
         uncertainty: model errors and disturbances that the policy does not know.
         draws: number of episodes at each payload; None for the default.
         seed: seed that alone determines the draws.
-        max_payloads: largest number of payloads in one batch.
-        keywords: keywords of the environment.
+        keywords: keywords of the environment without ``normalised_observation``. A Stable-Baselines3 model that reads
+            normalised observations gets them, see :func:`~cablebot_gym.policies.sb3.fitted`.
 
     Raises:
         ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy that does not declare
@@ -155,115 +176,142 @@ class Batch:
         uncertainty: Any = None,
         draws: int | None = None,
         seed: int = 0,
-        max_payloads: int = 1,
         keywords: dict[str, Any] | None = None,
     ) -> None:
-        keywords = keywords or {}
+        keywords = deepcopy(keywords or {})
         for key in {"payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode"} & keywords.keys():
             raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
-        self.criterion, self.error_bounds = find_criterion(criterion), find_error_bounds(error_bounds)
+        if keywords.get("normalised_observation"):
+            raise ValueError("policies are evaluated with observations in SI units: remove normalised_observation")
+        self.criterion, self.error_bounds = find_criterion(criterion), deepcopy(find_error_bounds(error_bounds))
+        self.seed = whole("seed", seed)
+        """Seed of the evaluation."""
+        self._env_id = env_id
         check_robot(env_id, keywords.get("robot"))
-        resolved = find_uncertainty(uncertainty, find_robot(keywords.get("robot") or env_robot(env_id)))
-        default = DEFAULT_DRAWS if resolved.random else 1
-        self.draws = default if draws is None else whole("draws", draws, least=1)
-        if self.draws > 1 and not resolved.random and keywords.get("initial_error_range") is None:
-            raise ValueError(f"all {draws} draws would be equal: choose a random uncertainty or draws=1")
-        self.seeds = draw_seeds(whole("seed", seed), self.draws)
-        """Seed of each draw. An environment that is reset with this seed repeats the draw."""
-        self._batch_payloads = min(max_payloads, max(1, BATCH // self.draws))
+        self._robot = deepcopy(find_robot(keywords.get("robot") or env_robot(env_id)))
+        self._uncertainty = find_uncertainty(uncertainty, self._robot)
+        self._uncertainty_name = uncertainty if isinstance(uncertainty, str | None) else "custom"
         # With wide error bounds the environment must not terminate an episode before a violation.
         self.keywords = {"termination_radius": self.error_bounds.termination_radius} | keywords
         """Keywords of the environment."""
-        env = gym.make_vec(
-            env_id,
-            num_envs=self._batch_payloads * self.draws,
-            error_bounds=self.error_bounds,
-            max_episode_steps=None,
-            uncertainty=resolved,
-            **self.keywords,
-        ).unwrapped
-        assert isinstance(env, CableBotVectorEnv)
-        self.env: CableBotVectorEnv = env
-        """The vector environment."""
-        env.reset(seed=self.seeds * self._batch_payloads)
-        self.task: Task = env.tasks[0]
+        env = self._make(1)
+        env.reset(seed=self.seed)
+        self.settings = env.settings
+        """Settings of the environments."""
+        self.task: Task = deepcopy(env.tasks[0])
+        """Task of the first episode. The judge reads its bounds, length and robot."""
         self.task.check_motion()
-        self.policy = load_policy(policy, self.task.robot) if isinstance(policy, str) else as_policy(policy)
-        self.name = name or name_of(policy)
+        self.name, robot = name or name_of(policy), deepcopy(self._robot)
+        loaded = load_policy(policy, robot) if isinstance(policy, str) else as_policy(policy)
+        self.policy = fitted(loaded, robot, f"policy {self.name!r}")
+        self.stochastic = bool(getattr(self.policy, "stochastic", False))
+        """Whether the policy declares that its actions are random."""
+        random = self._uncertainty.random or self.stochastic
+        self.draws = (DEFAULT_DRAWS if random else 1) if draws is None else whole("draws", draws, least=1)
+        """Number of episodes at each payload."""
+        self.random = random or keywords.get("initial_error_range") is not None
+        """Whether two episodes with the same payload can differ."""
+        if self.draws > 1 and not self.random:
+            raise ValueError(f"all {draws} draws would be equal: choose a random uncertainty or draws=1")
+        self.seeds = draw_seeds(self.seed, self.draws)
+        """Seed of each draw. An environment that is reset with this seed has the parameters of the draw."""
         if self.criterion == "paper" and not getattr(self.policy, "unsaturated_actions", False):
             raise ValueError(
                 f"the paper criterion does not apply to policy {self.name!r}, because it does not declare "
                 "unsaturated_actions = True; use criterion='task'"
             )
+        self._last_rows = 1
+
+    def _make(self, rows: int, **changes: Any) -> CableBotVectorEnv:
+        """A vector environment of ``rows`` episodes with changed keywords."""
+        env = gym.make_vec(
+            self._env_id,
+            num_envs=rows,
+            error_bounds=self.error_bounds,
+            max_episode_steps=None,
+            uncertainty=self._uncertainty,
+            **self.keywords | {"robot": self._robot} | changes,
+        ).unwrapped
+        assert isinstance(env, CableBotVectorEnv)
+        return env
 
     @property
     def fallbacks(self) -> float | None:
         """Mean number of the policy's fallbacks per episode of the last batch; None if it does not count them."""
         count = getattr(self.policy, "fallbacks", None)
-        return None if count is None else float(count) / self.env.num_envs
+        return None if count is None else float(count) / self._last_rows
 
     def description(self) -> dict[str, Any]:
-        """Settings of the episodes without the seeds, as JSON-able data."""
+        """Fields that results of evaluations and comparisons share. ``environment`` is JSON-able data."""
         separate = ("robot", "trajectory", "payload_known", "model_payload_factor")
-        settings = self.env.settings
-        return {
+        environment = {
             "robot": self.task.robot.to_dict(),
             "trajectory": to_jsonable(self.task.trajectory),
             "control_frequency": self.task.control_frequency,
-            "substeps": settings.substeps,
+            "substeps": self.settings.substeps,
             "cable": self.task.cable,
             **{name: to_jsonable(value) for name, value in self.keywords.items() if name not in separate},
-            "uncertainty": to_jsonable(settings.uncertainty[0]),
+            "uncertainty": to_jsonable(self._uncertainty),
         }
-
-    def steps(self, payloads: int) -> int:
-        """Number of control steps of :meth:`run` for a number of payloads, for a progress bar."""
-        return -(-payloads // self._batch_payloads) * self.task.steps
+        return {
+            "env_id": self._env_id,
+            "payload_known": bool(self.task.payload_known),
+            "model_payload_factor": float(self.keywords.get("model_payload_factor", 1.0)),
+            "uncertainty": self._uncertainty_name,
+            "draws": self.draws,
+            "seed": self.seed,
+            "draw_seeds": tuple(self.seeds),
+            "environment": environment,
+            "versions": versions(),
+            "task": self.task,
+        }
 
     def run(
         self,
-        payloads: Sequence[float] | Array,
+        rows: Sequence[Row],
         *,
         observer: Observer | None = None,
         count: StepCount | None = None,
         full_motion: bool = False,
-    ) -> list[Trial]:
-        """Rolls out payloads in all draws.
+        order: NDArray[np.int64] | None = None,
+        refinement: int = 1,
+    ) -> list[Verdict]:
+        """Rolls out episodes, in a secret random order unless somebody observes them.
 
         Args:
-            payloads: nominal payloads [kg]; exactly one with an observer.
-            observer: receives the steps; the first ``draws`` environments are the draws.
+            rows: payload and seed of each episode.
+            observer: receives the steps of the rows in their order.
             count: counts the finished or skipped control steps.
             full_motion: whether to simulate an episode to the end of the motion after a violation.
+            order: permutation of the rows; None for a secret one.
+            refinement: factor of the number of physics steps in a control period.
 
         Returns:
-            One trial for each payload.
+            One verdict for each row.
         """
-        trials: list[Trial] = []
-        for first in range(0, len(payloads), self._batch_payloads):
-            chunk = np.asarray(payloads[first : first + self._batch_payloads], float)
-            filled = np.append(chunk, np.full(self._batch_payloads - len(chunk), chunk[-1]))
-            batch = np.repeat(filled, self.draws)
-            observation, info = self.env.reset(seed=self.seeds * self._batch_payloads, options={"payload": batch})
-            judge = Judge(self.criterion, self.task.robot.cables, len(batch))
-            judge.reset(info, self.error_bounds, self.task.steps)
+        verdicts: dict[int, Verdict] = {}
+        if order is None:
+            order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
+        for indices in [order] if observer is not None else np.array_split(order, -(-len(rows) // (2 * BATCH))):
+            chosen = [rows[index] for index in indices.tolist()]
+            payloads, seeds = np.array([payload for payload, _ in chosen]), [seed for _, seed in chosen]
+            changes = {} if refinement == 1 else {"substeps": refinement * self.settings.substeps}
+            env, self._last_rows = self._make(len(chosen), **changes), len(chosen)
+            noise = [noise_seed(seed, payload) for payload, seed in chosen]
+            observation, info = env.reset(seed=seeds, options={"payload": payloads, "noise_seed": noise})
+            judge = Judge(self.criterion, self.task.robot.cables, len(chosen))
+            judge.reset(info, self.task)
             if observer is not None:
-                observer.start(observation, info)
-            run_episodes(
-                self.env,
-                self.policy,
-                self.name,
-                observation,
-                judge,
-                payloads=batch,
-                observer=observer,
-                count=count,
-                full_motion=full_motion,
-            )
-            for index, payload in enumerate(chunk):
-                draws = range(index * self.draws, (index + 1) * self.draws)
-                trials.append(Trial(payload=float(payload), verdicts=tuple(judge.verdict(draw) for draw in draws)))
-        return trials
+                observer.start(env, observation, info)
+            others: dict[str, Any] = {"observer": observer, "count": count, "full_motion": full_motion}
+            run_episodes(env, self.policy, self.name, observation, judge, **others)
+            verdicts |= {index: judge.verdict(place) for place, index in enumerate(indices.tolist())}
+        return [verdicts[index] for index in range(len(rows))]
+
+
+def secret_order(count: int) -> NDArray[np.int64]:
+    """A random permutation from the entropy of the operating system, so that a row does not tell its payload."""
+    return np.random.default_rng().permutation(count)
 
 
 def run_episodes(
@@ -273,7 +321,6 @@ def run_episodes(
     observation: Array,
     judge: Judge,
     *,
-    payloads: Array,
     observer: Observer | None = None,
     count: StepCount | None = None,
     full_motion: bool = False,
@@ -286,7 +333,6 @@ def run_episodes(
         name: name of the policy in messages.
         observation: observations of the reset, (N, size).
         judge: checks the steps; it has been reset and has the number of control steps of each motion.
-        payloads: nominal payloads in messages, (N,) [kg].
         observer: receives the steps.
         count: counts the finished or skipped control steps.
         full_motion: whether to simulate an episode to the end of the motion after a violation.
@@ -294,7 +340,7 @@ def run_episodes(
     Raises:
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
     """
-    reset_policy(policy, name, lambda: env.tasks)
+    reset_policy(policy, name, lambda: deepcopy(env.tasks))
     state, start = None, np.ones(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
     count, longest = count or StepCount(None, 0), int(judge.steps.max())
@@ -310,7 +356,7 @@ def run_episodes(
             state,
             start,
             cables=env.settings.robot.cables,
-            payloads=payloads,
+            payloads=judge.payload,
             time=step / env.settings.control_frequency,
             ignored=over,
         )

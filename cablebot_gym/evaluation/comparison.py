@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.batch import Batch, Progress, StepCount, uncertainty_name, versions
+from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
@@ -27,7 +27,7 @@ RESAMPLES = 2000
 
 _RECORDED = (
     *("tracking_error", "rotation_error", "tracking_error_peak", "rotation_error_peak"),
-    *("torques", "commanded_action", "tensions", "time"),
+    *("torques", "commanded_action", "least_tensions", "time"),
 )
 """Recorded arrays of every draw."""
 
@@ -72,7 +72,7 @@ class PolicyMetrics:
     torque_margin: Array
     """1 − max |a|: least remaining fraction of the torque-speed line; negative if a policy requests more torque."""
     least_tension: Array
-    """Least tension of any cable at a control instant [N]."""
+    """Least tension of any cable at a physics step [N]."""
     carried: NDArray[np.bool_]
     """Whether the payload was carried under the task criterion."""
     ended: NDArray[np.bool_]
@@ -222,24 +222,10 @@ def compare_policies(
     for policy, label in zip(policies, labels, strict=True):
         batch = Batch(policy, env_id, name=label, **shared)
         count.expected = len(labels) * batch.task.steps
-        recorder = Recorder(batch.env, range(batch.draws), _RECORDED)
-        trial = batch.run([payload], observer=recorder, count=count, full_motion=True)[0]
-        metrics.append(_metrics(label, recorder.rollouts(trial.verdicts), batch.keywords["termination_radius"]))
-    return Comparison(
-        env_id=env_id,
-        payload=payload,
-        payload_known=batch.task.payload_known,
-        model_payload_factor=float(keywords.get("model_payload_factor", 1.0)),
-        uncertainty=uncertainty_name(uncertainty),
-        draws=len(metrics[0].carried),
-        seed=int(seed),
-        draw_seeds=tuple(batch.seeds),
-        error_bounds=bounds,
-        metrics=tuple(metrics),
-        environment=batch.description(),
-        versions=versions(),
-        task=batch.task,
-    )
+        recorder, rows = Recorder(range(batch.draws), _RECORDED), [(payload, one) for one in batch.seeds]
+        verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
+        metrics.append(_metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"]))
+    return Comparison(payload=payload, error_bounds=bounds, metrics=tuple(metrics), **batch.description())
 
 
 def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:
@@ -272,7 +258,7 @@ def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float
         rms_torque=np.array([math.sqrt(np.mean(rollout.arrays["torques"] ** 2)) for rollout in rollouts]),
         peak_torque=largest("torques"),
         torque_margin=1 - largest("commanded_action"),
-        least_tension=np.array([rollout.arrays["tensions"].min() for rollout in rollouts]),
+        least_tension=np.array([rollout.arrays["least_tensions"].min() for rollout in rollouts]),
         carried=np.array([rollout.verdict.carried for rollout in rollouts]),
         ended=ended,
         error=error,

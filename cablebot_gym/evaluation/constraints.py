@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.task import ErrorBounds, find_error_bounds
+from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
 from cablebot_gym.utils.checks import choice
 
 Criterion = Literal["task", "paper"]
@@ -19,7 +19,7 @@ CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 
 ViolationKind = Literal["torque", "slack", "position", "rotation", "terminated"]
 KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
-"""Kinds of violations by code, in the order in which the judge checks them."""
+"""Kinds of violations in the order in which the judge checks them."""
 
 _ROUNDING = 1e-12
 """Tolerance of |a| ≤ 1 for rounding errors."""
@@ -39,25 +39,30 @@ class Violation:
     """The first violated limit of an episode. ``str(violation)`` is a sentence."""
 
     kind: ViolationKind
-    """Kind of limit. ``torque``: |a| > 1. ``position``, ``rotation``: a tracking error exceeds its bound. ``slack``: a
-    cable is slack. ``terminated``: the environment terminated the episode."""
+    """Kind of limit. ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start. ``position``,
+    ``rotation``: a tracking error exceeds its bound. ``slack``: a tension falls below its bound, or a cable is slack
+    (paper criterion). ``terminated``: the environment terminated the episode."""
     index: int | None
     """Number of the motor or cable from 1, as in the paper; None for the other kinds."""
     time: float | None
     """Time of the violation [s]: the control instant for torque, else the end of the control period."""
     excess: float | None
-    """Excess: torque beyond U± [N·m], or error beyond its bound [m or rad]; None for the other kinds."""
+    """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing tension [N]; None for the other
+    kinds."""
     reason: str = ""
-    """``termination_reason`` of the environment if ``kind`` is ``terminated``, else empty."""
+    """``termination_reason`` of the environment if ``kind`` is ``terminated``; ``start`` if a motor cannot hold the
+    robot at the start; else empty."""
     bound: float | None = None
-    """Exceeded error bound [m or rad]; None for the other kinds."""
+    """Bound of the error [m or rad] or of the tension [N]; None for the other kinds."""
 
     def __str__(self) -> str:
-        unit = {"position": "mm", "rotation": "mrad"}
-        bound = "" if self.bound is None else f" of {1e3 * self.bound:g} {unit[self.kind]}"
+        unit = {"position": "mm", "rotation": "mrad"}.get(self.kind)
+        bound = "" if self.bound is None else f" of {1e3 * self.bound:g} {unit}"
+        slack = "is slack" if self.bound is None else f"falls below its tension bound of {self.bound:g} N"
+        torque = "cannot hold the robot at rest" if self.reason else "reaches its torque limit"
         texts = {
-            "torque": f"motor {self.index} reaches its torque limit",
-            "slack": f"cable {self.index} is slack",
+            "torque": f"motor {self.index} {torque}",
+            "slack": f"cable {self.index} {slack}",
             "terminated": f"terminated ({self.reason.replace('_', ' ')})",
         }
         text = texts.get(self.kind, f"{self.kind} error reaches its bound{bound}")
@@ -84,21 +89,18 @@ class Verdict:
     rotation_peak: float
     """Largest rotation error at any physics step [rad]."""
     least_tension: float
-    """Least tension of any cable at a control instant [N]; 0 before the first step."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data."""
-        return asdict(self)
+    """Least tension of any cable at a physics step [N]; 0 before the first step."""
 
 
 class Judge:
     """Checks N episodes step by step. Keeps the first violations and the extremes, no time series.
 
-    The checks of a step are, in this order: torque (paper criterion), slack, position error, rotation error (task
+    The checks of a step are, in this order: torque (paper criterion), tension, position error, rotation error (task
     criterion), termination. They stop at the first violation and at the end of the motion.
 
     Args:
-        criterion: ``task``: position, rotation, slack and termination; ``paper``: |a| ≤ 1, position, slack and
+        criterion: ``task``: position, rotation, tension ≥ T_min of unilateral cables, termination, and motors that can
+            hold the robot at the start of a motion that starts at rest; ``paper``: |a| ≤ 1, position, slack and
             termination.
         cables: number of cables m.
         count: number of episodes N.
@@ -108,16 +110,13 @@ class Judge:
         self.criterion = criterion
         self.failed = np.zeros(count, np.bool_)
         """Mask of the episodes with a violation, (N,)."""
-        self.kind = np.zeros(count, np.int64)
-        """Code of the violation, an index of :data:`KINDS`, (N,); valid if the episode has failed, as all below."""
-        self.time, self.excess = np.zeros(count), np.zeros(count)
-        """Time [s] and excess [N·m, m or rad] of the violation, (N,); the excess is NaN for other kinds."""
-        self._index, self._reason = np.zeros(count, np.int64), np.full(count, "", "<U16")
-        self._position_bound, self._rotation_bound = np.zeros(count), np.zeros(count)
+        self._violations: list[Violation | None] = [None] * count
+        self._position_bound, self._rotation_bound, self._tension_bound = np.zeros((3, count))
         self._step = np.zeros(count, np.int64)
         self.steps = np.zeros(count, np.int64)
         """Number of control steps of the motion, (N,)."""
-        self._payload, self._position_peak, self._rotation_peak = np.zeros((3, count))
+        self.payload, self._position_peak, self._rotation_peak = np.zeros((3, count))
+        """True payloads, (N,) [kg]."""
         self._peak_action, self._least_tension = np.zeros((count, cables)), np.zeros(count)
 
     @property
@@ -130,34 +129,29 @@ class Judge:
         """Mask of the episodes whose full motion was observed, (N,)."""
         return self._step >= self.steps
 
-    def reset(
-        self,
-        info: Mapping[str, Array],
-        error_bounds: ErrorBounds,
-        steps: int,
-        mask: NDArray[np.bool_] | None = None,
-        *,
-        check_start: bool = True,
-    ) -> None:
-        """Starts episodes.
+    def reset(self, info: Mapping[str, Array], task: Task, mask: NDArray[np.bool_] | None = None) -> None:
+        """Starts episodes. Bounds, length and robot of the task are read here only.
 
         Args:
             info: info of the environment's reset, arrays (N, …).
-            error_bounds: bounds of the tracking errors in these episodes.
-            steps: number of control steps of their motion.
+            task: task of these episodes.
             mask: mask of the episodes to start, (N,); None for all.
-            check_start: whether the errors at t = 0 count.
         """
         mask = np.ones(len(self.failed), np.bool_) if mask is None else mask
-        self._position_bound[mask] = error_bounds.position
-        self._rotation_bound[mask] = error_bounds.rotation if self.criterion == "task" else np.inf
-        self._step[mask], self.steps[mask] = 0, steps
-        self._payload[mask] = info["payload"][mask]
+        by_task = self.criterion == "task"
+        self._position_bound[mask] = task.error_bounds.position
+        self._rotation_bound[mask] = task.error_bounds.rotation if by_task else np.inf
+        self._tension_bound[mask] = task.robot.minimum_tension if by_task and task.cable == "unilateral" else -np.inf
+        self._step[mask], self.steps[mask] = 0, task.steps
+        self.payload[mask] = info["payload"][mask]
         self._position_peak[mask], self._rotation_peak[mask] = 0.0, 0.0
         self._peak_action[mask], self._least_tension[mask] = 0.0, np.inf
         self.failed[mask] = False
-        if check_start:
-            self._check_errors(info, mask)
+        if by_task and task.starts_at_rest:
+            margin = info["torque_margin"]
+            motor, least = margin.argmin(axis=1), margin.min(axis=1)
+            self._fail("torque", mask & (least < 0), info["time"], index=motor + 1, excess=-least, reason="start")
+        self._check_errors(info, mask)
 
     def observe(self, info: Mapping[str, Array], terminated: NDArray[np.bool_]) -> None:
         """Checks one step of all episodes.
@@ -170,59 +164,47 @@ class Judge:
         self._step += 1
         action, time = np.abs(info["commanded_action"]), info["time"]
         np.maximum(self._peak_action, action, out=self._peak_action, where=running[:, None])
-        np.minimum(self._least_tension, info["tensions"].min(axis=1), out=self._least_tension, where=running)
+        tension = info["least_tensions"].min(axis=1)
+        np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
         if self.criterion == "paper" and (saturated := running & (action.max(axis=1) > 1 + _ROUNDING)).any():
             motor = action.argmax(axis=1)
             excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
             self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
+        if (low := running & (tension < self._tension_bound)).any():
+            cable = info["least_tensions"].argmin(axis=1)
+            missing = self._tension_bound - tension
+            self._fail("slack", low, time, index=cable + 1, excess=missing, bound=self._tension_bound)
         if (slack := running & info["slack"].any(axis=1)).any():
-            self._fail("slack", slack, time, index=info["slack"].argmax(axis=1) + 1)
+            self._fail("slack", slack, time, index=info["slack"].argmax(axis=1) + 1, bound=self._tension_bound)
         self._check_errors(info, running)
         if (ended := running & terminated).any():
             self._fail("terminated", ended, time, reason=info["termination_reason"])
 
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
-        position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
-        np.maximum(self._position_peak, position, out=self._position_peak, where=running)
-        np.maximum(self._rotation_peak, rotation, out=self._rotation_peak, where=running)
-        if (beyond := running & (position > self._position_bound)).any():
-            self._fail("position", beyond, info["time"], excess=position - self._position_bound)
-        if (beyond := running & (rotation > self._rotation_bound)).any():
-            self._fail("rotation", beyond, info["time"], excess=rotation - self._rotation_bound)
+        errors: tuple[tuple[ViolationKind, Array, Array, Array], ...] = (
+            ("position", info["tracking_error_peak"], self._position_peak, self._position_bound),
+            ("rotation", info["rotation_error_peak"], self._rotation_peak, self._rotation_bound),
+        )
+        for kind, error, peak, bound in errors:
+            np.maximum(peak, error, out=peak, where=running)
+            if (beyond := running & (error > bound)).any():
+                self._fail(kind, beyond, info["time"], excess=error - bound, bound=bound)
 
-    def _fail(
-        self,
-        kind: ViolationKind,
-        mask: NDArray[np.bool_],
-        time: Array,
-        *,
-        index: ArrayLike = 0,
-        excess: ArrayLike = np.nan,
-        reason: ArrayLike = "",
-    ) -> None:
-        """Records a violation of the episodes in ``mask`` that have none."""
+    def _fail(self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike) -> None:
+        """Records a violation with further values, (N,) or scalar, of the episodes in ``mask`` that have none."""
         fresh = mask & ~self.failed
         self.failed |= fresh
-        self.kind[fresh] = KINDS.index(kind)
-        np.copyto(self.time, time, where=fresh)
-        np.copyto(self.excess, excess, where=fresh)
-        np.copyto(self._index, index, where=fresh)
-        np.copyto(self._reason, np.asarray(reason), where=fresh)
+        columns = {name: np.broadcast_to(column, fresh.shape) for name, column in values.items()}
+        for place in np.flatnonzero(fresh).tolist():
+            own: dict[str, Any] = {name: column[place].item() for name, column in columns.items()}
+            if not np.isfinite(own.get("bound", 0.0)):
+                own["bound"] = None
+            found = {"index": None, "excess": None, "time": time[place].item()} | own
+            self._violations[place] = Violation(kind=kind, **found)
 
     def violation(self, env_index: int) -> Violation | None:
         """The first violation of one episode; None without a violation."""
-        if not self.failed[env_index]:
-            return None
-        kind, index, excess = KINDS[self.kind[env_index]], int(self._index[env_index]), float(self.excess[env_index])
-        bounds = {"position": self._position_bound, "rotation": self._rotation_bound}
-        return Violation(
-            kind=kind,
-            index=index or None,
-            time=float(self.time[env_index]),
-            excess=None if np.isnan(excess) else excess,
-            reason=str(self._reason[env_index]),
-            bound=float(bounds[kind][env_index]) if kind in bounds else None,
-        )
+        return self._violations[env_index] if self.failed[env_index] else None
 
     def verdict(self, env_index: int) -> Verdict:
         """Outcome of one episode up to the present step."""
@@ -230,7 +212,7 @@ class Judge:
         return Verdict(
             carried=bool(self.carried[env_index]),
             violation=self.violation(env_index),
-            payload=float(self._payload[env_index]),
+            payload=float(self.payload[env_index]),
             peak_action=tuple(self._peak_action[env_index].tolist()),
             position_peak=float(self._position_peak[env_index]),
             rotation_peak=float(self._rotation_peak[env_index]),
@@ -281,7 +263,7 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         """Starts an episode and checks its initial state."""
         observation, info = self.env.reset(seed=seed, options=options)
         task = self.env.get_wrapper_attr("task")
-        self._judge.reset(_batched(info), self._error_bounds or task.error_bounds, task.steps)
+        self._judge.reset(_batched(info), replace(task, error_bounds=self._error_bounds or task.error_bounds))
         self._started = True
         return observation, info | {"dlcc_carried": False}
 

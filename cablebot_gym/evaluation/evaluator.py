@@ -1,23 +1,31 @@
-"""Search for the largest payload that a policy carries: a scan, then refinements below the first failure."""
+"""Search for the largest payload that a policy carries: scan, refinement, repetition, dense check, discretisation."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from cablebot_gym.evaluation.batch import Batch, Progress, StepCount, Trial, uncertainty_name, versions
+from cablebot_gym.evaluation.batch import BATCH, Batch, Progress, Row, StepCount, Trial, derived_seeds, secret_order
+from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
-from cablebot_gym.evaluation.statistics import RequiredDraws
-from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import PolicyError
-from cablebot_gym.task import ErrorBounds, find_error_bounds
+from cablebot_gym.evaluation.statistics import required_successes
+from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.checks import number
 
 SCAN_POINTS = 64
-"""Number of payloads in the first scan, including both ends, and in every refinement."""
+"""Number of payloads in the scan, including both ends, and in the dense check below the payload."""
+
+REFINED_POINTS = 32
+"""Largest number of payloads in a refinement."""
+
+SEARCH_DRAWS = 16
+"""Number of draws of each payload of the scan, if there are several. The confirmation has other draws."""
 
 PAYLOAD_MAX = {"planar": 10.0, "spatial": 20.0}
 """Default end of the scan [kg]."""
@@ -27,6 +35,13 @@ DEFAULT_RESOLUTION = 1e-3
 
 DRAWN_RESOLUTION = 1e-2
 """Default resolution for several draws, whose number limits the accuracy [kg]."""
+
+REPEAT_TOLERANCE = 1e-6
+"""Largest difference of the peaks of an episode and of its repetition, as a fraction of the bound. Products of matrices
+round differently in batches of another order."""
+
+FINER = 10
+"""Factor of the number of physics steps in the episodes that measure the discretisation error."""
 
 
 def evaluate_dlcc(
@@ -49,42 +64,43 @@ def evaluate_dlcc(
     """Evaluates the DLCC of a policy: the largest payload in the feasible interval that contains zero.
 
     The scan tries :data:`SCAN_POINTS` payloads from 0 to ``payload_max`` in one batch. The gap below the first failed
-    payload is then subdivided until it is at most ``resolution`` wide. Under a random ``uncertainty`` every payload is
-    tried in the same ``draws``. A payload is carried if at least the fraction ``probability`` of the draws carries it.
+    payload is then subdivided until it is at most ``resolution`` wide. The episodes of the scan are repeated in another
+    order, random payloads below the result are tried, and payloads around the result are tried with finer physics
+    steps. Under a random ``uncertainty`` the scan has :data:`SEARCH_DRAWS` draws; the payload is then confirmed with
+    ``draws`` other ones, which all payloads share.
 
     Args:
         policy: an object with ``predict``, a callable ``observation -> action``, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        criterion: ``task`` (saturated motors; position, rotation, slack) or ``paper`` (|a| ≤ 1, position, slack).
+        criterion: ``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position, slack).
         error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad.
         payload_max: end of the scan [kg]; None for 20 kg (spatial) or 10 kg (planar).
         resolution: largest gap to the least failed payload [kg]; None for :data:`DEFAULT_RESOLUTION`, or
             :data:`DRAWN_RESOLUTION` with several draws.
         uncertainty: model errors and disturbances that the policy does not know, see
             :func:`cablebot_gym.uncertainty.find_uncertainty`.
-        draws: number of episodes at each payload; None for :data:`~cablebot_gym.evaluation.batch.DEFAULT_DRAWS` under
-            a random uncertainty, else 1. ``seed`` alone determines the draws, so all policies and payloads share them.
-        probability: required fraction of the draws that carry a payload; no effect with one draw.
-        confidence: confidence of ``result.assured_payload``, a one-sided lower tolerance bound.
-        seed: seed of the environments.
+        draws: number of draws that confirm the payload; None for
+            :data:`~cablebot_gym.evaluation.batch.DEFAULT_DRAWS` under a random uncertainty or with a policy that
+            declares ``stochastic = True``, else 1.
+        probability: required success probability; no effect with one draw.
+        confidence: confidence of the payload as a one-sided lower tolerance bound; no effect with one draw.
+        seed: seed that determines payloads and draws, so all policies share them.
         name: name of the policy in the result; None for its own name.
         progress: callback after every control step.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
 
     Returns:
-        The result. With the default ``probability`` and ``confidence``, ``assured_payload`` is a 95/95 lower tolerance
-        bound: with 95 % confidence, at least 95 % of all draws carry it.
+        The result. With several draws and the default ``probability`` and ``confidence``, the payload is a 95/95 lower
+        tolerance bound: with 95 % confidence, at least 95 % of all draws carry it.
 
     Raises:
         ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy that does not declare
             ``unsaturated_actions``.
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises, returns anything but finite actions, or does
+            not act the same when its episodes are repeated.
     """
     number("probability", probability, above=0, below=1)
     number("confidence", confidence, above=0.5, below=1)
-    if resolution is not None:
-        number("resolution", resolution, above=0, unit="kg")
-    error_bounds = find_error_bounds(error_bounds)
     batch = Batch(
         policy,
         env_id,
@@ -94,132 +110,288 @@ def evaluate_dlcc(
         uncertainty=uncertainty,
         draws=draws,
         seed=seed,
-        max_payloads=SCAN_POINTS,
         keywords=keywords,
     )
     robot = batch.task.robot
     top = PAYLOAD_MAX["planar" if robot.planar else "spatial"] if payload_max is None else payload_max
     top = number("payload_max", top, above=0, unit="kg")
-    if resolution is None:
-        resolution = DEFAULT_RESOLUTION if batch.draws == 1 else DRAWN_RESOLUTION
-    required = RequiredDraws.of(batch.draws, probability, confidence)
-    search = _Search(batch, top, resolution, required, progress)
-    search.run()
-    below, above = search.gap(required.fraction)
-    feasible = search.feasible()
-    if below is not None:
-        feasible[0] = (0.0, below.payload)
-    assured = None if required.assured is None else search.gap(required.assured)[0]
-    rollout = search.record(below)
     several = batch.draws > 1
+    default = DRAWN_RESOLUTION if several else DEFAULT_RESOLUTION
+    resolution = number("resolution", default if resolution is None else resolution, above=0, unit="kg")
+    search = _Search(batch, top, resolution, probability, confidence, progress)
+    search.run()
+    below, above = search.gap()
+    discretisation = search.discretisation(below, above)
+    rollout, below, above = search.record(below, above)
     has_rotation = batch.criterion == "task" and not robot.planar
-    bounds = {"position": error_bounds.position, "rotation": error_bounds.rotation if has_rotation else None}
-    draw = None if above is None else above.violation_draw
+    position, rotation = batch.error_bounds.position, batch.error_bounds.rotation if has_rotation else None
+    bounds = {"position": position, "rotation": rotation}
+    installed = policy.spec if isinstance(policy, IsolatedPolicy) else policy
+    held = isinstance(installed, str) and holds_unsaturated_actions(installed)
     return DLCCResult(
-        env_id=env_id,
         policy=batch.name,
         criterion=batch.criterion,
         payload=None if below is None else below.payload,
         total_mass=None if below is None else below.payload + robot.mass,
-        resolution=0.0 if below is None or above is None else above.payload - below.payload,
+        resolution=max(above.payload - below.payload if below and above else 0.0, discretisation or 0.0),
+        discretisation=discretisation,
+        failed_payload=None if above is None else above.payload,
         violation=None if above is None else above.violation,
         scan_ended=above is None,
         margins=_margins(below, bounds) if below else {},
-        feasible=tuple(feasible),
+        feasible=search.feasible(below),
         payload_max=top,
         error_bounds=bounds,
-        payload_known=bool(batch.task.payload_known),
-        model_payload_factor=float(batch.keywords.get("model_payload_factor", 1.0)),
-        uncertainty=uncertainty_name(uncertainty),
-        draws=batch.draws,
+        stochastic=batch.stochastic,
+        declared=batch.criterion == "paper" and not held,
+        assured=search.assured if batch.random else None,
         probability=probability if several else None,
         confidence=confidence if several else None,
-        assured_payload=None if assured is None else assured.payload,
-        failures=above.failures if several and above else {},
-        draw_seeds=tuple(batch.seeds),
-        violation_seed=None if draw is None else batch.seeds[draw],
-        success=search.success() if several else (),
-        seed=int(seed),
-        environment=batch.description(),
-        versions=versions(),
-        task=batch.task,
+        failures=above.failures if above and len(above.verdicts) > 1 else {},
+        violation_seed=None if above is None else above.seeds[above.violation_draw or 0],
+        success=search.success(),
         rollout=rollout,
         fallbacks=batch.fallbacks,
+        **batch.description(),
     )
 
 
+_Verdicts = Sequence[Verdict]
+
+
 class _Search:
-    """Search for the largest carried payload and for the assured payload."""
+    """Search for the largest carried payload.
+
+    Attributes:
+        assured: whether the required number of successes gives the lower tolerance bound.
+    """
 
     def __init__(
-        self, batch: Batch, top: float, resolution: float, required: RequiredDraws, progress: Progress | None
+        self,
+        batch: Batch,
+        top: float,
+        resolution: float,
+        probability: float,
+        confidence: float,
+        progress: Progress | None,
     ) -> None:
-        self._batch, self._resolution, self._required = batch, resolution, required
-        self._grid = np.linspace(0.0, top, SCAN_POINTS)
-        refinements = math.ceil(
-            math.log(max(1.0, top / (SCAN_POINTS - 1) / resolution)) / math.log(SCAN_POINTS + 1) - 1e-9
-        )
-        self._count = StepCount(progress, (1 + refinements) * batch.steps(SCAN_POINTS) + batch.steps(1))
+        self._batch, self._resolution, self._probability = batch, resolution, probability
+        self._required, self.assured = required_successes(batch.draws, probability, confidence)
+        jitter, draws = (np.random.SeedSequence(batch.seed, spawn_key=(key,)) for key in (1, 2))
+        self._random = np.random.default_rng(jitter)
+        several = batch.draws > 1
+        self._scan_seeds = derived_seeds(draws, SEARCH_DRAWS) if several else batch.seeds
+        self._points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
+        self._grid = [0.0, *self._between(0.0, top, SCAN_POINTS - 2, 0.25), top]
+        narrowing = math.log(max(1.0, 1.5 * top / SCAN_POINTS / resolution)) / math.log((self._points + 1) / 1.2)
+        self._count = StepCount(progress, (3 + several + max(1, math.ceil(narrowing))) * batch.task.steps)
+        self._scan: list[Trial] = []
         self._trials: dict[float, Trial] = {}
 
     def run(self) -> None:
-        """Scans, then subdivides the gaps above the payload and above the assured payload down to the resolution."""
-        self._try(self._grid)
-        required = {count for count in (self._required.fraction, self._required.assured) if count is not None}
+        """Scans, and subdivides the gap above the payload down to the resolution, with all checks on the way."""
+        batch = self._batch
+        rows = [(payload, seed) for payload in self._grid for seed in self._scan_seeds]
+        order = secret_order(len(rows))
+        verdicts = batch.run(rows, count=self._count, order=order)
+        self._scan = self._trials_of(self._grid, self._scan_seeds, verdicts)
+        if batch.draws == 1:
+            self._trials = {trial.payload: trial for trial in self._scan}
+        chosen = self._random.permutation(len(rows))[: 0 if batch.stochastic else SCAN_POINTS].tolist()
+        dense_rows: list[Row] = []
         while True:
-            gaps = {(below.payload, above.payload) for below, above in map(self.gap, required) if below and above}
-            wide = [gap for gap in sorted(gaps) if gap[1] - gap[0] > self._resolution]
-            inner = [np.linspace(*gap, SCAN_POINTS // len(wide) + 2)[1:-1] for gap in wide]
-            fresh = [payload for payload in np.concatenate([[], *inner]).tolist() if payload not in self._trials]
-            if not fresh:
+            payloads = [payload for payload in self._next() if payload not in self._trials]
+            below, _ = self.gap()
+            check = not dense_rows and below is not None and below.payload > 0
+            if check and below is not None:
+                seeds = batch.seeds if batch.draws > 1 else batch.seeds * SCAN_POINTS
+                drawn = self._random.uniform(0.0, below.payload, len(seeds)).tolist()
+                dense_rows = list(zip(drawn, seeds, strict=True))
+            groups = [
+                [(payload, seed) for payload in payloads for seed in batch.seeds],
+                dense_rows if check else [],
+                [rows[index] for index in chosen],
+            ]
+            if not any(groups):
                 return
-            self._try(np.array(fresh))
+            found = iter(batch.run([row for group in groups for row in group], count=self._count))
+            tried, dense, again = ([next(found) for _ in group] for group in groups)
+            self._trials |= {trial.payload: trial for trial in self._trials_of(payloads, batch.seeds, tried)}
+            self._add_dense(groups[1], dense)
+            self._check_repetition([verdicts[index] for index in chosen], again, rows, verdicts, order)
+            chosen = []
 
-    def gap(self, required: int) -> tuple[Trial | None, Trial | None]:
-        """The trial of the first payload that fewer than ``required`` draws carry, and the trial below it.
+    def gap(self) -> tuple[Trial | None, Trial | None]:
+        """The trial of the first payload that too few draws carry, and the trial below it.
 
         Returns:
             (below, above); None where there is none.
         """
         below = None
         for payload in sorted(self._trials):
-            if self._trials[payload].carried < required:
+            if self._trials[payload].carried < self._required:
                 return below, self._trials[payload]
             below = self._trials[payload]
         return below, None
 
-    def feasible(self) -> list[tuple[float, float]]:
-        """Intervals of carried payloads on the grid of the scan [kg]."""
-        carried = [self._trials[payload].carried >= self._required.fraction for payload in self._grid]
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], carried, [False]]).astype(int)))
-        return [(float(self._grid[low]), float(self._grid[high - 1])) for low, high in edges.reshape(-1, 2)]
+    def feasible(self, below: Trial | None) -> tuple[tuple[float, float], ...]:
+        """Intervals of carried payloads on the grid of the scan [kg]. The first one ends at the payload."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self._scan_carried(), [False]]).astype(int)))
+        found = [(self._grid[low], self._grid[high - 1]) for low, high in edges.reshape(-1, 2)]
+        return (*([] if below is None else [(0.0, below.payload)]), *(pair for pair in found if pair[0] > 0))
 
     def success(self) -> tuple[tuple[float, float], ...]:
-        """Pairs of payload [kg] and fraction of the draws that carry it."""
-        return tuple((payload, self._trials[payload].carried / self._batch.draws) for payload in sorted(self._trials))
+        """Pairs of payload [kg] and fraction of the draws of the scan that carry it; empty with one draw."""
+        several = self._batch.draws > 1
+        return tuple((one.payload, one.carried / len(one.verdicts)) for one in self._scan) if several else ()
 
-    def record(self, carried: Trial | None) -> Rollout:
-        """Repeats an episode at the carried payload, or the unloaded one that fails, and records it.
+    def discretisation(self, below: Trial | None, above: Trial | None) -> float | None:
+        """Largest deviation of the payload with finer physics steps from the payload [kg]; None with several draws."""
+        if self._batch.draws > 1:
+            return None
+        if below is None:
+            return 0.0
+        payload, top = below.payload, self._grid[-1]
+        step = above.payload - payload if above else self._resolution
+        offsets = (step * 4.0 ** np.arange(7)).tolist()
+        around = {payload, *(payload - offset for offset in offsets), *(payload + offset for offset in offsets)}
+        tried = sorted(one for one in around if 0 <= one <= top)
+        rows = [(one, self._batch.seeds[0]) for one in tried]
+        carried = [verdict.carried for verdict in self._batch.run(rows, count=self._count, refinement=FINER)]
+        failed = carried.index(False) if False in carried else len(carried)
+        low, high = tried[failed - 1] if failed else 0.0, tried[failed] if failed < len(tried) else tried[-1]
+        return max(0.0, high - payload if low > payload else payload - low)
+
+    def record(self, below: Trial | None, above: Trial | None) -> tuple[Rollout, Trial | None, Trial | None]:
+        """Repeats episodes of the trials, and records one at the carried payload, or the unloaded one that fails.
+
+        With several draws, some of them are repeated at the carried payload, at most half of them and
+        :data:`SCAN_POINTS`: they differ if the policy averaged over the rows of the confirmation.
+
+        Returns:
+            The recorded episode and the trials. With one draw, they have the verdicts of the repeated episodes, which
+            do not depend on the order of the batches.
 
         Raises:
-            PolicyError: if the repeated episodes have another outcome.
+            PolicyError: if a repeated episode differs.
         """
-        batch, trial = self._batch, carried or self._trials[0.0]
-        draw = trial.violation_draw or 0
-        if carried is not None:
-            draw = [verdict.carried for verdict in carried.verdicts].index(True)
-        self._count.expected = min(self._count.expected, self._count.done + batch.steps(1))
-        recorder = Recorder(batch.env, [draw])
-        repeated = batch.run([trial.payload], observer=recorder, count=self._count)[0]
-        if repeated.carried != trial.carried:
-            raise PolicyError(
-                f"policy {batch.name!r} is not reproducible: it carried {trial.payload:g} kg in {trial.carried} of "
-                f"{batch.draws} episodes, and in {repeated.carried} of the same episodes when they were repeated"
-            )
-        return recorder.rollouts(repeated.verdicts)[0]
+        batch, trials = self._batch, [trial for trial in (below, above) if trial is not None]
+        draws = [(trial, trial.violation_draw or 0) for trial in trials]
+        if below is not None and batch.draws > 1:
+            first = [verdict.carried for verdict in below.verdicts].index(True)
+            others = self._random.permutation(np.delete(np.arange(batch.draws), first)).tolist()
+            draws = [(below, draw) for draw in [first, *others][: min(SCAN_POINTS, batch.draws // 2)]]
+        self._count.expected = min(self._count.expected, self._count.done + batch.task.steps)
+        recorder = Recorder([0])
+        rows = [(trial.payload, trial.seeds[draw]) for trial, draw in draws]
+        verdicts = batch.run(rows, observer=recorder, count=self._count)
+        rollout = recorder.rollouts(verdicts)[0]
+        if batch.stochastic:
+            return rollout, below, above
+        if text := self._difference([trial.verdicts[draw] for trial, draw in draws], verdicts):
+            raise PolicyError(f"policy {batch.name!r} {_DEPENDENT.format(text)}")
+        if batch.draws == 1:
+            again = [replace(trial, verdicts=(verdict,)) for trial, verdict in zip(trials, verdicts, strict=True)]
+            below, above = (None, *again) if below is None else (*again, None)[:2]
+        return rollout, below, above
 
-    def _try(self, payloads: Array) -> None:
-        self._trials |= {trial.payload: trial for trial in self._batch.run(payloads, count=self._count)}
+    def _next(self) -> list[float]:
+        """Payloads to try next; none when the gap is narrow enough."""
+        below, above = self.gap()
+        if below is not None and above is not None:
+            low, high = below.payload, above.payload
+            if high - low <= self._resolution:
+                return []
+            inner = self._between(low, high, math.ceil(min(self._points, 1.2 * (high - low) / self._resolution)), 0.1)
+            fewer = below.carried - above.carried
+            if self._batch.draws > 1 and 0 < fewer < self._batch.draws / 8:  # nearly linear: around the interpolation
+                half = max(0.4 * self._resolution, 0.1 * (high - low))
+                place = low + (high - low) * (below.carried - self._required + 0.5) / fewer
+                place = min(max(place, low + 1.5 * half), high - 1.5 * half)
+                inner = [place - half, place + half]
+            return [payload for payload in inner if low < payload < high]
+        if above is not None:  # no carried payload yet
+            lower = [payload for payload in self._grid if payload < above.payload]
+            return list(dict.fromkeys([*lower[:1], *lower[-1:]]))
+        if below is not None:  # no failed payload yet
+            return [payload for payload in self._grid if payload > below.payload][: self._points]
+        # Several draws: the confirmation starts where the payloads of the scan begin to fail.
+        failed = next((index for index, carried in enumerate(self._scan_carried()) if not carried), len(self._grid) - 1)
+        return [self._grid[max(0, failed - 1)], self._grid[max(1, failed)]]
+
+    def _scan_carried(self) -> list[bool]:
+        needed = max(1, math.ceil(len(self._scan_seeds) * self._probability - 1e-9))
+        return [trial.carried >= needed for trial in self._scan]
+
+    def _between(self, low: float, high: float, count: int, jitter: float) -> list[float]:
+        """Equidistant payloads between two others, each moved by up to the fraction ``jitter`` of the distance."""
+        places = (1 + np.arange(count) + self._random.uniform(-jitter, jitter, count)) / (count + 1)
+        return [float(payload) for payload in low + (high - low) * places]
+
+    def _trials_of(self, payloads: Sequence[float], seeds: Sequence[int], verdicts: _Verdicts) -> list[Trial]:
+        draws = len(seeds)
+        return [
+            Trial(payload=payload, verdicts=tuple(verdicts[i * draws : (i + 1) * draws]), seeds=tuple(seeds))
+            for i, payload in enumerate(payloads)
+        ]
+
+    def _add_dense(self, rows: Sequence[Row], verdicts: _Verdicts) -> None:
+        """Adds the first payload of the dense check up to which too many episodes fail.
+
+        These are more than the required number of draws allows, plus three standard deviations: noise differs between
+        payloads.
+        """
+        failed = sorted((row, index) for index, row in enumerate(rows) if not verdicts[index].carried)
+        allowed = self._batch.draws - self._required
+        allowed += int(3 * math.sqrt(allowed))
+        if len(failed) > allowed:
+            (payload, seed), index = failed[allowed]
+            self._trials[payload] = Trial(payload=payload, verdicts=(verdicts[index],), seeds=(seed,))
+
+    def _check_repetition(
+        self, first: _Verdicts, again: _Verdicts, rows: Sequence[Row], scan: _Verdicts, order: Any
+    ) -> None:
+        """Compares repeated episodes.
+
+        Args:
+            first: verdicts of episodes in the scan.
+            again: verdicts of their repetitions; empty if they are not repeated now.
+            rows: all rows of the scan.
+            scan: all verdicts of the scan.
+            order: order of the rows in the scan.
+
+        Raises:
+            PolicyError: if they differ. A third run in the order of the scan tells the reason.
+        """
+        if text := self._difference(first, again):
+            third = self._batch.run(rows, count=self._count, order=order)
+            reason = _RANDOM if self._difference(scan, third) else _DEPENDENT
+            raise PolicyError(f"policy {self._batch.name!r} {reason.format(text)}")
+
+    def _difference(self, first: _Verdicts, again: _Verdicts) -> str | None:
+        """The first difference between episodes and their repetitions as text; None if there is none."""
+        scale = 1 / np.array([self._batch.error_bounds.position, self._batch.error_bounds.rotation])
+        for pair in zip(first, again, strict=True):
+            ends = [verdict.violation and (verdict.violation.kind, verdict.violation.time) for verdict in pair]
+            peaks = [np.array([*(scale * [v.position_peak, v.rotation_peak]), *v.peak_action]) for v in pair]
+            apart = np.abs(peaks[1] - peaks[0]) > REPEAT_TOLERANCE * np.maximum(1.0, np.abs(peaks[0]))
+            if ends[0] != ends[1] or apart.any():
+                index = int(apart.argmax())
+                name = f"|a| of motor {index - 1}" if index > 1 else f"{('position', 'rotation')[index]} error / bound"
+                values = " and then ".join(f"{peak[index]:.6g}" for peak in peaks)
+                outcome = " and then ".join(dict.fromkeys(str(verdict.violation or "carried") for verdict in pair))
+                return f"at {pair[0].payload:.3f} kg: {outcome}, with a largest {name} of {values}"
+        return None
+
+
+_DEPENDENT = (
+    "depends on the other episodes of its batch, so its rows share a state (pass PolicyFactory(make_policy), which has "
+    "one policy for each row): {}"
+)
+_RANDOM = (
+    "is not reproducible: {}. If its actions are random, declare stochastic = True; otherwise reset() must restore "
+    "everything that it remembers"
+)
 
 
 def _margins(trial: Trial, bounds: dict[str, float | None]) -> dict[str, float]:

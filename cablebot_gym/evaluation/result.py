@@ -24,11 +24,17 @@ class DLCCResult:
     """Criterion, ``task`` or ``paper``."""
     payload: float | None
     """DLCC: largest payload in the feasible interval that contains zero [kg]; None if the policy fails unloaded. With
-    several draws, a payload is carried if at least the fraction ``probability`` of the draws carries it."""
+    several draws: the 95/95 lower tolerance bound for the default ``probability`` and ``confidence`` (Clopper and
+    Pearson), if :attr:`assured`. It is exact if each draw carries every payload below its own largest one."""
     total_mass: float | None
     """Mass of platform and payload [kg]; None if the policy fails unloaded."""
     resolution: float
-    """Gap between ``payload`` and the least failed payload above it [kg]; 0 if there is no such gap."""
+    """Larger one of ``discretisation`` and the gap between ``payload`` and ``failed_payload`` [kg]."""
+    discretisation: float | None
+    """Deviation of the payload with ten times as many physics steps from ``payload`` [kg], 0 if it is in the same gap;
+    None with several draws."""
+    failed_payload: float | None
+    """Least failed payload above ``payload`` [kg]; None if there is none."""
     violation: Violation | None
     """Limiting violation: the first violation beyond the payload, or at zero payload if the policy fails unloaded. With
     several draws, the earliest violation of the most frequent kind. None if the scan ended while feasible."""
@@ -39,7 +45,8 @@ class DLCCResult:
     """Margins at the payload: fractions of the torque, position and rotation limits, and the least tension [N]. With
     several draws, the least margins over the draws that carry it."""
     feasible: tuple[tuple[float, float], ...]
-    """Intervals of carried payloads on the grid of the scan [kg]. Only the end of the first interval is refined."""
+    """Intervals of carried payloads on the grid of the scan [kg]. Only the end of the first interval is refined and
+    checked with random payloads. With several draws, the others are those of the scan's draws."""
     payload_max: float
     """End of the scan [kg]."""
     error_bounds: dict[str, float | None]
@@ -50,26 +57,29 @@ class DLCCResult:
     """Ratio of the payload in the policy's model to the nominal payload."""
     uncertainty: str | None
     """Name of the uncertainty, ``custom`` for data; None without uncertainty."""
+    stochastic: bool
+    """Whether the policy declares that its actions are random. Its draws are repeats then, and its episodes are not
+    compared with repetitions."""
+    declared: bool
+    """Whether only the policy itself says that its actions are not saturated (paper criterion). A test of this project
+    holds its own laws to it, if they are given by their names. Objects always count as declared."""
     draws: int
-    """Number of episodes at each payload."""
+    """Number of draws that confirm the payload."""
+    assured: bool | None
+    """Whether ``draws`` are enough for the lower tolerance bound; None if nothing is random."""
     probability: float | None
-    """Required fraction of the draws that carry a payload; None for one draw."""
+    """Required success probability; None for one draw."""
     confidence: float | None
-    """Confidence of ``assured_payload``; None for one draw."""
-    assured_payload: float | None
-    """Assured payload: 95/95 lower tolerance bound for the default ``probability`` and ``confidence`` [kg]. At every
-    payload tried up to this one, the success probability is at least ``probability`` with this one-sided confidence
-    (Clopper and Pearson). The bound is exact for the whole interval if each draw carries every payload below its own
-    largest one. None if no payload qualifies or if there are too few draws."""
+    """Confidence of the payload; None for one draw."""
     failures: dict[str, int]
-    """Number of draws that fail beyond the payload, or at zero payload if the policy fails unloaded, by kind of
-    violation; empty for one draw."""
+    """Number of draws that fail at ``failed_payload``, by kind of violation; empty for one draw, and for a payload of
+    the dense check, which a single draw has tried."""
     draw_seeds: tuple[int, ...]
     """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
     violation_seed: int | None
-    """Seed of the draw with ``violation``, at ``payload + resolution``; None without a violation."""
+    """Seed of the draw with ``violation``, at ``failed_payload``; None without a violation."""
     success: tuple[tuple[float, float], ...]
-    """Pairs of payload [kg] and fraction of the draws that carry it, for every payload tried; empty for one draw."""
+    """Pairs of payload [kg] and fraction of the draws that carry it, from the draws of the scan; empty for one draw."""
     seed: int
     """Seed of the environments, which determines the draws."""
     environment: dict[str, Any]
@@ -82,13 +92,23 @@ class DLCCResult:
     """Episode at the payload, or at zero payload up to the violation if the policy fails unloaded. With several draws,
     the first draw that carries the payload, or the draw of ``violation`` if the policy fails unloaded."""
     fallbacks: float | None = field(repr=False)
-    """Mean number of the policy's fallbacks per repetition of that episode; None for a policy that does not count
-    ``fallbacks``."""
+    """Mean number of the policy's fallbacks in the episodes that are repeated with that one; None for a policy that
+    does not count ``fallbacks``."""
 
     @property
     def score(self) -> float:
         """Score [kg]: the payload, or 0 if the policy fails unloaded."""
         return self.payload or 0.0
+
+    @property
+    def assurance(self) -> str:
+        """What the draws assure, such as ``95/95 lower tolerance bound, 512 draws``; empty if nothing is random."""
+        counted = f"{self.draws} draw{'' if self.draws == 1 else 's'}"
+        if self.assured is None:
+            return ""
+        if not self.assured or self.probability is None or self.confidence is None:
+            return f"not assured: only {counted}"
+        return f"{100 * self.probability:g}/{100 * self.confidence:g} lower tolerance bound, {counted}"
 
     @property
     def violation_text(self) -> str:
@@ -112,14 +132,11 @@ class DLCCResult:
             others = "; it carries " + ", ".join(f"{low:.3f} to {high:.3f} kg" for low, high in self.feasible)
             text = f"fails unloaded: {self.violation_text}{others if self.feasible else ''}"
         else:
-            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg)"
-            if self.probability is not None and self.confidence is not None:
-                bound = f"{100 * self.probability:g}/{100 * self.confidence:g} lower tolerance bound"
-                assured = "none" if self.assured_payload is None else f"{self.assured_payload:.3f} kg"
-                text += (
-                    f" in at least {self.probability:.0%} of {self.draws} draws, assured payload {assured} ({bound})"
-                )
-            text += f"; limiting violation: {self.violation_text}"
+            text = f"{self.payload:.3f} kg (total {self.total_mass:.3f} kg); limiting violation: {self.violation_text}"
+        if self.assured is not None:
+            text += f" ({self.assurance})"
         model = payload_model_text(self.payload_known, self.model_payload_factor)
         uncertainty = "" if self.uncertainty is None else f", {self.uncertainty}"
-        return f"{head}, {model}{uncertainty}: {text}"
+        kind = ", stochastic policy" if self.stochastic else ""
+        kind += ", unsaturated actions declared by the policy" if self.declared else ""
+        return f"{head}, {model}{uncertainty}{kind}: {text}"

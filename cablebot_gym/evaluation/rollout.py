@@ -79,30 +79,29 @@ class Rollout:
 
 
 class Recorder:
-    """Observer that records some draws of one payload.
+    """Observer that records some episodes of a batch.
 
     Args:
-        env: the environment.
-        draws: indices of the recorded environments, which are the draws in a batch.
+        indices: indices of the recorded environments, which are the rows of the batch.
         names: names of the recorded arrays; None for all.
     """
 
-    def __init__(self, env: CableBotVectorEnv, draws: Sequence[int], names: Collection[str] | None = None) -> None:
-        self._env, self._draws, self._names = env, list(draws), names
+    def __init__(self, indices: Sequence[int], names: Collection[str] | None = None) -> None:
+        self._indices, self._names = list(indices), names
         self._states: list[dict[str, Array]] = []
         self._running: list[NDArray[np.bool_]] = []
-        self._reason = np.full(len(self._draws), "", "<U16")
+        self._reason = np.full(len(self._indices), "", "<U16")
 
-    def start(self, observation: Array, info: dict[str, Any]) -> None:
+    def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Records the state after the reset."""
-        tasks = self._env.tasks
-        self._tasks, self._stall_torque = [tasks[draw] for draw in self._draws], self._env.truth["motor_strength"]
+        self._env, tasks = env, env.tasks
+        self._tasks, self._stall_torque = [tasks[index] for index in self._indices], self._env.truth["motor_strength"]
         self._record(observation, np.zeros(len(observation)), info)
 
     def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
         """Records a step of the episodes that are running."""
-        self._running.append(running[self._draws])
-        self._reason = np.where(self._running[-1], info["termination_reason"][self._draws], self._reason)
+        self._running.append(running[self._indices])
+        self._reason = np.where(self._running[-1], info["termination_reason"][self._indices], self._reason)
         self._record(observation, reward, info)
 
     def _record(self, observation: Array, reward: Array, info: dict[str, Any]) -> None:
@@ -110,27 +109,27 @@ class Recorder:
         motion = {name: observation[:, slices[name]] for name in ("pose", "velocity", "reference_pose")}
         state = {"time": info["time"], **motion, **info, "reward": reward, "true_pose": self._env.pose}
         names = state.keys() - {"termination_reason"} if self._names is None else self._names
-        self._states.append({name: values[self._draws] for name, values in state.items() if name in names})
+        self._states.append({name: values[self._indices] for name, values in state.items() if name in names})
 
     def rollouts(self, verdicts: Sequence[Verdict]) -> list[Rollout]:
         """The recorded episodes.
 
         Args:
-            verdicts: verdicts of all draws.
+            verdicts: verdicts of all rows.
         """
-        running = np.array(self._running).reshape(-1, len(self._draws))
+        running = np.array(self._running).reshape(-1, len(self._indices))
         series = {name: np.array([state[name] for state in self._states]) for name in self._states[0]}
         rollouts = []
-        for row, draw in enumerate(self._draws):
+        for row, index in enumerate(self._indices):
             steps = slice(1, 1 + np.count_nonzero(running[:, row]))
             rollouts.append(
                 Rollout(
                     task=self._tasks[row],
-                    payload=verdicts[draw].payload,
-                    stall_torque=self._stall_torque[draw],
+                    payload=verdicts[index].payload,
+                    stall_torque=self._stall_torque[index],
                     start={name: values[0, row] for name, values in series.items()},
                     arrays={name: values[steps, row] for name, values in series.items()},
-                    verdict=verdicts[draw],
+                    verdict=verdicts[index],
                     reason=str(self._reason[row]),
                 )
             )
@@ -165,10 +164,10 @@ def record_rollout(
     settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     payload = number("payload", payload, least=0, unit="kg")
     batch = Batch(policy, env_id, name=name, draws=1, seed=seed, keywords=keywords, **settings)
-    recorder, count = Recorder(batch.env, [0]), StepCount(progress, batch.task.steps)
+    recorder, count = Recorder([0]), StepCount(progress, batch.task.steps)
     count.add(0)
-    trial = batch.run([payload], observer=recorder, count=count, full_motion=True)[0]
-    return recorder.rollouts(trial.verdicts)[0]
+    verdicts = batch.run([(payload, batch.seed)], observer=recorder, count=count, full_motion=True)
+    return recorder.rollouts(verdicts)[0]
 
 
 def check_suffix(path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,21 +31,14 @@ def fewest_draws(probability: float, confidence: float) -> int:
     return math.ceil(math.log(1 - confidence) / math.log(probability) - 1e-9)
 
 
-@dataclass(frozen=True, kw_only=True)
-class RequiredDraws:
-    """Required numbers of draws that carry a payload."""
+def required_successes(draws: int, probability: float, confidence: float) -> tuple[int, bool]:
+    """Number of draws that have to carry a payload, and whether they assure it.
 
-    fraction: int
-    """Required number for the payload: the fraction ``probability`` of the draws, rounded up."""
-    assured: int | None
-    """Required number for the assured payload; None if there are too few draws."""
-
-    @classmethod
-    def of(cls, draws: int, probability: float, confidence: float) -> RequiredDraws:
-        """Required numbers out of ``draws`` for a probability and a confidence. A single draw has to carry."""
-        if draws == 1:
-            return cls(fraction=1, assured=None)
-        carried = np.arange(1, draws + 1)
-        enough = carried[lower_bound(carried, draws, confidence) >= probability]
-        fraction = max(1, math.ceil(draws * probability - 1e-9))
-        return cls(fraction=fraction, assured=int(enough[0]) if enough.size else None)
+    With enough draws, the number whose lower confidence bound is at least ``probability``. Otherwise the fraction
+    ``probability`` of the draws, rounded up, which assures nothing.
+    """
+    carried = np.arange(1, draws + 1)
+    enough = carried[lower_bound(carried, draws, confidence) >= probability]
+    if enough.size:
+        return int(enough[0]), True
+    return max(1, math.ceil(draws * probability - 1e-9)), False

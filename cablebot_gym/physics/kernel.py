@@ -7,7 +7,9 @@ The Newton-Euler equations are written in the platform frame, with y = (Rᵀp̈,
     t_i  = κ_i/r_i + (J_i/r_i²) q̈_i + (c_i/r_i²) q̇_i,   T_i = max(0, t_i)  (unilateral)   or   T_i = t_i  (bilateral)
     (m I₃, I) y = (Rᵀ(m g e_z + F), RᵀM − ω × Iω) − Σ row_i T_i
 
-F and M are the external force and moment at the centre of mass in the base frame; usually they are zero. The Euler
+F and M are the external force and moment at the centre of mass in the base frame; usually they are zero. The torque
+limits and the motors' friction hold at every stage of RK4, not only once per step: the error of a saturated motor falls
+with the fourth power of the step, too. κ is the motor torque less the friction (rigid) or the spring torque. The Euler
 accelerations are computed last. A cable is slack when t_i ≤ 0. The set of taut cables is unique because the problem is
 strictly convex, so the result does not depend on the start of the search.
 
@@ -36,15 +38,15 @@ _inline = njit(forceinline=True, error_model="numpy")
 _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, then CABLE_PARAMETERS rows for each cable.
-MASS, INERTIA, GRAVITY, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 8, 11
+MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
-STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH = 11, 12, 13, 14
-CABLE_PARAMETERS = 15
+STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
+CABLE_PARAMETERS = 17
 
 # Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
-DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED = 0, 1, 2, 3, 4, 5, 6
-CABLE_RECORDS = 7
+DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED, LEAST_TENSION, LAGGED = 0, 1, 2, 3, 4, 5, 6, 7, 8
+CABLE_RECORDS = 9
 
 # Rows of the scratch memory, which is not used between calls.
 _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
@@ -54,7 +56,8 @@ _ROW, _LENGTH_RATE, _BIAS, _REQUEST, _DRIVE, _TAUT, _FREE_TENSION = 0, 6, 7, 8, 
 # Flexible robots: _MOTOR_START, _MOTOR_SUM and _MOTOR_STAGE have two rows each, angle β′ and speed β̇′.
 _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 15, 17, 19, 20
 _RESULTS = 21
-_CABLE_ROWS = 25
+_GAP, _DECAY, _KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
+_CABLE_ROWS = 28
 
 TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""
@@ -218,18 +221,19 @@ def _weights(p, w, at, lanes, i):
     """(J/r²) and the tension without the unknown part of q̈; both are zero for a slack cable."""
     taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
-    return taut * mu, taut * _known_tension(p, w, at, lanes, i)
+    return taut * mu, taut * w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
 
 
 @_inline
-def _known_tension(p, w, at, lanes, i):
-    """κ/r + (J/r²)·bias + (c/r²) q̇ of cable i."""
-    row = _FIRST_CABLE + _CABLE_ROWS * i
-    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
-    drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
-    damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
-    inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
-    return _fma(inertia, w[(row + _BIAS) * lanes + at], drive + damping)
+def _known_tensions(cables, p, w, lanes):
+    """κ/r + (J/r²)·bias + (c/r²) q̇ of all cables."""
+    for i in range(cables):
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+        for at in range(lanes):
+            drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
+            damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
+            inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
+            w[(row + _KNOWN) * lanes + at] = _fma(inertia, w[(row + _BIAS) * lanes + at], drive + damping)
 
 
 @_inline
@@ -422,7 +426,8 @@ def _along(spatial, w, at, lanes, i):
 def _free_tension(spatial, p, w, at, lanes, i):
     """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque u."""
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
-    tension = _known_tension(p, w, at, lanes, i) + mu * _along(spatial, w, at, lanes, i)
+    known = w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
+    tension = known + mu * _along(spatial, w, at, lanes, i)
     w[(_FIRST_CABLE + _CABLE_ROWS * i + _FREE_TENSION) * lanes + at] = tension
     return tension
 
@@ -477,6 +482,7 @@ def _kinematics(spatial, cables, p, w, lanes):
 @_inline
 def _dynamics(spatial, cables, unilateral, p, w, lanes):
     """Accelerations of the stage, with the taut sets of all lanes."""
+    _known_tensions(cables, p, w, lanes)
     for at in range(lanes):
         _solve_lane(spatial, cables, p, w, at, lanes)
     for at in range(lanes):
@@ -523,41 +529,88 @@ def _springs(cables, unilateral, p, w, lanes):
 
 
 @_inline
-def _drive(flexible, cables, period_starts, p, w, record, lanes):
-    """Torques of a physics step: the requested torque, clipped to U± at the current motor speed."""
+def _motor_speed(flexible, p, w, at, lanes, i):
+    if flexible:
+        return w[(_FIRST_CABLE + _CABLE_ROWS * i + _MOTOR_STAGE + 1) * lanes + at]
+    per_radius = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PER_RADIUS) * lanes + at]
+    return -w[(_FIRST_CABLE + _CABLE_ROWS * i + _LENGTH_RATE) * lanes + at] * per_radius
+
+
+@_inline
+def _request(flexible, lags, cables, h, p, w, record, lanes):
+    """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
     for i in range(cables):
-        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
-        row = _FIRST_CABLE + _CABLE_ROWS * i
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
-            stall = p[(par + STALL) * lanes + at]
-            if flexible:
-                speed = w[(row + _MOTOR_STAGE + 1) * lanes + at]
-            else:
-                speed = -w[(row + _LENGTH_RATE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
-            drop = p[(par + SLOPE) * lanes + at] * speed
-            if period_starts:
-                w[(row + _REQUEST) * lanes + at] = stall * record[(rec + DEMAND) * lanes + at] - drop
-                record[(rec + SPEED) * lanes + at] = speed
-            torque = min(max(w[(row + _REQUEST) * lanes + at], -stall - drop), stall - drop)
+            speed = _motor_speed(flexible, p, w, at, lanes, i)
+            action = min(max(record[(rec + DEMAND) * lanes + at], -1.0), 1.0)
+            stall, slope = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
+            w[(row + _REQUEST) * lanes + at] = stall * action - slope * speed
+            record[(rec + SPEED) * lanes + at] = speed
+        if lags:
+            for at in range(lanes):
+                lag, gap, decay = p[(par + LAG) * lanes + at], 0.0, 0.0
+                if lag > 0.0:
+                    gap = record[(rec + LAGGED) * lanes + at] - w[(row + _REQUEST) * lanes + at]
+                    decay = math.exp(-0.5 * h / lag)
+                w[(row + _GAP) * lanes + at], w[(row + _DECAY) * lanes + at] = gap, decay
+
+
+@_inline
+def _drive(flexible, lags, stage, cables, p, w, lanes):
+    """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
+    for i in range(cables):
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+        if lags and stage in (1, 3):  # the stages are at 0, 1/2, 1/2 and 1 of the step
+            for at in range(lanes):
+                w[(row + _GAP) * lanes + at] *= w[(row + _DECAY) * lanes + at]
+        for at in range(lanes):
+            stall, drop = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
+            drop *= _motor_speed(flexible, p, w, at, lanes, i)
+            torque = w[(row + _REQUEST) * lanes + at]
+            if lags:
+                torque += w[(row + _GAP) * lanes + at]
+            torque = min(max(torque, -stall - drop), stall - drop)
             w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = torque
-            if period_starts:
-                record[(rec + TORQUE) * lanes + at] = torque
+
+
+@_inline
+def _coulomb(p, at, lanes, i, speed):
+    """Coulomb friction τ_c ω/√(ω² + ω₀²) of motor i."""
+    friction = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + COULOMB_FRICTION) * lanes + at]
+    smooth = p[FRICTION_SPEED * lanes + at]
+    return friction * speed / math.sqrt(speed * speed + smooth * smooth)
+
+
+@_inline
+def _rub(flexible, cables, p, w, lanes):
+    """Subtracts the Coulomb friction from the motor torques."""
+    for i in range(cables):
+        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if flexible else _DRIVE)
+        for at in range(lanes):
+            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(flexible, p, w, at, lanes, i))
 
 
 @_inline
 def _note_tensions(cables, period_starts, unilateral, w, record, lanes):
-    """Counts slack cables at the start of a physics step; stores the tensions at the start of the control period."""
+    """Counts slack cables and updates the least tensions at the start of a physics step.
+
+    Stores the tensions at the start of the control period.
+    """
     for i in range(cables):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
             tension = w[(row + _FREE_TENSION) * lanes + at]
             slack = 1.0 - w[(row + _TAUT) * lanes + at] if unilateral else (0.0 if tension > 0.0 else 1.0)
+            tension = max(tension, 0.0) if unilateral else tension
             if period_starts:
-                record[(rec + TENSION) * lanes + at] = max(tension, 0.0) if unilateral else tension
+                record[(rec + TENSION) * lanes + at] = tension
+                record[(rec + LEAST_TENSION) * lanes + at] = tension
                 record[(rec + SLACK) * lanes + at] = slack
             else:
+                record[(rec + LEAST_TENSION) * lanes + at] = min(tension, record[(rec + LEAST_TENSION) * lanes + at])
                 record[(rec + SLACK) * lanes + at] += slack
 
 
@@ -578,13 +631,21 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
 
 
 @_inline
-def _rk4(spatial, flexible, cables, period_starts, unilateral, h, p, w, record, lanes):
+def _rk4(spatial, flexible, lags, rubs, cables, period_starts, unilateral, h, p, w, record, lanes):
     """One physics step of a tile; _START becomes the new state."""
     n = 6 if spatial else 2
     for stage in range(4):
         _kinematics(spatial, cables, p, w, lanes)
-        if stage == 0:
-            _drive(flexible, cables, period_starts, p, w, record, lanes)
+        if stage == 0 and period_starts:
+            _request(flexible, lags, cables, h, p, w, record, lanes)
+        _drive(flexible, lags, stage, cables, p, w, lanes)
+        if stage == 0 and period_starts:
+            for i in range(cables):
+                row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+                for at in range(lanes):
+                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at]
+        if rubs:
+            _rub(flexible, cables, p, w, lanes)
         if flexible:
             _springs(cables, unilateral, p, w, lanes)
         _dynamics(spatial, cables, unilateral, p, w, lanes)
@@ -650,33 +711,38 @@ def _load_tile(spatial, flexible, cables, record, w, lanes):
 
 @_inline
 def _advance(
-    spatial, flexible, lanes, cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h
+    spatial, flexible, lanes, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h
 ):
+    m = len(cables)
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(spatial, flexible, cables, r, w, lanes)
+        _load_tile(spatial, flexible, m, r, w, lanes)
         if not unilateral:
-            for i in range(cables):
+            for i in range(m):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
-        for substep in range(substeps):
-            _rk4(spatial, flexible, cables, substep == 0, unilateral, h, p, w, r, lanes)
+        for substep in range(steps):
+            _rk4(spatial, flexible, lags, rubs, m, substep == 0, unilateral, h, p, w, r, lanes)
             for at in range(lanes):
                 lane = tile * lanes + at
-                line = min(step[lane] * substeps + substep + 1, ends[which[lane]])
-                _note_errors(spatial, substep == 0, w, r, at, lanes, references[which[lane], line])
+                line = min(step[lane] * steps + substep + 1, ends[path[lane]])
+                _note_errors(spatial, substep == 0, w, r, at, lanes, paths[path[lane], line])
         for at in range(lanes):
             step[tile * lanes + at] += 1
         for j in range(6 if spatial else 2):
             for at in range(lanes):
                 r[(POSE + j) * lanes + at] = w[(_START + j) * lanes + at]
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
-        if flexible:
-            for i in range(cables):
-                row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+        for i in range(m):
+            row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            if flexible:
                 for half in range(2):
                     for at in range(lanes):
                         r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
+            if lags:
+                for at in range(lanes):
+                    lagged = w[(row + _REQUEST) * lanes + at] + w[(row + _GAP) * lanes + at]
+                    r[(rec + LAGGED) * lanes + at] = lagged
 
 
 @_inline
@@ -690,6 +756,7 @@ def _evaluate(spatial, flexible, lanes, cables, unilateral, parameters, record, 
                 w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + _TAUT) * lanes + at] = 1.0
         _kinematics(spatial, cables, p, w, lanes)
+        _rub(flexible, cables, p, w, lanes)
         if flexible:
             _springs(cables, unilateral, p, w, lanes)
         _dynamics(spatial, cables, unilateral, p, w, lanes)
@@ -813,7 +880,7 @@ def _try_pair(w, at, lanes, i, j):
 
 @_inline
 def _required_motor(spatial, p, w, at, lanes, i):
-    """τ = r T + J β̈ + c β̇ (Eq. 1), β̇ and β̈ of cable i."""
+    """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
     par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
     rate = w[(row + _LENGTH_RATE) * lanes + at]
@@ -821,8 +888,10 @@ def _required_motor(spatial, p, w, at, lanes, i):
     inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at] * acceleration
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
     pull = w[(row + _RESULTS + TENSIONS) * lanes + at] - inertia - damping
-    w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius
-    w[(row + _RESULTS + SPEEDS) * lanes + at] = -rate * per_radius
+    speed = -rate * per_radius
+    friction = _coulomb(p, at, lanes, i, speed) if p[(par + STIFFNESS) * lanes + at] == 0.0 else 0.0
+    w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
+    w[(row + _RESULTS + SPEEDS) * lanes + at] = speed
     w[(row + _RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
 
 
@@ -866,24 +935,25 @@ def _required(spatial, cables, parameters, minimum, p, w, mass, motion, results)
 # One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six, rigid and
 # flexible.
 # Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,),
-# references (trajectories, lines, n) at physics steps, ends (trajectories,): last line of each trajectory, which and
-# step (tiles·lanes,): trajectory index and control step of each lane. ``cables`` is a tuple with one item per cable.
-# Its length is part of its type, so numba compiles for that number of cables and unrolls the loops over them.
+# paths (trajectories, lines, n): reference poses at physics steps, ends (trajectories,): last line of each path, path
+# and step (tiles·lanes,): index of its path and control step of each lane. ``cables`` is a tuple with one item per
+# cable. Its length is part of its type, so numba compiles for that number of cables and unrolls the loops over them.
+# ``lags`` and ``rubs``: whether some motor has a lag or Coulomb friction; without them the code is faster.
 
 
 @_compile
-def advance_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_planar(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
     """One control period of planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
     _advance(
-        False, False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+        False, False, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     )
 
 
 @_compile
-def advance_one_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_one_planar(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
     """One control period of planar robots in tiles of one lane; changes ``record`` and ``step``."""
     _advance(
-        False, False, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+        False, False, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     )
 
 
@@ -894,17 +964,19 @@ def evaluate_planar(cables, unilateral, parameters, record, w, acceleration):
 
 
 @_compile
-def advance_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_spatial(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
     """One control period of spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
     _advance(
-        True, False, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+        True, False, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     )
 
 
 @_compile
-def advance_one_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_one_spatial(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
     """One control period of spatial robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(True, False, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+    _advance(
+        True, False, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+    )
 
 
 @_compile
@@ -914,17 +986,23 @@ def evaluate_spatial(cables, unilateral, parameters, record, w, acceleration):
 
 
 @_compile
-def advance_flexible_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_flexible_planar(
+    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+):
     """One control period of flexible planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
     _advance(
-        False, True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+        False, True, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     )
 
 
 @_compile
-def advance_one_flexible_planar(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_one_flexible_planar(
+    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+):
     """One control period of flexible planar robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(False, True, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+    _advance(
+        False, True, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+    )
 
 
 @_compile
@@ -934,17 +1012,21 @@ def evaluate_flexible_planar(cables, unilateral, parameters, record, w, accelera
 
 
 @_compile
-def advance_flexible_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_flexible_spatial(
+    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+):
     """One control period of flexible spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
     _advance(
-        True, True, LANES, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h
+        True, True, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     )
 
 
 @_compile
-def advance_one_flexible_spatial(cables, unilateral, parameters, record, w, references, ends, which, step, substeps, h):
+def advance_one_flexible_spatial(
+    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+):
     """One control period of flexible spatial robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(True, True, 1, len(cables), unilateral, parameters, record, w, references, ends, which, step, substeps, h)
+    _advance(True, True, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)
 
 
 @_compile

@@ -10,6 +10,7 @@ import numpy as np
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.compiling import load_numba
+from cablebot_gym.physics.textbook import FRICTION_SPEED
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
@@ -35,6 +36,9 @@ def pack_parameters(robot: RobotArrays) -> Array:
         cables[..., kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
     cables[..., kernel.STALL] = robot.stall_torque
     cables[..., kernel.SLOPE] = robot.speed_slope
+    cables[..., kernel.LAG] = robot.motor_lag
+    rows[..., kernel.FRICTION_SPEED] = FRICTION_SPEED
+    cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
     rows[..., kernel.FIRST_CABLE_PARAMETER :] = cables.reshape(*batch, -1)
     return rows
 
@@ -77,6 +81,7 @@ class Plant:
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
         self._cables = (0,) * robot.cables
+        self._lags = self._rubs = False  # whether some robot has had a lag or Coulomb friction so far
         kind = ("one_" if self.lanes == 1 else "") + ("flexible_" if robot.flexible else "")
         self._advance = getattr(kernel, f"advance_{kind}{'planar' if robot.planar else 'spatial'}")
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
@@ -122,7 +127,11 @@ class Plant:
             index: robots, shape (k,).
             rows: parameters from :func:`pack_parameters`, shape (k, parameter rows).
         """
-        self._write(self._parameters, 0, np.asarray(index), np.asarray(rows, float))
+        rows = np.asarray(rows, float)
+        self._write(self._parameters, 0, np.asarray(index), rows)
+        lag, friction = (kernel.FIRST_CABLE_PARAMETER + row for row in (kernel.LAG, kernel.COULOMB_FRICTION))
+        self._lags |= bool(np.any(rows[:, lag :: kernel.CABLE_PARAMETERS]))
+        self._rubs |= bool(np.any(rows[:, friction :: kernel.CABLE_PARAMETERS]))
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
         """Sets the external wrench on the platforms of the robots at ``index``. It stays until it is changed.
@@ -154,6 +163,17 @@ class Plant:
         for row, values in ((kernel.MOTOR_ANGLE, angle), (kernel.MOTOR_SPEED, speed)):
             self._write(self.record, first + row, np.asarray(index), np.asarray(values, float), kernel.CABLE_RECORDS)
 
+    def set_torques(self, index: Array, torques: Array) -> None:
+        """Sets the recorded motor torques (len(index), m) [N·m] after :meth:`set_state`.
+
+        A lag starts from them, within the stall torques.
+        """
+        index, first, stride = np.asarray(index), kernel.FIRST_CABLE_RECORD, kernel.CABLE_RECORDS
+        row = kernel.FIRST_CABLE_PARAMETER + kernel.STALL
+        stall = self._read(self._parameters, row, self.robot.cables, kernel.CABLE_PARAMETERS)[index]
+        self._write(self.record, first + kernel.TORQUE, index, torques, stride)
+        self._write(self.record, first + kernel.LAGGED, index, np.clip(torques, -stall, stall), stride)
+
     def set_action(self, action: Array) -> None:
         """Sets the actions of all robots, shape (N, m), or (m,) for one robot."""
         if self.lanes == 1:
@@ -177,6 +197,8 @@ class Plant:
         self._advance(
             self._cables,
             self.unilateral,
+            self._lags,
+            self._rubs,
             self._parameters,
             self.record,
             self._scratch,

@@ -26,6 +26,10 @@ MINIMUM_TENSION = 5.0
 """Default minimum tension T_min of planar robots [N], for control laws and for springs at rest. With 0 the cables
 become slack at once in closed loop; a few newtons keep them taut."""
 
+FRICTION_SPEED = 0.5
+"""Motor speed ω₀ below which Coulomb friction is smoothed [rad/s]. The friction has 99 % of τ_c above 3.5 rad/s, which
+is 0.18 m/s of cable on the paper's pulleys."""
+
 
 def jacobian(robot: RobotArrays, pose: ArrayLike) -> Array:
     """Structure Jacobian S = ∂q/∂X (Eq. 3), shape (..., m, n)."""
@@ -118,10 +122,21 @@ def highest_frequency(robot: RobotArrays) -> float:
     return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real.max()))
 
 
-def fastest_motor_rate(robot: RobotArrays) -> float:
-    """Largest decay rate of the motors of a flexible robot by damping or along their torque-speed line [1/s]."""
-    line = np.sqrt(2) * robot.speed_slope  # constant over a physics step, so less stable than damping
-    return float(np.max(np.maximum(robot.motor_damping, line) / robot.motor_inertia))
+def fastest_decay_rate(robot: RobotArrays) -> float:
+    """Largest decay rate of the motor speeds by friction and along the torque-speed line, at home [1/s].
+
+    The slope of the Coulomb friction is largest at standstill, τ_c/ω₀. In a flexible robot it slows a motor alone, in a
+    rigid one the platform and all pulleys, with taut cables.
+    """
+    slope = robot.speed_slope + robot.coulomb_friction / FRICTION_SPEED
+    if robot.flexible:
+        return float(np.max((slope + robot.motor_damping) / robot.motor_inertia))
+    turning = jacobian(robot, robot.home) / robot.pulley_radius[:, None]
+    back = np.swapaxes(turning, -1, -2)
+    home = np.broadcast_to(robot.home, (*turning.shape[:-2], robot.coordinates))
+    inertia = mass_matrix(robot, robot.mass, home) + back @ (robot.pulley_inertia[..., None] * turning)
+    resistance = back @ ((slope + robot.damping)[..., None] * turning)
+    return float(np.linalg.eigvals(np.linalg.solve(inertia, resistance)).real.max())
 
 
 def pulley_acceleration(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -213,7 +228,10 @@ def required_torques(
     velocity: ArrayLike,
     acceleration: ArrayLike,
 ) -> Array:
-    """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission for tensions T, shape (..., m) [N·m]."""
+    """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission for tensions T, shape (..., m) [N·m].
+
+    They include :func:`coulomb_torque`. Of a flexible robot they are the torques of the springs, without it.
+    """
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
     return _torques(robot, tensions, *_pulley_motion(robot, structure, rate, velocity, acceleration))
 
@@ -229,7 +247,24 @@ def _pulley_motion(
 
 def _torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
     torque: Array = robot.pulley_radius * as_numbers(tensions)
-    return torque + robot.pulley_inertia * acceleration + robot.damping * speed
+    torque = torque + robot.pulley_inertia * acceleration + robot.damping * speed
+    return torque if robot.flexible else torque + coulomb_torque(robot, speed)
+
+
+def coulomb_torque(robot: RobotArrays, speed: ArrayLike) -> Array:
+    """Torque τ_c ω/√(ω² + ω₀²) that Coulomb friction takes from the motors at speeds ω (..., m) [N·m].
+
+    ω₀ is :data:`FRICTION_SPEED`: the friction is smooth, and there is no stiction.
+    """
+    speed = as_numbers(speed)
+    torque: Array = robot.coulomb_friction * speed / np.sqrt(speed**2 + FRICTION_SPEED**2)
+    return torque
+
+
+def motor_friction(robot: RobotArrays, speed: ArrayLike) -> Array:
+    """Friction c′ β̇′ of Eq. 4 and :func:`coulomb_torque` of a flexible robot at motor speeds (..., m) [N·m]."""
+    friction: Array = robot.motor_damping * as_numbers(speed) + coulomb_torque(robot, speed)
+    return friction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,12 +327,15 @@ def forward_dynamics(
 ) -> tuple[Array, Array]:
     """Accelerations Ẍ (..., n) and tensions T (..., m) for motor torques and a rigid transmission.
 
+    Coulomb friction takes its torque from the motors; of a flexible robot, pass the torques of the springs.
     Bilateral cables may push: ``(D + Sᵀ(J/r²)S) Ẍ = −h − Sᵀ(τ/r + (J/r²) Ṡ Ẋ + (c/r²) S Ẋ)``. Unilateral cables obey
     ``0 ≤ T ⟂ u ≥ 0`` with the take-up torque u. The function tries all sets of taut cables until all tensions of the
     taut cables and all take-up torques of the slack cables are positive. This set is unique. The search is slow but
     exhaustive.
     """
     pose, velocity, torques = (np.asarray(array, float) for array in (pose, velocity, torques))
+    if not robot.flexible:
+        torques = torques - coulomb_torque(robot, pulley_speed(robot, pose, velocity))
     structure, inertia = jacobian(robot, pose), robot.pulley_inertia / robot.pulley_radius**2
     cable_bias = _apply(jacobian_rate(robot, pose, velocity), velocity)
     damping = robot.damping / robot.pulley_radius**2 * _apply(structure, velocity)

@@ -111,7 +111,8 @@ class Follower:
         spring = robot.stiffness * (middle - textbook.pulley_angle(robot, plan(time + period / 2).position))
         change = self._spring_change(robot.mass + payload, state.pose, correction)
         spring, angle = spring + change, angle + change / robot.stiffness
-        feedforward = robot.motor_inertia * (speed_after - speed) / period + spring + robot.motor_damping * middle_speed
+        inertia = robot.motor_inertia * (speed_after - speed) / period
+        feedforward = inertia + spring + textbook.motor_friction(robot, middle_speed)
         stiffness = robot.motor_inertia * self.motor_frequency**2
         damping = 2 * self.motor_damping * robot.motor_inertia * self.motor_frequency
         feedback = stiffness * (angle - state.motor_angle) + damping * (speed - state.motor_speed)

@@ -38,16 +38,12 @@ class Margins:
     action: float = 0.0
     """Margin of the actions to ± 1; ≥ 0 and < 1."""
     tension: float = 0.0
-    """Minimum tension of all cables [N]; ≥ 0."""
+    """Margin to the minimum tension of the robot, for all cables [N]; ≥ 0."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
             below = 1.0 if item.name == "action" else math.inf
             number(f"margins: {item.name}", getattr(self, item.name), least=0.0, below=below)
-
-    def scaled(self, factor: float) -> Margins:
-        """A copy with every margin multiplied by a factor."""
-        return Margins(**{item.name: factor * getattr(self, item.name) for item in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

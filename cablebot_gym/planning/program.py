@@ -11,6 +11,7 @@ program.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,9 +25,16 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
 from cablebot_gym.planning.signals import SolverInterrupt
-from cablebot_gym.planning.stage_functions import TENSION, derivatives, flexible_stage, import_casadi, rigid_stage
+from cablebot_gym.planning.stage_functions import (
+    TENSION,
+    check_model,
+    derivatives,
+    flexible_stage,
+    import_casadi,
+    rigid_stage,
+)
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds
+from cablebot_gym.task import ErrorBounds, at_rest, start_pose
 from cablebot_gym.trajectories import Trajectory
 
 STAGES_PER_INTERVAL = {"rigid": 2, "flexible": 4}
@@ -44,6 +52,17 @@ _LIGHTEST = -0.95
 
 HEAVIEST = 1000.0
 """Largest payload of the program [kg]. If this payload is feasible, the payload is unlimited."""
+
+
+_HOLD_MARGIN = 1e-6
+"""Margin to the payload that the motors hold at the start pose [kg]. It covers rounding."""
+
+_WARM_START = {
+    "warm_start_init_point": "yes",
+    "mu_init": 1e-5,
+    **{f"warm_start_{name}_push": 1e-8 for name in ("bound", "slack_bound", "mult_bound")},
+}
+"""Options of IPOPT for a start with multipliers close to the solution."""
 
 
 class Infeasible(RuntimeError):
@@ -103,8 +122,8 @@ class MotionProgram:
     """The nonlinear program for one robot, reference and mesh.
 
     Args:
-        robot: any robot.
-        trajectory: reference motion, which also gives the start.
+        robot: any robot without motor lag.
+        trajectory: reference motion. The motion starts at :func:`~cablebot_gym.task.start_pose` with its velocity.
         error_bounds: bounds of the tracking error.
         intervals: number of intervals of the splines.
         margins: margins to the constraints; None for no margins.
@@ -114,8 +133,8 @@ class MotionProgram:
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if a margin is not below its bound, or the minimum tension exceeds the initial tension of a flexible
-            planar robot.
+        ValueError: if a margin is not below its bound, the minimum tension exceeds the initial tension of a flexible
+            planar robot, or the robot has motor lag.
     """
 
     def __init__(
@@ -132,15 +151,10 @@ class MotionProgram:
         self._ca = import_casadi()
         self._period = period
         self._robot, self._trajectory, self._error_bounds = robot, trajectory, error_bounds
-        self._margins, self._lightest = margins or Margins(), lightest
-        for name in ("position", "rotation"):
-            if not getattr(self._margins, name) < getattr(error_bounds, name):
-                raise ValueError(f"margins: {name} must be below the error bound {getattr(error_bounds, name):g}")
-        if robot.flexible and robot.planar and self._margins.tension > MINIMUM_TENSION:
-            raise ValueError(
-                f"margins: tension must be at most {MINIMUM_TENSION:g} N, the initial tension of {robot.name!r}, "
-                f"not {self._margins.tension:g} N"
-            )
+        self._lightest = lightest
+        self._start = start_pose(robot, trajectory, error_bounds)
+        self._set_margins(margins or Margins())
+        check_model(robot)
         count = STAGES_PER_INTERVAL[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
         self._error_instants = np.linspace(0.0, trajectory.duration, ERROR_STAGES_PER_INTERVAL * intervals + 1)[1:]
@@ -152,6 +166,18 @@ class MotionProgram:
         self._tensions = [self._take(len(self._instants), robot.cables) for _ in range(0 if robot.flexible else loads)]
         self._interrupt = SolverInterrupt()
         self._solver: tuple[Any, Array, Array] | None = None
+        self._solution: Any = None
+
+    def _set_margins(self, margins: Margins) -> None:
+        robot, self._margins, self._least = self._robot, margins, self._robot.minimum_tension + margins.tension
+        for name in ("position", "rotation"):
+            if not getattr(margins, name) < (bound := getattr(self._error_bounds, name)):
+                raise ValueError(f"margins: {name} must be below the error bound {bound:g}")
+        if robot.flexible and robot.planar and self._least > MINIMUM_TENSION:
+            raise ValueError(
+                f"margins: tension must be at most {MINIMUM_TENSION - robot.minimum_tension:g} N for {robot.name!r}, "
+                f"whose initial tension is {MINIMUM_TENSION:g} N, not {margins.tension:g} N"
+            )
 
     def solve(self, start: PlannedMotion | None = None, *, shift: Array | None = None) -> PlannedMotion:
         """Solves the program for the motion with the heaviest payload.
@@ -165,16 +191,38 @@ class MotionProgram:
             Infeasible: if the solver finds no motion within the constraints; the message is its status.
         """
         if self._solver is None:
-            self._solver = self._assemble()
-        solver, lowest, highest = self._solver
+            self._solver = self._assemble({})
+        return self._solved(self._solver, x0=self._initial_guess(start, 0.0 if shift is None else shift))
+
+    def resolve(self, margins: Margins) -> PlannedMotion:
+        """Solves the program with other margins, starting from its last solution, which takes a few iterations.
+
+        Args:
+            margins: margins to the constraints, close to those of the last solution.
+
+        Raises:
+            Infeasible: if the solver finds no motion within the constraints, or the program has no solution yet.
+            ValueError: if a margin is not below its bound.
+        """
+        self._set_margins(margins)
+        self._solver = None
+        if (last := self._solution) is None:
+            raise Infeasible("the program has no solution to start from")
+        x0 = np.array(last["x"])[:, 0]
+        return self._solved(self._assemble(_WARM_START), x0=x0, lam_x0=last["lam_x"], lam_g0=last["lam_g"])
+
+    def _solved(self, assembled: tuple[Any, Array, Array], *, x0: Array, **multipliers: Any) -> PlannedMotion:
+        solver, lowest, highest = assembled
         low, high = self._bounds()
-        first = np.clip(self._initial_guess(start, 0.0 if shift is None else shift), low, high)
+        if np.any(low > high):
+            raise Infeasible("the motors cannot hold the start pose")
         with self._interrupt.watch():
-            solution = solver(x0=first, lbx=low, ubx=high, lbg=lowest, ubg=highest)
+            solution = solver(x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=lowest, ubg=highest, **multipliers)
         status = solver.stats()["return_status"]
         if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
             raise Infeasible(status)
-        return self._motion(np.array(solution["x"])[:, 0])
+        self._solution = solution
+        return self._motion(np.clip(np.array(solution["x"])[:, 0], low, high))
 
     @property
     def control_points(self) -> int:
@@ -209,21 +257,21 @@ class MotionProgram:
         return [None] if self._lightest is None else [None, self._robot.mass + self._lightest]
 
     def _bounds(self) -> tuple[Array, Array]:
-        """Bounds of the variables. They fix the start to that of the reference, with the springs at rest."""
+        """Bounds of the variables. They fix the start pose and its velocity, with the springs at rest."""
         low, high = np.full(self._variables, -np.inf), np.full(self._variables, np.inf)
-        robot, reference = self._robot, self._trajectory(np.zeros(1))
-        pose, velocity = reference.position[0], reference.velocity[0]
+        robot, pose, velocity = self._robot, self._start, self._trajectory(0.0).velocity
         ends = [(self._poses, pose, velocity)]
-        if robot.planar:  # spatial: the angles depend on the payload, so the start is a constraint
-            angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=MINIMUM_TENSION) if self._motors else 0
+        if robot.planar and self._motors:  # spatial: the angles depend on the payload, so the start is a constraint
+            angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=MINIMUM_TENSION)
             ends += [(spline, angle, textbook.pulley_speed(robot, pose, velocity)) for spline in self._motors]
         for spline, value, rate in ends:
             step = spline.knots[spline.degree + 1] / spline.degree
             for row, point in enumerate((value, value + step * rate)):
                 low[spline.at[row]] = high[spline.at[row]] = (point - spline.base[row]) / spline.scale
         for at in self._tensions:
-            low[at] = self._margins.tension / TENSION
-        low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, HEAVIEST
+            low[at] = self._least / TENSION
+        heaviest = min(HEAVIEST, hold_payload(robot, self._trajectory, self._error_bounds) - _HOLD_MARGIN)
+        low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, heaviest
         return low, high
 
     def _initial_guess(self, start: PlannedMotion | None, shift: Any) -> Array:
@@ -258,7 +306,7 @@ class MotionProgram:
             motors=tuple(spline.control_points(z) for spline in self._motors),
             payload=payload,
             lightest=payload if self._lightest is None else self._lightest,
-            minimum_tension=self._margins.tension,
+            minimum_tension=self._least,
         )
 
     # Constraints
@@ -322,7 +370,7 @@ class MotionProgram:
         robot, poses, motors = self._robot, self._poses, self._motors[index]
         balance, limits, start = flexible_stage(robot, self._period)
         balanced, most = np.zeros(robot.coordinates), self._action_bounds()
-        least = np.full(2 * robot.cables, self._margins.tension / TENSION)
+        least = np.full(2 * robot.cables, self._least / TENSION)
 
         def rows(times: Array, orders: Sequence[int]) -> list[_Row]:
             return [*poses.rows(times, orders), *motors.rows(times, orders), self._mass_row(mass, len(times))]
@@ -346,8 +394,8 @@ class MotionProgram:
 
     # The program
 
-    def _assemble(self) -> tuple[Any, Array, Array]:
-        """The IPOPT solver of the program, and the bounds of its constraints."""
+    def _assemble(self, start: dict[str, Any]) -> tuple[Any, Array, Array]:
+        """The IPOPT solver of the program with options for its start, and the bounds of its constraints."""
         ca = self._ca
         z, sigma, parameters = ca.MX.sym("z", self._variables), ca.MX.sym("sigma"), ca.MX.sym("p", 0)
         values, jacobians, multipliers, lows, highs = [], [], [], [], []
@@ -385,16 +433,36 @@ class MotionProgram:
             "ipopt": {
                 "print_level": 0,
                 "sb": "yes",
-                "max_iter": 300,
+                "max_iter": 100,
                 "tol": _TOLERANCE,
                 "acceptable_tol": 10 * _TOLERANCE,
                 "linear_solver": "mumps",
                 "mumps_pivot_order": 0,  # minimum degree: on these band matrices three times faster than automatic
                 "mu_strategy": "adaptive",
+                **start,
             },
         }
         program = {"x": z, "f": -z[int(self._payload_at[0])], "g": constraints}
         return ca.nlpsol("motion", "ipopt", program, options), np.concatenate(lows), np.concatenate(highs)
+
+
+def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
+    """Largest payload with which the motors hold the robot at the start pose [kg], in closed form.
+
+    The static torques are affine in the payload. The result is ``inf`` if the motion does not start at rest or no
+    payload changes the torques (planar), and ``-inf`` if the motors hold no payload.
+    """
+    if not at_rest(trajectory(0.0)):
+        return math.inf
+    pose = start_pose(robot, trajectory, error_bounds)
+    empty, loaded = (
+        textbook.static_torque(robot, robot.mass + payload, pose, minimum=MINIMUM_TENSION) for payload in (0.0, 1.0)
+    )
+    slope, sign = np.abs(loaded - empty), np.where(loaded < empty, -1.0, 1.0)
+    room = robot.stall_torque - sign * empty
+    with np.errstate(divide="ignore"):
+        payloads = np.where(slope > 0, room / slope, np.where(room < 0, -np.inf, np.inf))
+    return float(payloads.min())
 
 
 def greville(knots: Array, degree: int) -> Array:

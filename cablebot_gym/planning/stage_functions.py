@@ -51,6 +51,16 @@ def _load_solver(casadi: Any) -> None:
             del os.environ[_THREADS]
 
 
+def check_model(robot: Robot) -> None:
+    """Checks that the stage functions model the motors of a robot.
+
+    Raises:
+        ValueError: if the motors have a lag.
+    """
+    if np.any(robot.motor_lag):
+        raise ValueError(f"planned motions need motors without lag, but the motors of robot {robot.name!r} have a lag")
+
+
 @lru_cache(maxsize=16)
 def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
     """Stage function of a rigid robot.
@@ -88,7 +98,7 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
     speed, second = textbook.pulley_speed(robot, x, v), textbook.pulley_acceleration(robot, x, v, a)
     tensions = (spring - robot.pulley_inertia * second - robot.damping * speed) / robot.pulley_radius
     spring_force = spring / robot.pulley_radius
-    torque = spring + robot.motor_inertia * w + robot.motor_damping * u
+    torque = spring + robot.motor_inertia * w + textbook.motor_friction(robot, u)
     zero = np.zeros((1, n))
     at_rest = _balance(robot, mass[0], x, zero, zero, spring_force)
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)

@@ -19,7 +19,6 @@ import numpy as np
 
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.result import DLCCResult
-from cablebot_gym.evaluation.statistics import lower_bound
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.files import atomic_write
@@ -156,31 +155,23 @@ def _drawn(result: DLCCResult, parts: Mapping[Callable[[FigureBase, DLCCResult],
 
 
 def draw_success(result: DLCCResult) -> Figure:
-    """Draws the fraction of the draws that carry each payload, its lower bound, the payload and the assured payload.
-
-    The assured payload is the 95/95 lower tolerance bound: with 95 % confidence, at least the required fraction of
-    draws carries it.
+    """Draws the fraction of the scan's draws that carry each payload, the required probability and the payload.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
         ValueError: if the result has only one draw.
     """
-    if result.probability is None or result.confidence is None:
+    if result.probability is None:
         raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
     figure = new_figure(_SUCCESS_HEIGHT)
     axes = figure.subplots()
     payload, fraction = np.array(result.success).T
-    bound = lower_bound(np.round(fraction * result.draws).astype(int), result.draws, result.confidence)
-    axes.plot(
-        payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label="fraction of draws that carry it"
-    )
-    axes.plot(payload, bound, "--", color=BLUE, linewidth=1.2, label=f"lower bound, {result.confidence:.0%} confidence")
+    label = "fraction of the scan's draws that carry it"
+    axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
     axes.axhline(result.probability, color="black", linewidth=1.0, label=f"required: {result.probability:.0%}")
-    bound_name = f"{100 * result.probability:g}/{100 * result.confidence:g} lower tolerance bound"
-    marks = ((result.payload, "payload", "-"), (result.assured_payload, f"assured payload ({bound_name})", "--"))
-    for mass, name, style in marks:
-        if mass is not None:
-            axes.axvline(mass, color=VERMILLION, linestyle=style, linewidth=1.2, label=f"{name}: {mass:.2f} kg")
+    if result.payload is not None:
+        label = f"payload: {result.payload:.2f} kg ({result.assurance})"
+        axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
     largest = payload[np.flatnonzero(fraction > 0)[-1]] if fraction.any() else 0.0
     axes.set(xlim=(0, min(result.payload_max, 1.25 * largest + 0.02 * result.payload_max)), ylim=(0, 1.02))
     axes.set(xlabel="payload [kg]", ylabel="fraction of draws")
@@ -274,12 +265,9 @@ def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool 
     head = f"{described(result.env_id, result.task.robot.name)}, policy {result.policy}, {result.criterion} criterion"
     draws_line = []
     if result.probability is not None:
-        draws = f"{result.draws} draws of {result.uncertainty or 'the initial state'}"
-        if result.payload is not None:
-            shown = "; shown: the first draw that carries it" if one_draw else ""
-            draws_line = [f"carried in at least {result.probability:.0%} of {draws}{shown}"]
-        else:
-            draws_line = [f"{draws}; shown: the draw with this violation" if one_draw else draws]
+        shown = "the first draw that carries it" if result.payload is not None else "the draw with this violation"
+        draws_line = [f"{result.uncertainty or 'random episodes'}, {result.assurance}"]
+        draws_line += [f"shown: {shown}"] if one_draw else []
     set_title(figure, head, *draws_line, summary, f"limiting violation: {result.violation_text}")
 
 

@@ -11,8 +11,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.policies.protocol import Policy, PolicyEntry, as_policy, code_line
-from cablebot_gym.policies.sb3 import load_sb3
+from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, raised
+from cablebot_gym.policies.sb3 import fitted, load_sb3
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import unknown_name_error
 
@@ -55,6 +55,16 @@ def policy_entry(name: str) -> PolicyEntry | None:
     return None if name.endswith(".zip") or ":" in name else policy_entries().get(name)
 
 
+def holds_unsaturated_actions(name: str) -> bool:
+    """Whether this project holds its installed policy with this name to the declaration ``unsaturated_actions``.
+
+    False stands for every other policy, also of other packages, whose declaration is taken on trust.
+    """
+    points = entry_points(group=ENTRY_POINT_GROUP, name=name)
+    own = [point for point in points if point.dist is not None and point.dist.name == "cablebot-gym"]
+    return any(point.load().unsaturated_actions for point in own)
+
+
 def load_policy(name: str, robot: Robot) -> Policy:
     """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
 
@@ -65,6 +75,7 @@ def load_policy(name: str, robot: Robot) -> Policy:
     Raises:
         ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the robot. The message
             lists the valid names.
+        PolicyError: if the code of the policy tries to end the process.
     """
     entry = policy_entry(name)
     if entry is not None:
@@ -75,11 +86,12 @@ def load_policy(name: str, robot: Robot) -> Policy:
         factory = _load_factory(name)
         try:
             created = factory(robot)
-        except Exception as error:
-            cause = f"{type(error).__name__}: {error}{code_line(error)}"
-            raise ValueError(f"policy {name!r}: the factory raised {cause}") from error
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise _failure(error, name, raised(error, "the factory raised")) from error
         try:
-            return as_policy(created)
+            return fitted(as_policy(created), robot, f"policy {name!r}")
         except TypeError as error:
             raise ValueError(f"policy {name!r}: the factory must return a policy; {error}") from None
     alternatives = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
@@ -90,14 +102,22 @@ def _load_factory(name: str) -> Callable[[Robot], Any]:
     module_name, _, attribute = name.partition(":")
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
-    except Exception as error:
-        raise ValueError(f"policy {name!r}: cannot import {attribute!r} of {module_name!r} ({error})") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        reason = error if isinstance(error, Exception) else raised(error)
+        raise _failure(error, name, f"cannot import {attribute!r} of {module_name!r} ({reason})") from error
     if isinstance(factory, PolicyEntry):
         return factory.factory
     if not callable(factory):
         raise ValueError(f"policy {name!r}: {attribute!r} must be a function that takes a robot and returns a policy")
     checked: Callable[[Robot], Any] = factory
     return checked
+
+
+def _failure(error: BaseException, name: str, cause: str) -> ValueError | PolicyError:
+    """A PolicyError for an attempt to end the process, such as SystemExit, and a ValueError for other errors."""
+    return ValueError(f"policy {name!r}: {cause}") if isinstance(error, Exception) else PolicyError.of(name, cause)
 
 
 def _load_file(path: Path, robot: Robot) -> Policy:

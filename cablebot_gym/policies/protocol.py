@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from traceback import extract_tb
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -17,6 +19,13 @@ from cablebot_gym.task import Task
 
 Array = NDArray[Any]
 
+_OWN_FILES = tuple(str(Path(__file__).with_name(name)) for name in ("protocol.py", "loading.py", "process.py"))
+_LIBRARY = str(Path(os.__file__).parent)
+"""Code that messages about errors of a policy do not name, in addition to installed packages."""
+
+LONGEST_MESSAGE = 1000
+"""Number of characters of an error of a policy that messages repeat."""
+
 
 @runtime_checkable
 class Policy(Protocol):
@@ -28,6 +37,8 @@ class Policy(Protocol):
       observation. A ``reset`` that takes no tasks is called without arguments.
     * ``unsaturated_actions = True`` declares that the policy returns actions beyond ±1 where it requests more torque
       than the motors have. The paper criterion applies to such policies only.
+    * ``stochastic = True`` declares that equal observations may give different actions, also with ``deterministic``.
+      Other policies must give equal episodes when they are repeated, in any order of the batch.
     """
 
     def predict(
@@ -56,13 +67,31 @@ class PolicyEntry:
     """Description in one line."""
     slow: bool = False
     """Whether an evaluation takes minutes. Most benchmark suites skip slow policies."""
+    unsaturated_actions: bool = False
+    """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``. The paper criterion
+    marks the results of other policies as declared, also of policies of other packages."""
     files: tuple[Path, ...] | None = None
     """Data files that the policy reads, such as weights. Benchmark results depend on their content. None stands for all
     files in the folder of the policy's module."""
 
 
 class PolicyError(RuntimeError):
-    """A policy raised an exception or returned an invalid action. The message names the payload and the time."""
+    """A policy raised an exception, returned invalid actions, or ended or blocked its process.
+
+    Args:
+        message: the whole sentence, with the name of the policy.
+        cause: the cause alone, to which a caller adds the name, the payload and the time.
+        index: index of the observation in the batch, from 0; None for the whole batch.
+    """
+
+    def __init__(self, message: str, *, cause: str | None = None, index: int | None = None) -> None:
+        super().__init__(message)
+        self.cause, self.index = cause or message, index
+
+    @classmethod
+    def of(cls, name: str, cause: str, index: int | None = None) -> PolicyError:
+        """The error of a policy with a name."""
+        return cls(f"policy {name!r}: {cause}", cause=cause, index=index)
 
 
 class BatchItemError(RuntimeError):
@@ -75,11 +104,15 @@ class BatchItemError(RuntimeError):
 
 
 class CallablePolicy:
-    """A policy made from a function ``observation -> action``, which is called for one observation at a time."""
+    """A policy made from a function ``observation -> action``, which is called for one observation at a time.
+
+    All episodes of a batch share the function, so it must not remember anything from one call to the next. Use
+    :class:`PolicyFactory` for a callable with state.
+    """
 
     def __init__(self, function: Callable[[Array], Any]) -> None:
         self._function = function
-        self.unsaturated_actions = bool(getattr(function, "unsaturated_actions", False))
+        self.unsaturated_actions, self.stochastic = declarations(function)
         if hasattr(function, "reset"):
             self.reset = function.reset
 
@@ -97,17 +130,86 @@ class CallablePolicy:
         """
         if observation.ndim == 1:
             return np.asarray(self._function(observation), float), state
-        actions: list[Array] = []
-        for index, item in enumerate(observation):
-            try:
-                actions.append(_to_floats(self._function(item)))
-            except Exception as error:
-                raise BatchItemError(
-                    index, f"it failed with {type(error).__name__}: {error}{code_line(error)}"
-                ) from error
-            if actions[index].shape != actions[0].shape:
-                raise BatchItemError(index, f"it returned shape {actions[index].shape} after {actions[0].shape}")
-        return np.stack(actions), state
+        return _stacked(observation, lambda _, item: self._function(item)), state
+
+
+class PolicyFactory:
+    """A policy that makes one instance for each episode of a batch, for controllers that keep their own state.
+
+    ``PolicyFactory(MyController)`` calls ``MyController()`` for every episode. An instance gets the observations of
+    its episode alone, so the result does not depend on the other episodes.
+
+    Args:
+        factory: function without arguments that returns a policy or a callable ``observation -> action``. It is called
+            once at the construction to read the declarations of the policy.
+    """
+
+    def __init__(self, factory: Callable[[], Any]) -> None:
+        self._factory = factory
+        self.name = name_of(factory)
+        self.unsaturated_actions, self.stochastic = declarations(self._made())
+        self._instances: list[Policy] = []
+
+    def _made(self) -> Policy:
+        return as_policy(self._factory())
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Makes an instance for each task and resets it."""
+        self._instances = [self._made() for _ in tasks]
+        for instance, task in zip(self._instances, tasks, strict=True):
+            reset_policy(instance, self.name, partial(tuple, [task]))
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Action of each episode's instance; the state is the list of the states of the instances.
+
+        Raises:
+            BatchItemError: if an instance raises, or if the actions are not numbers of one shape.
+        """
+        rows = np.atleast_2d(observation)
+        if len(rows) != len(self._instances):
+            self._instances = [self._made() for _ in rows]
+        states = [None] * len(rows) if state is None else list(state)
+        starts = np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
+
+        def act(index: int, item: Array) -> Any:
+            start = starts[index : index + 1]
+            actions, states[index] = self._instances[index].predict(item[None], states[index], start, deterministic)
+            return np.asarray(actions)[0]
+
+        actions = _stacked(rows, act)
+        return actions if observation.ndim > 1 else actions[0], states
+
+
+def declarations(policy: Any) -> tuple[bool, bool]:
+    """Whether a policy declares ``unsaturated_actions``, and whether it declares ``stochastic``."""
+    return bool(getattr(policy, "unsaturated_actions", False)), bool(getattr(policy, "stochastic", False))
+
+
+def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
+    """Actions of a function of index and observation, (N, m).
+
+    Raises:
+        BatchItemError: if the function raises, or if its results are not numbers of one shape.
+    """
+    actions: list[Array] = []
+    for index, item in enumerate(observation):
+        try:
+            actions.append(to_floats(act(index, item)))
+        except KeyboardInterrupt:
+            raise
+        except BatchItemError as error:
+            raise BatchItemError(index, str(error)) from error.__cause__
+        except BaseException as error:
+            raise BatchItemError(index, raised(error, "it failed with")) from error
+        if actions[index].shape != actions[0].shape:
+            raise BatchItemError(index, f"it returned shape {actions[index].shape} after {actions[0].shape}")
+    return np.stack(actions)
 
 
 class OpenLoop:
@@ -179,8 +281,10 @@ def checked_actions(
         Actions (N, m) and the next state of the policy.
 
     Raises:
-        PolicyError: if the policy raises, or if its actions are not finite numbers of shape (N, m).
+        PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are not numbers of shape
+            (N, m) that the environment accepts.
     """
+    from cablebot_gym.envs.outcome import LARGEST  # slow to import; the environment has imported it
 
     def failure(cause: str, of: Array = payloads) -> PolicyError:
         least, largest = f"{of.min():g}", f"{of.max():g}"
@@ -188,24 +292,43 @@ def checked_actions(
         return PolicyError(f"policy {name!r}, at t = {time:.3f} s with {loads}: {cause}")
 
     try:
-        returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
-    except BatchItemError as error:
-        raise failure(str(error), payloads[[error.index]]) from error.__cause__
-    except Exception as error:
-        raise failure(f"it raised {type(error).__name__}: {error}{code_line(error)}") from error
-    if not isinstance(returned, tuple) or len(returned) != 2:
-        raise failure(f"predict() must return (actions, state), not {type(returned).__name__}")
-    raw, state = returned
-    try:
-        action = _to_floats(raw)
-    except ValueError as error:
-        raise failure(f"it returned {error}") from error
-    if action.shape != (len(payloads), cables):
-        raise failure(f"it returned shape {action.shape}; expected {(len(payloads), cables)}")
+        action, state = predicted(policy, observation.copy(), state, start.copy(), cables)
+    except PolicyError as error:
+        raise failure(error.cause, payloads if error.index is None else payloads[[error.index]]) from error.__cause__
     if ignored is not None:
         action[ignored] = 0.0
-    if not np.isfinite(action).all():
-        raise failure("it returned NaN or infinity", payloads[~np.isfinite(action).all(axis=1)][:1])
+    if (wrong := ~np.isfinite(action).all(axis=1)).any():
+        raise failure("it returned NaN or infinity", payloads[wrong].min(keepdims=True))
+    if (wrong := np.abs(action).max(axis=1) >= LARGEST).any():
+        largest = f"the action {action.flat[np.abs(action).argmax()]:g}; actions must be within ± {LARGEST:g}"
+        raise failure(f"it returned {largest}", payloads[wrong].min(keepdims=True))
+    return action, state
+
+
+def predicted(policy: Policy, observation: Array, state: Any, start: Array, cables: int) -> tuple[Array, Any]:
+    """Actions (N, m) of a policy as floats, which may be NaN or infinite, and its next state.
+
+    Raises:
+        PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are not numbers of shape
+            (N, m). The message lacks the name of the policy.
+    """
+    try:
+        returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
+    except (KeyboardInterrupt, PolicyError):
+        raise
+    except BatchItemError as error:
+        raise PolicyError(str(error), index=error.index) from error.__cause__
+    except BaseException as error:
+        raise PolicyError(raised(error)) from error
+    if not isinstance(returned, tuple) or len(returned) != 2:
+        raise PolicyError(f"predict() must return (actions, state), not {type(returned).__name__}")
+    raw, state = returned
+    try:
+        action = to_floats(raw)
+    except ValueError as error:
+        raise PolicyError(f"it returned {error}") from error
+    if action.shape != (expected := (len(observation), cables)):
+        raise PolicyError(f"it returned shape {action.shape}; expected {expected}")
     return action, state
 
 
@@ -218,16 +341,17 @@ def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]
         tasks: function that makes one task for each observation of the batch.
 
     Raises:
-        PolicyError: if ``reset`` raises.
+        PolicyError: if ``reset`` raises anything but a KeyboardInterrupt.
     """
     if (method := getattr(policy, "reset", None)) is None:
         return
     arguments = [tasks()] if _takes_tasks(method) else []
     try:
         method(*arguments)
-    except Exception as error:
-        cause = f"it raised {type(error).__name__} in reset(): {error}{code_line(error)}"
-        raise PolicyError(f"policy {name!r}: {cause}") from error
+    except (KeyboardInterrupt, PolicyError):
+        raise
+    except BaseException as error:
+        raise PolicyError.of(name, raised(error, where=" in reset()")) from error
 
 
 def _takes_tasks(method: Callable[..., Any]) -> bool:
@@ -239,7 +363,7 @@ def _takes_tasks(method: Callable[..., Any]) -> bool:
     )
 
 
-def _to_floats(returned: Any) -> Array:
+def to_floats(returned: Any) -> Array:
     """Copies actions to an array of floats.
 
     Raises:
@@ -247,19 +371,46 @@ def _to_floats(returned: Any) -> Array:
     """
     try:
         values = np.asarray(returned)
-    except Exception as error:  # rows of different lengths, a tensor with gradients
-        raise ValueError(f"{type(returned).__name__} instead of real numbers: {error}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # rows of different lengths, a tensor with gradients
+        cause = raised(error, "its conversion raised")
+        raise ValueError(f"{type(returned).__name__} instead of real numbers: {cause}") from error
     if values.dtype.kind not in "biuf":
         raise ValueError(f"{type(returned).__name__} of type {values.dtype} instead of real numbers")
     return values.astype(float)
 
 
-def code_line(error: BaseException) -> str:
-    """File and line in the user's code that raised an error, for messages without a traceback."""
+def raised(error: BaseException, verb: str = "it raised", where: str = "") -> str:
+    """An error of the user's code as text with its file and line, such as ``it raised KeyError: 'mass' (mine.py, …)``.
+
+    Args:
+        error: the error.
+        verb: words before the type of the error.
+        where: words after the type of the error.
+    """
+    text = _message(error)
+    return f"{verb} {type(error).__name__}{where}{': ' if text else ''}{text}{_code_line(error)}"
+
+
+def _message(error: BaseException) -> str:
+    """Message of an error in at most :data:`LONGEST_MESSAGE` characters."""
+    try:
+        text = str(error)
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
+        return "its message cannot be shown"
+    return text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…"
+
+
+def _code_line(error: BaseException) -> str:
     frames = [
         frame
         for frame in extract_tb(error.__traceback__)
-        if frame.filename != __file__ and "site-packages" not in frame.filename
+        if frame.filename not in _OWN_FILES
+        and not frame.filename.startswith(("<", _LIBRARY))
+        and "site-packages" not in frame.filename
     ]
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 

@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from statistics import median
 from typing import Any
@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, Record, canonical
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Record, TimingCell, canonical
+from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.tables import best_known_text, failures, fallbacks, heading, motion_title, task_title
 from cablebot_gym.evaluation.constraints import Violation
@@ -33,19 +34,7 @@ NOT_APPLICABLE = "The paper criterion applies only to policies that declare unsa
 NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RESULTS to record all episodes."
 
 
-@dataclass(frozen=True)
-class Source:
-    """The results of one suite."""
-
-    suite: str
-    """Name of the suite."""
-    command: str
-    """Command that computes the results."""
-    records: Sequence[Record]
-    """Records of all cells."""
-
-
-def merge_records(sources: Sequence[Source]) -> list[Record]:
+def merge_records(sources: Sequence[Results]) -> list[Record]:
     """The records of all sources; the first one of each cell."""
     merged: dict[str, Record] = {}
     for source in sources:
@@ -54,7 +43,7 @@ def merge_records(sources: Sequence[Source]) -> list[Record]:
     return list(merged.values())
 
 
-def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> str:
+def html(title: str, sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]) -> str:
     """The report page as HTML text.
 
     Args:
@@ -74,7 +63,7 @@ def html(title: str, sources: Sequence[Source], replays: Mapping[str, Sequence[R
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], page)
 
 
-def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
+def page_data(sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
     """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
     records = merge_records(sources)
     all_scores = scores.scores(records)
@@ -99,10 +88,12 @@ def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] 
     boards, rows = scores.leaderboards(records), []
     for leaderboard in boards:
         rows += [_row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries]
-        motion = leaderboard.env_id, leaderboard.motion
-        group = [best for best in references if (best.cell.env_id, best.cell.trajectory["name"]) == motion]
-        if group:
-            rows.append(_best_row(leaderboard, group, range(len(cells), len(cells) + len(group))))
+        for name in dict.fromkeys(column.motion for column in leaderboard.columns):
+            motion = leaderboard.env_id, name
+            group = [best for best in references if (best.cell.env_id, best.cell.trajectory["name"]) == motion]
+            if not group:
+                continue
+            rows.append(_best_row(leaderboard, name, group, range(len(cells), len(cells) + len(group))))
             cells += [entry(best.cell, BEST_KNOWN, [["Best known payload", best_known_text(best)]]) for best in group]
     return {
         "rows": rows,
@@ -120,14 +111,15 @@ def page_data(sources: Sequence[Source], replays: Mapping[str, Sequence[Replay] 
 def _start(
     rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]], boards: Sequence[scores.Leaderboard]
 ) -> int:
-    """Index of the row that the page opens: the largest payload in the first column of the first leaderboard.
+    """Index of the row that the page opens: the largest payload on the circle of the first leaderboard.
 
     A row without an episode is opened only if none of these rows has one.
     """
     if not boards:
         return 0
     board = boards[0]
-    keys = {_row_key(board, policy, board.columns[0]) for policy in board.policies}
+    column = next((column for column in board.columns if column.motion.startswith("circle-")), board.columns[0])
+    keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
         row = rows[index]
@@ -164,9 +156,8 @@ def _row(
     return _conditions(leaderboard, policy, column) | {
         "payload_text": "error" if failed else value if applicable else "n/a",
         "payload": None if failed or not applicable else median(payloads),
-        "fraction": None if fraction is None else fraction.median,
-        "interval": _interval(entry),
-        "raised": any(score.raised for score in entry),
+        "fraction": None if fraction is None else fraction.mean,
+        "interval": [fraction.low, fraction.high] if fraction and len(entry) >= scores.RANKED_MOTIONS else None,
         "note": _note(entry, applicable, failed),
         "violation": _violation_text(entry),
         "cells": [indices[score.cell.key] for score in entry],
@@ -174,15 +165,15 @@ def _row(
 
 
 def _best_row(
-    leaderboard: scores.Leaderboard, group: Sequence[scores.BestKnown], indices: Sequence[int]
+    leaderboard: scores.Leaderboard, motion: str, group: Sequence[scores.BestKnown], indices: Sequence[int]
 ) -> dict[str, Any]:
-    verified = all(best.result.get("verified") for best in group)
-    payload = median(best.result["payload"] for best in group) if verified else None
-    fraction = median(best.result["payload"] / (best.payload or 1.0) for best in group) if verified else None
-    return _conditions(leaderboard, BEST_KNOWN, leaderboard.columns[0]) | {
+    payloads = [best.payload for best in group if best.payload is not None]
+    payload = median(payloads) if len(payloads) == len(group) else None
+    column = next(column for column in leaderboard.columns if column.motion == motion)
+    return _conditions(leaderboard, BEST_KNOWN, column) | {
         "payload_text": "none" if payload is None else f"{payload:.2f}",
         "payload": payload,
-        "fraction": fraction,
+        "fraction": None if payload is None else 1.0,
         "cells": [*indices],
     }
 
@@ -192,36 +183,23 @@ def _conditions(leaderboard: scores.Leaderboard, policy: str, column: scores.Col
         "key": _row_key(leaderboard, policy, column),
         "id": leaderboard.env_id,
         "policy": policy,
-        "motion": motion_title(leaderboard).removesuffix(": median and worst fraction"),
+        "motion": motion_title(column, leaderboard.motions(column)),
         "condition": heading(column).removesuffix(" [kg]"),
         "violation": "",
     }
 
 
 def _row_key(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
-    return canonical([leaderboard.env_id, leaderboard.motion, policy, heading(column)])
+    return canonical([leaderboard.env_id, column.motion, policy, heading(column)])
 
 
 def _note(entry: Sequence[scores.Score], applicable: bool, failed: bool) -> str:
     """Reason for a missing fraction; empty if there is a fraction or if another column states the reason."""
     if not applicable:
         return "does not declare unsaturated_actions"
-    searched = all(score.best_known is not None for score in entry) or entry[0].cell.criterion != "task"
+    cell = entry[0].cell
+    searched = all(score.best_known is not None for score in entry) or cell.criterion != "task" or cell.uncertainty
     return "" if failed or searched else "no best known payload"
-
-
-def _interval(entry: Sequence[scores.Score]) -> list[float] | None:
-    """Fractions of the worst and best motion; with draws, those of the assured payload and the DLCC.
-
-    The assured payload is a 95/95 lower tolerance bound.
-    """
-    if len(entry) > 1:
-        values = [score.score for score in entry if score.score is not None]
-        return [min(values), max(values)] if len(values) == len(entry) else None
-    score = entry[0]
-    if score.cell.draws == 1 or score.score is None or not score.best_known:
-        return None
-    return [(score.result.get("assured_payload") or 0.0) / score.best_known, score.score]
 
 
 def _violation_text(entry: Sequence[scores.Score]) -> str:
@@ -239,7 +217,8 @@ def _code(cell: Cell) -> str:
         module, name, lines = "cablebot_gym.bounds.best_known", "find_best_known", [repr(cell.env_id)]
     else:
         module, name, lines = "cablebot_gym.evaluation", "evaluate_dlcc", [repr(cell.policy), repr(cell.env_id)]
-    lines += [f"{option}={value!r}" for option, value in cell.options().items() if value is not None]
+    options = cell.options() if isinstance(cell, PolicyCell) else cell.env_options()
+    lines += [f"{option}={value!r}" for option, value in options.items() if value is not None]
     inner = "".join(f"    {line},\n" for line in lines)
     return f"import cablebot_gym\nfrom {module} import {name}\n\nprint({name}(\n{inner}))"
 
@@ -255,10 +234,7 @@ def _facts(score: scores.Score) -> list[list[str]]:
     if (violation := limiting_violation(score)) is not None:
         facts.append(["Limiting violation", str(violation)])
     if cell.draws > 1:
-        assured = result.get("assured_payload")
-        text = "none" if assured is None else f"{assured:.3f} kg"
-        success = f"success rate {cell.probability:.0%}; 95/95 lower tolerance bound: {text}"
-        facts.append(["Draws", f"{cell.draws}; {success}"])
+        facts.append(["Draws", f"{cell.draws}; the payload is the 95/95 lower tolerance bound"])
     if result.get("failures"):
         counts = ", ".join(f"{kind}: {count}" for kind, count in result["failures"].items())
         facts.append(["Violations of the draws at a larger payload", counts])
@@ -330,7 +306,7 @@ def _map(payload_map: scores.PayloadMap) -> dict[str, Any]:
     }
 
 
-def _notes(sources: Sequence[Source], records: Sequence[Record]) -> list[dict[str, Any]]:
+def _notes(sources: Sequence[Results], records: Sequence[Record]) -> list[dict[str, Any]]:
     references = [best_known_text(best) for best in scores.best_known_payloads(records).values()]
     sections = {
         "Commands": [f"suite {source.suite}: {source.command}" for source in sources],
@@ -349,6 +325,7 @@ def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | N
         record.cell.key: (record.cell, record.result.get("payload"))
         for record in records
         if record.error is None
+        and not isinstance(record.cell, TimingCell)
         and record.result.get("applicable", True)
         and not (isinstance(record.cell, BestKnownCell) and varied_fields(record.cell))
     }

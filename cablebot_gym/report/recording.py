@@ -40,7 +40,7 @@ def record_all(
         if stored is not None:
             yield key, stored
         else:
-            group = key if isinstance(cell, BestKnownCell) else batch_key(cell)
+            group = batch_key(cell) if isinstance(cell, PolicyCell) else key
             groups.setdefault(group, []).append(key)
     jobs = {group: partial(record_batch, [queries[key] for key in keys]) for group, keys in groups.items()}
     returned = (processes.WorkerDied,)

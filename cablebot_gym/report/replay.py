@@ -15,7 +15,7 @@ import numpy as np
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, canonical
 from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.envs.vector import CableBotVectorEnv
-from cablebot_gym.evaluation.batch import draw_seeds, run_episodes
+from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.kinematics import Array, rotation_matrix
@@ -135,12 +135,13 @@ def _payloads(dlcc: float | None) -> list[float]:
 def _rollouts(env: CableBotVectorEnv, policy: Policy, episodes: Sequence[tuple[PolicyCell, float]]) -> list[Rollout]:
     """Records one episode of each environment, with the conditions of its cell and its payload."""
     cells, payloads = [cell for cell, _ in episodes], np.array([payload for _, payload in episodes])
-    seeds: list[int | None] = [draw_seeds(cell.seed, cell.draws)[0] for cell in cells]
+    seeds = [draw_seeds(cell.seed, cell.draws)[0] for cell in cells]
     options: dict[str, Any] = {
         "payload": payloads,
         "payload_known": [cell.payload_known for cell in cells],
         "model_payload_factor": [cell.model_payload_factor for cell in cells],
         "uncertainty": [cell.uncertainty or "none" for cell in cells],
+        "noise_seed": [noise_seed(seed, payload) for seed, payload in zip(seeds, payloads.tolist(), strict=True)],
     }
     judge = Judge("task", env.settings.robot.cables, env.num_envs)
     env.reset(options=options)
@@ -150,10 +151,10 @@ def _rollouts(env: CableBotVectorEnv, policy: Policy, episodes: Sequence[tuple[P
         own = options | {"trajectory": json.loads(motion), "reset_mask": mask}
         observation, info = env.reset(seed=seeds, options=own)
         task = env.tasks[int(mask.argmax())]
-        judge.reset(info, task.error_bounds, task.steps, mask)
-    recorder = Recorder(env, range(env.num_envs), _RECORDED)
-    recorder.start(observation, info)
-    run: dict[str, Any] = {"payloads": payloads, "observer": recorder, "full_motion": True}
+        judge.reset(info, task, mask)
+    recorder = Recorder(range(env.num_envs), _RECORDED)
+    recorder.start(env, observation, info)
+    run: dict[str, Any] = {"observer": recorder, "full_motion": True}
     run_episodes(env, policy, cells[0].policy, observation, judge, **run)
     return recorder.rollouts([judge.verdict(index) for index in range(env.num_envs)])
 
@@ -165,7 +166,7 @@ def best_replays(cell: BestKnownCell) -> list[Replay]:
         ValueError: if the cache does not contain the actions.
         ImportError: if CasADi is missing.
     """
-    options = cell.options() | {"robot": cell.robot}
+    options = cell.env_options() | {"robot": cell.robot}
     result = cached_best_known(cell.env_id, **options)
     if result is None:
         raise ValueError(
@@ -199,8 +200,9 @@ def compress(rollout: Rollout) -> Replay:
 def approach(rollout: Rollout, violation: Violation) -> str:
     """One sentence on how the margin shrinks before a violation; empty if that is not recorded."""
     arrays = rollout.arrays
-    if violation.bound is not None:
-        name = {"position": "tracking_error_peak", "rotation": "rotation_error_peak"}[violation.kind]
+    errors = {"position": "tracking_error_peak", "rotation": "rotation_error_peak"}
+    if violation.kind in errors and violation.bound is not None:
+        name = errors[violation.kind]
         subject, values, unit = "The error", 100 * arrays[name] / violation.bound, "% of its bound"
     elif violation.kind == "slack" and violation.index is not None:
         subject, values = f"The tension of cable {violation.index}", arrays["tensions"][:, violation.index - 1]

@@ -15,6 +15,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
@@ -26,7 +27,7 @@ ATTEMPTS = 2
 
 
 class WorkerDied(RuntimeError):
-    """The process of a computation ended without a result, for example after a crash or for lack of memory."""
+    """A computation ended its process or tried to, for example by ``sys.exit``, a crash or for lack of memory."""
 
 
 def cores() -> int:
@@ -66,18 +67,30 @@ def run(
         returned: exception types that are yielded in place of a result, such as :class:`WorkerDied`. Other exceptions
             are raised.
     """
-    if workers == 1 or not tasks:
-        for key, task in tasks.items():
-            try:
-                result = task()
-            except returned as error:
-                result = error
-            yield key, result
-        return
-    for key, failure, result in _Pool(min(workers, len(tasks)), say).results(tasks, leaders_first(tasks, kind)):
+    sequential = workers == 1 or not tasks
+    pool = None if sequential else _Pool(min(workers, len(tasks)), say)
+    for key, failure, result in pool.results(tasks, leaders_first(tasks, kind)) if pool else _sequential(tasks):
         if failure is not None and not isinstance(failure, returned):
             raise failure
         yield key, result if failure is None else failure
+
+
+def _outcome(task: Callable[[], Any]) -> tuple[Exception | None, Any]:
+    """Error and result of a computation. An attempt to end the process, such as ``sys.exit``, is a WorkerDied."""
+    try:
+        return None, task()
+    except KeyboardInterrupt:
+        raise
+    except Exception as error:
+        return error, None
+    except BaseException as error:
+        return WorkerDied(f"it raised {type(error).__name__}: {error}"), None
+
+
+def _sequential(tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | None, Any]]:
+    """Key, error and result of each computation in this process."""
+    for key, task in tasks.items():
+        yield key, *_outcome(task)
 
 
 def leaders_first(tasks: Mapping[str, Task], kind: Callable[[Task], Hashable]) -> list[str]:
@@ -204,11 +217,13 @@ def _serve(pipe: Connection) -> None:
                 data = pipe.recv_bytes()
             except EOFError:
                 return
-            try:
-                reply = pickle.dumps(("result", pickle.loads(data)()))
-            except Exception as error:
-                reply = pickle.dumps(("error", _portable(error)))
-            pipe.send_bytes(reply)
+            failure, reply = _outcome(partial(_pickled_result, data))
+            pipe.send_bytes(reply if failure is None else pickle.dumps(("error", _portable(failure))))
+
+
+def _pickled_result(data: bytes) -> bytes:
+    """Result of a pickled computation, pickled."""
+    return pickle.dumps(("result", pickle.loads(data)()))
 
 
 def _portable(error: Exception) -> Exception:

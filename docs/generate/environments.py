@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from cablebot_gym import ENV_IDS
-from cablebot_gym.benchmark.tables import leaderboard_rows, motion_title
+from cablebot_gym.benchmark.tables import leaderboard_rows
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.policies import load_policy
@@ -94,5 +94,5 @@ def _policies(env_id: str) -> str:
     text = "Payload [kg] and its fraction of the best known payload, from the [leaderboard](/leaderboard.md).\n"
     for board in all_leaderboards():
         if board.env_id == env_id:
-            text += f"\n{motion_title(board).capitalize()}:\n\n{table(leaderboard_rows(board))}"
+            text += f"\n{table(leaderboard_rows(board))}"
     return text

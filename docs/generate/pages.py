@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 
-from cablebot_gym.benchmark.leaderboard import read_results
+from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Leaderboard, leaderboards
 
 RESULTS = Path(__file__).parents[1] / "leaderboard" / "results.json"
@@ -41,7 +41,7 @@ def table(rows: Iterable[Sequence[str]]) -> str:
 @cache
 def all_leaderboards() -> tuple[Leaderboard, ...]:
     """The tables of the stored leaderboard."""
-    return tuple(leaderboards(read_results(RESULTS.read_text(encoding="utf-8"))[2]))
+    return tuple(leaderboards(Results.from_json(RESULTS.read_text(encoding="utf-8")).records))
 
 
 def policy_link(name: str) -> str:

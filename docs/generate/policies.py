@@ -7,7 +7,7 @@ from typing import get_type_hints
 
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.shipped import SHIPPED
-from cablebot_gym.benchmark.tables import entry_text, heading, motion_title
+from cablebot_gym.benchmark.tables import column_titles, entry_text, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from generate.errata import mentioned
 from generate.pages import Pages, all_leaderboards, env_links, policy_link, table
@@ -50,11 +50,13 @@ def policy_class(entry: PolicyEntry) -> type:
 
 
 def payloads(policy: str) -> str:
-    """A table of a policy's payloads by environment and motion."""
+    """A table of a policy's payloads by condition and environment."""
     boards = [board for board in all_leaderboards() if policy in board.policies]
-    columns = list(dict.fromkeys(column for board in boards for column in board.columns))
-    rows = [["id", "motion", *map(heading, columns)]]
+    rows = [["", *(env_links([board.env_id]) for board in boards)]]
+    entries: dict[str, dict[str, str]] = {}
     for board in boards:
-        entries = (entry_text(board, policy, column) for column in columns)
-        rows.append([env_links([board.env_id]), motion_title(board), *entries])
+        for title, column in zip(column_titles(board), board.columns, strict=True):
+            entries.setdefault(title, {})[board.env_id] = entry_text(board, policy, column)
+        entries.setdefault("median, p99 [ms], late", {})[board.env_id] = timing_text(board.timings.get(policy))
+    rows += [[title, *(own.get(board.env_id, "–") for board in boards)] for title, own in entries.items()]
     return table(rows)

@@ -5,25 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 
 from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.leaderboard import read_results
-from cablebot_gym.report.page import Source, html, replay_queries
+from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.report.page import html, replay_queries
 from cablebot_gym.report.replay import replays
 from generate.pages import MAPS, PAPER_MAPS, RESULTS
 
 RECORDED = ("fl", "apg-circle", "composite", "motor-pd")
-"""Policies with recorded episodes on the paper's circle, payload known."""
+"""Policies with recorded episodes on the circle, payload known."""
 
 
 def write(folder: Path) -> None:
     """Writes ``report.html`` into a folder."""
-    sources = [Source(*read_results(path.read_text(encoding="utf-8"))) for path in (RESULTS, MAPS, PAPER_MAPS)]
+    sources = [Results.from_json(path.read_text(encoding="utf-8")) for path in (RESULTS, MAPS, PAPER_MAPS)]
     usual = {"payload_known": True, "model_payload_factor": 1.0, "uncertainty": None, "criterion": "task"}
     recorded = {
         key: replays([(cell, payload)])[0]
         for key, (cell, payload) in replay_queries(sources[0].records).items()
         if isinstance(cell, PolicyCell)
         and cell.policy in RECORDED
-        and str(cell.trajectory["name"]).startswith("paper-")
+        and str(cell.trajectory["name"]).startswith("circle-")
         and all(getattr(cell, name) == value for name, value in usual.items())
     }
     folder.mkdir(parents=True, exist_ok=True)

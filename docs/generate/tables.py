@@ -7,9 +7,12 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.benchmark.scores import best_known_payloads
+from cablebot_gym.benchmark.tables import task_title
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.cli.listing import tables
-from generate.pages import Pages, table
+from generate.pages import RESULTS, Pages, table
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -20,6 +23,7 @@ def write(pages: Pages) -> None:
         pages.write(f"{name}.inc", table(rows))
     pages.write("requirements.inc", requirements())
     pages.write("commands.inc", commands())
+    pages.write("replays.inc", replays())
 
 
 def requirements() -> str:
@@ -28,6 +32,18 @@ def requirements() -> str:
     rows = [["extra", "needs"], ["Python", f"`{project['requires-python']}`"]]
     for extra, needed in {"the package itself": project["dependencies"], **project["optional-dependencies"]}.items():
         rows.append([extra, ", ".join(f"`{one}`" for one in needed)])
+    return table(rows)
+
+
+def replays() -> str:
+    """Replays of the best known payloads of the stored leaderboard, with the physics step h and with a tenth of it."""
+    rows = [["environment", "motion", "payload [kg]", "step", "least tension [N]", "errors [mm; mrad]", "violation"]]
+    records = Results.from_json(RESULTS.read_text(encoding="utf-8")).records
+    for best in best_known_payloads(records).values():
+        for step, one in zip(("h", "h/10"), best.result.get("replays", []), strict=False):
+            errors = f"{1e3 * one['position_peak']:.4f}; {1e3 * one['rotation_peak']:.4f}"
+            numbers = [f"{best.result['payload']:.3f}", step, f"{one['least_tension']:.3f}", errors]
+            rows.append([best.cell.env_id, task_title(best.cell), *numbers, one["violation"] or "none"])
     return table(rows)
 
 

@@ -12,17 +12,18 @@ from typing import Any
 from cablebot_baselines.learned.runs import rank
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, stem
 from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.evaluation.batch import DEFAULT_DRAWS
 from cablebot_gym.utils.files import atomic_write_text
 from cards.statistics import iqm, iqm_interval, scores
 
 LEAST_SEEDS = 5
 """Minimum number of training seeds of a card."""
 
-DRAWS = 256
-"""Number of episodes at each payload under an uncertainty."""
+DRAWS = DEFAULT_DRAWS
+"""Number of fresh draws that confirm a payload under an uncertainty."""
 
 PROBABILITY = 0.95
-"""Required fraction of successful draws."""
+"""Required success rate under an uncertainty."""
 
 HELD_OUT = 20
 """Number of held-out motions."""
@@ -30,7 +31,7 @@ HELD_OUT = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """Condition of an evaluation on the paper's circle."""
+    """Condition of an evaluation on the circle between dwells."""
 
     payload_known: bool = True
     """Whether the policy's model contains the payload."""
@@ -46,10 +47,7 @@ CONDITIONS = {
     "apg-circle-margin": (
         UNKNOWN,
         KNOWN,
-        Condition(payload_known=False, uncertainty="sensors"),
-        Condition(uncertainty="sensors"),
-        Condition(payload_known=False, uncertainty="table6"),
-        Condition(uncertainty="table6"),
+        *(Condition(payload_known=False, uncertainty=name) for name in ("sensors", "table6", "hardware")),
     ),
     "apg-loops": (KNOWN, UNKNOWN),
 }
@@ -122,9 +120,8 @@ class Card:
     """Names of the network's inputs."""
     parameters: int
     """Number of parameters of the network."""
-    motions: Any
-    """Training motions: ``motions`` of a :class:`~cablebot_baselines.learned.gradient_run.GradientConfig`, or an
-    environment's ``trajectory``."""
+    motions: Mapping[str, Any]
+    """Training motions: ``motions`` of :func:`~cablebot_baselines.learned.gradient_run.make_gradient_config`."""
     evaluation: Mapping[str, Any]
     """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` during training."""
     planner_output_used: bool
@@ -132,9 +129,9 @@ class Card:
     conditions: tuple[Condition, ...]
     """Conditions of the evaluation."""
     draws: int
-    """Number of episodes at each payload under an uncertainty."""
+    """Number of fresh draws that confirm a payload under an uncertainty."""
     probability: float
-    """Required fraction of successful draws."""
+    """Required success rate under an uncertainty."""
     shipped_seed: int
     """Training seed with the median payload in training."""
     sha256: str
@@ -148,11 +145,13 @@ class Card:
     law_payloads: tuple[float | None, ...]
     """DLCC of this law under each condition [kg]."""
     best_known: float | None
-    """Best known payload on the paper's circle without uncertainty [kg]; None if the leaderboard has none."""
+    """Best known payload on the circle without uncertainty [kg]; None if the leaderboard has none."""
     seeds: tuple[SeedRun, ...]
     """Training runs, one for each seed."""
     held_out: tuple[HeldOut, ...]
     """Held-out motions."""
+    dwell: float = 0.0
+    """Shortest dwell at the ends of the training motions [s]; 0 if the policy was not trained for dwell."""
     sb3: bool = False
     """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped too."""
 
@@ -241,9 +240,9 @@ class Card:
         return path
 
 
-def has_loops(motions: Any) -> bool:
+def has_loops(motions: Mapping[str, Any]) -> bool:
     """Whether the ``motions`` of a card contain random loops."""
-    return isinstance(motions, Mapping) and "loops" in motions
+    return "loops" in motions
 
 
 @dataclass(frozen=True, kw_only=True)

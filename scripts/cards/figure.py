@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cablebot_baselines.learned.shipped import short_id
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
-from cards.card import Card, Condition
+from cards.card import Card, Condition, has_loops
 from cards.statistics import scores
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def draw_curves(cards: Sequence[Card]) -> Figure:
         _curves(axes, card)
     for axes in list(panels)[len(cards) :]:
         axes.set_axis_off()
-    shown = next((index for index, card in enumerate(cards) if card.motions == "paper" and card.best_known), 0)
+    shown = next((index for index, card in enumerate(cards) if not has_loops(card.motions) and card.best_known), 0)
     add_legend(figure, figure.axes[shown])
     set_title(figure, "Payload during training, on the motions that select the best policy of a run")
     return figure
@@ -52,7 +52,7 @@ def _curves(axes: Axes, card: Card) -> None:
             label="shipped seed" if ships else "_" if index else "other seeds",
         )
     where = "circle"
-    if card.motions == "paper":
+    if not has_loops(card.motions):
         if card.best_known:
             axes.axhline(card.best_known, color="black", linestyle="--", linewidth=1.0, label="best known payload")
         known, uncertainty = card.evaluation.get("payload_known", True), card.evaluation.get("uncertainty")

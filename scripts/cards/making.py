@@ -12,14 +12,14 @@ from typing import Any
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.network import zero_network
 from cablebot_baselines.learned.runs import BEST, LAST
 from cablebot_baselines.learned.shipped import Shipped, stem
 from cablebot_baselines.learned.steering import action_mapping_to_jsonable
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Record
-from cablebot_gym.benchmark.leaderboard import read_results
+from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import best_known_payloads, motion_key
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
+from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
 from cards.card import CONDITIONS, DRAWS, HELD_OUT, KNOWN, PROBABILITY, Card, Condition, HeldOut, SeedRun, has_loops
@@ -43,7 +43,7 @@ def read_best_known(path: Path) -> dict[str, float]:
     Raises:
         OSError, ValueError, KeyError: if the file cannot be read.
     """
-    return _known(read_results(path.read_text(encoding="utf-8"))[2])
+    return _known(Results.from_json(path.read_text(encoding="utf-8")).records)
 
 
 def _known(records: Sequence[Record]) -> dict[str, float]:
@@ -76,8 +76,8 @@ def make_card(
         evaluate: function that computes cells.
         best_known: best known payloads from :func:`read_best_known`.
         command: command line that makes the card.
-        draws: number of episodes at each payload under an uncertainty.
-        probability: required fraction of successful draws.
+        draws: number of fresh draws that confirm a payload under an uncertainty.
+        probability: required success rate under an uncertainty.
         held_out: number of held-out motions.
         searched: number of held-out motions with a search for the best known payload, for training on random loops.
 
@@ -92,10 +92,9 @@ def make_card(
     records = [Bundle.load(run / LAST).card for run in runs]
     _check_runs(shipped, env_id, runs, records)
     first, seeds = bundles[0], [int(card["seed"]) for card in records]
-    motions = _motions(records[0]["config"])
+    motions = _motions(records[0]["config"], env_id)
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
-    zero = zero_network(first.network.inputs, first.network.outputs)
-    replace(first, network=zero, card={"note": "the base law alone"}).save(base)
+    first.base_alone.save(base)
     law, conditions = reference_law(env_id), CONDITIONS[shipped.name]
 
     def cells(policy: str) -> list[PolicyCell]:
@@ -125,6 +124,7 @@ def make_card(
         motions=motions,
         evaluation=records[0]["evaluation"],
         planner_output_used=any(card["planner_output_used"] for card in records),
+        dwell=min(card.get("dwell", 0.0) for card in records),
         conditions=conditions,
         draws=draws,
         probability=probability,
@@ -146,8 +146,11 @@ def make_card(
 def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     """The card with the best known payloads of a leaderboard, from :func:`read_best_known`.
 
-    Held-out motions that are not on the leaderboard keep their best known payload, unless a policy's DLCC is larger.
+    Held-out motions that are not on the leaderboard keep their best known payload, unless a policy's DLCC is larger. A
+    card whose policy was not trained for dwell stays as it is: its payloads are those of motions without dwells.
     """
+    if not card.dwell:
+        return card
     law, env_id = card.law, card.env_id
 
     def best(index: int, motion: HeldOut) -> float | None:
@@ -237,7 +240,7 @@ def _cell(
 ) -> PolicyCell:
     return PolicyCell(
         env_id=env_id,
-        trajectory={"name": f"paper-{_kind(env_id)}"} if motion is None else motion,
+        trajectory={"name": _default_motion(env_id)} if motion is None else motion,
         policy=policy,
         payload_known=condition.payload_known,
         uncertainty=condition.uncertainty,
@@ -259,9 +262,15 @@ def _payloads(cells: Sequence[PolicyCell], evaluate: Evaluate) -> list[float | N
     return [records[cell.key].result["payload"] for cell in cells]
 
 
-def _motions(config: Mapping[str, Any]) -> Any:
+def _motions(config: Mapping[str, Any], env_id: str) -> Mapping[str, Any]:
     """Training motions of a configuration of either kind."""
-    return config.get("motions", config.get("env_kwargs", {}).get("trajectory", "paper"))
+    default = config.get("env_kwargs", {}).get("trajectory", _default_motion(env_id))
+    motions: Mapping[str, Any] = config.get("motions", {"named": [default]})
+    return motions
+
+
+def _default_motion(env_id: str) -> str:
+    return default_trajectory(find_robot(env_robot(env_id)))
 
 
 def base_text(base: Base, env_id: str) -> str:

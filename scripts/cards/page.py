@@ -27,8 +27,8 @@ A learned policy steers a classical law, the base law: its network shifts the la
 actions. Each policy was trained with several seeds, and the table includes all of them. The shipped seed is the one
 with the median payload in training, so that it is typical and not the luckiest.
 
-* Payloads are dynamic load carrying capacities (DLCC) in kg on the paper's circle by the task criterion, as on the
-  [leaderboard](../LEADERBOARD.md){drawn}.
+* Payloads are dynamic load carrying capacities (DLCC) in kg on the circle between dwells by the task criterion, as on
+  the [leaderboard](../LEADERBOARD.md){drawn}.
   A policy that fails unloaded counts as 0.
 * IQM is the interquartile mean over the training seeds. The brackets contain its {confidence:.0%} interval from
   {resamples} resamples of a stratified bootstrap; the strata are the environments.
@@ -43,7 +43,8 @@ with the median payload in training, so that it is typical and not the luckiest.
   alone are not made for other motions, and only the shipped seed is evaluated.
 * "in training", for policies trained on random loops, is the mean payload on the validation loops. They select the best
   policy of each run and are not used to train the network.
-* "training" is the median wall time of one seed.
+* "training" is the median wall time of one seed. "not trained for dwell": the weights and all numbers are from before
+  the motions had dwells; they are those of the paper's circle as printed.
 
 """
 
@@ -59,11 +60,13 @@ def card_markdown(cards: Sequence[Card]) -> str:
     Args:
         cards: cards in the order of the page, at least one.
     """
-    draws = sorted({card.draws for card in cards if any(one.uncertainty for one in card.conditions)})
     drawn = ""
-    if draws:
-        several = " or ".join(map(str, draws))
-        drawn = f"; `table6` and `sensors` use {several} draws, {cards[0].probability:.0%} of which must succeed"
+    for card in (one for one in cards if one.dwell):
+        if names := list(dict.fromkeys(one.uncertainty for one in card.conditions if one.uncertainty)):
+            drawn = (
+                f". Under {' and '.join(f'`{name}`' for name in names)} they are lower tolerance bounds: with 95%\n  "
+            )
+            drawn += f"confidence, {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
     text = _HEAD.format(drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED)
     text += _table([_COLUMNS, *(row for card in cards for row in _rows(card))], left=3)
     text += "\n![Payload versus wall time during training](learned.png)\n"
@@ -89,7 +92,7 @@ def _rows(card: Card) -> list[list[str]]:
                 "–" if not card.best_known else f"{summary.iqm / card.best_known:.0%} of {card.best_known:.2f}",
             ]
         )
-    time = _time(median(run.wall_s for run in card.seeds))
+    time = _time(median(run.wall_s for run in card.seeds)) + ("" if card.dwell else ", not trained for dwell")
     first = [f"`{card.policy}`", short_id(card.env_id), *rows[0], *_held_out_cells(card), time]
     return [first, *(["", "", *row, "", "", ""] for row in rows[1:])]
 
@@ -141,7 +144,8 @@ def _details(card: Card) -> str:
     text += f"* Base law: {card.base_text}.\n"
     text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
     text += f"{', '.join(card.features)}.\n"
-    text += f"* Training motions: {_trained_on(card.motions)}. {planner}\n"
+    dwell = f"with dwells of at least {card.dwell:g} s" if card.dwell else "not trained for dwell"
+    text += f"* Training motions: {_trained_on(card.motions)}, {dwell}. {planner}\n"
     text += f"* Shipped seed {card.shipped_seed}: `{card.shipped.command}`\n"
     if card.sb3:
         text += f"* `{card.stem}-sb3.zip` contains the same actor as a model of Stable-Baselines3, for further "
@@ -164,18 +168,16 @@ def _steering(action_mapping: Mapping[str, Any]) -> str:
     )
 
 
-def _trained_on(motions: Any) -> str:
-    if motions == "paper":
-        return "the paper's circle"
-    if has_loops(motions):
-        named = [one if isinstance(one, str) else json.dumps(one) for one in motions.get("named", [])]
-        return ", ".join([f"random loops, training seeds 0 to {motions['loops'] - 1}", *(f"`{one}`" for one in named)])
-    return f"`{json.dumps(motions)}`"
+def _trained_on(motions: Mapping[str, Any]) -> str:
+    loops = [f"random loops, training seeds 0 to {motions['loops'] - 1}"] if has_loops(motions) else []
+    named = [one if isinstance(one, str) else json.dumps(one) for one in motions.get("named", [])]
+    return ", ".join([*loops, *(f"`{one}`" for one in named)])
 
 
 def _title(condition: Condition) -> str:
     return heading(
         Column(
+            motion="",
             payload_known=condition.payload_known,
             model_payload_factor=1.0,
             uncertainty=condition.uncertainty,

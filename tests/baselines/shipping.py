@@ -14,10 +14,21 @@ from cablebot_baselines.learned.network import zero_network
 from cablebot_baselines.learned.runs import BEST, LAST, read_yaml
 from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS
+from cablebot_gym.benchmark.cells import BestKnownCell
+from cablebot_gym.benchmark.scores import motion_key
 
 ROOT = Path(__file__).parents[2]
 PLANAR_ID, SPATIAL_ID = ENV_IDS[:2]
 APG_CIRCLE = SHIPPED["apg-circle"]
+
+BEST_KNOWN = {
+    motion_key(BestKnownCell(env_id=PLANAR_ID, trajectory=trajectory)): payload
+    for trajectory, payload in (
+        ({"name": "circle-planar"}, 2.875),
+        *(({"name": "loop-planar", "seed": 10_000 + index}, 4.0) for index in range(3)),
+    )
+}
+"""Best known payloads of a leaderboard with the circle and three held-out loops [kg]."""
 
 PAYLOADS = {0: 2.0, 1: None, 2: 2.8, 3: 2.4, 4: 2.6}
 """Payload of each seed if the payload is known; 1 kg less if it is unknown."""
@@ -43,6 +54,7 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "threads": 1,
         "versions": {"python": "3.11", "torch": "2"},
         "planner_output_used": False,
+        "dwell": 0.3,
         "evaluation": {"criterion": "task", "resolution": 0.05},
         "curve": [{"timesteps": 350, "wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)}],
         "base_payload_kg": 1.4,

@@ -27,7 +27,7 @@ def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
 
 def peaks(law, plant_robot, **keywords):
     """Largest position error in each tenth of a second on Table 3's circle [m]; infinite after a termination."""
-    env = gym.make(ID, robot=plant_robot, max_episode_steps=-1, termination_radius=0.2, **keywords)
+    env = gym.make(ID, robot=plant_robot, trajectory="paper-spatial", termination_radius=0.2, **keywords)
     observation, _ = env.reset(seed=0)
     state, record = None, np.full(500, np.inf)
     for step in range(500):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from test_learned_policy import tasks_of
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
@@ -17,26 +18,26 @@ from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.runs import BEST, HYPERPARAMS, LAST, Interrupted, TrainingResult
+from cablebot_baselines.learned.runs import BEST, HYPERPARAMS, LAST, Interrupted, TrainingResult, shortest_dwell
 from cablebot_baselines.learned.steering import Shift, Steering
 from cablebot_gym.cli import app as cli
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observed_reference
+from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import find_robot
-from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED, find_trajectory
+from cablebot_gym.trajectories import DWELL, FIRST_HELD_OUT_SEED, BetweenDwells, RandomLoop, find_trajectory
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 
 
-def made(env_id, action_mapping, *, features=("rbf_time",), motions=None, **settings):
+def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **settings):
     robot = find_robot(env_robot(env_id))
-    paper = "paper-planar" if robot.planar else "paper-spatial"
-    trajectories = [find_trajectory(name, robot.coordinates) for name in motions or [paper]]
+    trajectories = [find_trajectory(name, robot.coordinates) for name in motions or [default_trajectory(robot)]]
     return GradientTraining(
         robot=robot,
         trajectories=trajectories,
@@ -49,16 +50,18 @@ def made(env_id, action_mapping, *, features=("rbf_time",), motions=None, **sett
 @pytest.mark.parametrize(
     ("env_id", "law", "action_mapping", "features"),
     [
-        (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_time",)),
+        (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
+        (SPATIAL, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.01, degree=2, preview=0.05), REFERENCE_FEATURES),
         (FLEX, "motor-pd", Shift(action_period=0.04, degree=4, preview=0.02), ("time_since_start",)),
     ],
 )
 def test_training_motion_equals_the_reference_that_the_law_gets(env_id, law, action_mapping, features):
-    """Excludes anchors, past control points, features or squashing that differ between training and use."""
+    """Excludes start poses, anchors, past control points, features or squashing that differ."""
     training = made(env_id, action_mapping, features=features, instants=2)
     trained, (trajectory,) = training.motion().detach().numpy()[0], training.trajectories
     steering = Steering(training.robot, base=Base(law=law), action_mapping=action_mapping, features=features)
+    steering.reset(tasks_of(env_id)[:1])
     network, memory, m, given, respond = training.network, None, training.robot.cables, {}, steering.law.respond
     steering.law.respond = lambda blocks, *rest: given.update(blocks) or respond(blocks, *rest)
     for step in range(200):
@@ -100,9 +103,11 @@ def test_violations_equal_the_inverse_dynamics_with_and_without_payload():
 
 def test_invalid_training_is_rejected():
     with pytest.raises(ValueError, match="remove 'shift'"):
-        made(PLANAR, Shift(), features=("rbf_time", "shift"))
+        made(PLANAR, Shift(), features=("rbf_progress", "shift"))
     with pytest.raises(ValueError, match="softness is for planar robots, but 'spatial' is spatial"):
         made(SPATIAL, Shift(), softness=(1.0,) * 5)
+    with pytest.raises(ValueError, match="below the robot's 1 N"):
+        made(SPATIAL, Shift(), tension=0.5)
     for wrong in ({"iterations": 0}, {"lighter": 1.0}, {"softness": (1.0,)}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             GradientSettings(**wrong)
@@ -117,7 +122,7 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
             "CableBot-FlexPlanar-v0",
             Shift(action_period=0.02, fraction=0.9, degree=4),
             features=("reference_acceleration", "time_since_start"),
-            motions=[{"name": "loop-planar", "seed": seed} for seed in (0, 5)],
+            motions=[{"name": "loop-planar", "seed": seed, "dwell": 0} for seed in (0, 5)],
             spread=0.01,
             rounds=(30.0, 300.0),
             iterations=40,
@@ -134,7 +139,7 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
 SMALL = {
     "base": {"law": "fl", "gains": [2500, 100], "minimum_tension": 2.0},
     "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.98, "degree": 3},
-    "features": ["rbf_time"],
+    "features": ["rbf_progress"],
     "rounds": [30, 300],
     "iterations": 40,
 }
@@ -208,14 +213,23 @@ def test_validation_loops_differ_from_training_loops():
     line = {"name": "line-planar", "duration": 2.0}
     both = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
     assert [one.name for one in both.trajectories] == ["loop-planar", "loop-planar", "paper-planar", "line-planar"]
-    assert both.trajectories[-1].duration == 2.0
-    assert [one.seed for one in (*both.trajectories[:2], *both.validation)] == [0, 1, *VALIDATION]
+    assert both.trajectories[-1].motion.duration == 2.0
+    assert [one.motion.seed for one in (*both.trajectories[:2], *both.validation)] == [0, 1, *VALIDATION]
 
 
 @pytest.mark.parametrize("name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)])
 def test_shipped_configurations_use_training_motions_only(name):
     for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
         config = make_gradient_config(env_id, plain)
-        seeds = [getattr(motion, "seed", 0) for motion in (*config.trajectories, *config.validation)]
-        assert max(seeds) < FIRST_HELD_OUT_SEED
-        assert not set(seeds[: len(config.trajectories)]) & set(VALIDATION)
+        assert shortest_dwell(config.trajectories) == DWELL
+        trained, validation = (
+            {
+                one.motion.seed
+                for one in motions
+                if isinstance(one, BetweenDwells) and isinstance(one.motion, RandomLoop)
+            }
+            for motions in (config.trajectories, config.validation)
+        )
+        assert max(trained | validation, default=0) < FIRST_HELD_OUT_SEED
+        assert trained.isdisjoint(VALIDATION)
+        assert bool(trained) == bool(validation) == (name == "gradient-loops")

@@ -12,7 +12,7 @@ import pytest
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import FORMAT, Bundle
-from cablebot_baselines.learned.features import RBF_COUNT, TIME_CONSTANTS
+from cablebot_baselines.learned.features import PROGRESS_COUNT, TIME_CONSTANTS
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.steering import (
@@ -30,12 +30,13 @@ from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds
+from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.utils import code_hash
 
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID, FLEX_SPATIAL_ID = ENV_IDS
 DWELL = {"name": "dwell-planar", "duration": 0.05}
 PERIOD = 1 / 500
-FEATURES = ("pose", "shift", "shift_velocity", "actions", "error", "time_since_start", "rbf_time", "model_payload")
+FEATURES = ("pose", "shift", "shift_velocity", "actions", "error", "time_since_start", "rbf_progress", "model_payload")
 RESIDUAL_FEATURES = ("pose", "velocity", "actions", "error", "time_since_start", "reference_acceleration")
 
 CASES = {
@@ -264,16 +265,56 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
         np.testing.assert_allclose(past[5 * decision], expected, atol=1e-15)
 
 
+@pytest.mark.parametrize("preview", [0.0, 0.05])
+def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
+    """In a batch with a motion that starts on its reference, and again in the next episode."""
+    steering = steering_of(SPATIAL_ID, action_mapping=Shift(preview=preview), features=("error", "shift"))
+    (task,) = tasks_of(SPATIAL_ID)[:1]
+    tasks = [task, dataclasses.replace(task, trajectory=find_trajectory("paper-spatial", 6))]
+    steering.reset(tasks)
+    poses = [one.trajectory(0.0).position for one in tasks]
+    rows = np.zeros((2, observation_layout(SPATIAL).size))
+    blocks = steering.split(rows)
+    blocks["reference_pose"][:], blocks["pose"][:] = poses, [one.start_pose for one in tasks]
+    given, memory = [], None
+    steering.law.respond = lambda blocks, *rest: given.append(blocks) or (np.zeros((2, 6)), None)
+    for _ in range(2):
+        memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
+        np.testing.assert_allclose(steering.observe(blocks, memory)[:, :6], 0.0, atol=1e-15)
+        _, memory = steering.respond(blocks, np.ones((2, 6)), memory)
+    for reference in given:
+        np.testing.assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
+    assert tasks[0].start_pose[2] > poses[0][2] + 1e-3
+
+
+def test_motion_of_a_base_alone_is_the_task_soon():
+    bundle = dataclasses.replace(bundle_of("preview"), base=Base())  # an estimator would remember the start
+    alone, robot = LearnedPolicy(bundle.base_alone, SPATIAL), bundle.base.make(SPATIAL)
+    rows, tasks = observations(SPATIAL_ID, 300)
+    alone.reset(tasks)
+    robot.reset(tasks)
+    np.testing.assert_allclose(run(alone, rows)[-50:], run(robot, rows)[-50:], rtol=0, atol=1e-9)
+
+
+def test_progress_features_span_the_motion():
+    steering = steering_of(features=("rbf_progress",))
+    rows = np.zeros((PROGRESS_COUNT, observation_layout(PLANAR).size))
+    observation_layout(PLANAR).split(rows)["time_to_go"][::-1, 0] = np.arange(len(rows)) * PERIOD
+    _, learner = steer(steering, rows, np.zeros((len(rows), 2)))
+    assert np.argmax(learner, axis=1).tolist() == list(range(PROGRESS_COUNT))
+    np.testing.assert_allclose(np.diagonal(learner), 1.0)
+
+
 def test_time_features_start_with_the_episode():
-    steering = steering_of(features=("time_since_start", "rbf_time", "time_to_go_decays"))
-    assert steering.inputs == 2 * len(TIME_CONSTANTS) + RBF_COUNT
-    rows = np.zeros((30, 21))
+    steering = steering_of(features=("time_since_start", "time_to_go_decays"))
+    assert steering.inputs == 2 * len(TIME_CONSTANTS)
+    rows = np.zeros((30, observation_layout(PLANAR).size))
     observation_layout(PLANAR).split(rows)["time_to_go"][:, 0] = 1.0 - np.arange(30) * PERIOD
     _, learner = steer(steering, rows, np.zeros((30, 2)))
     times = np.arange(30)[:, None] * PERIOD
     np.testing.assert_allclose(learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12)
     np.testing.assert_allclose(learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12)
-    assert np.argmax(learner[0, len(TIME_CONSTANTS) : -len(TIME_CONSTANTS)]) == 0
 
 
 @each_case

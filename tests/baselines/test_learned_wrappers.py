@@ -1,4 +1,4 @@
-"""Wrappers for training: limits, payload curriculum and steered law, single and in batches."""
+"""Wrappers for training: payload curriculum and steered law, single and in batches."""
 
 from __future__ import annotations
 
@@ -9,30 +9,26 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 from stable_baselines3.common import env_checker
 from stable_baselines3.common.monitor import Monitor
 from test_learned_policy import network_of
 
-from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.wrappers import (
     PayloadCurriculum,
+    PayloadCurriculumVector,
     Steered,
     SteeredVector,
-    WithinLimits,
-    WithinLimitsVector,
     make_steered_vec,
 )
 from cablebot_gym.evaluation import DLCCMonitor
-from cablebot_gym.robots import PLANAR, SPATIAL
 
 PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
 
 OBSERVED = (
-    *("pose", "velocity", "error", "actions", "time_since_start", "rbf_time", "time_to_go_decays", "model_payload"),
+    *("pose", "velocity", "error", "actions", "time_since_start", "rbf_progress", "time_to_go_decays", "model_payload"),
     *("shift", "shift_velocity"),
 )
 
@@ -59,19 +55,20 @@ each_case = pytest.mark.parametrize("case", list(CASES))
 
 
 def wrappers_of(case):
-    """Classes and arguments of the three wrappers."""
-    return [(WithinLimits, {}), (PayloadCurriculum, {"heaviest": 4.0}), (Steered, CASES[case]["steered"])]
+    """Classes and arguments of both wrappers."""
+    return [(PayloadCurriculum, {"heaviest": 4.0}), (Steered, CASES[case]["steered"])]
 
 
 def single(case, **keywords):
-    env = gym.make(CASES[case]["env_id"], **keywords)
+    env = gym.make(CASES[case]["env_id"], terminate_on_violation=True, **keywords)
     for wrapper, arguments in wrappers_of(case):
         env = wrapper(env, **arguments)
     return env
 
 
 def batch(case, count, **keywords) -> Any:
-    return make_steered_vec(CASES[case]["env_id"], count, wrappers=wrappers_of(case), **keywords)
+    keywords = {"terminate_on_violation": True, "wrappers": wrappers_of(case), **keywords}
+    return make_steered_vec(CASES[case]["env_id"], count, **keywords)
 
 
 def check_same_row(results, env_index, own):
@@ -128,8 +125,8 @@ def test_result_of_an_ended_episode_is_that_of_its_last_control_period(monkeypat
     The reward is the sum up to the end.
     """
     steered = {"base": "fl", "steering": "residual", "features": ("pose",)}
-    env = make_steered_vec(SPATIAL_ID, 2, wrappers=[(WithinLimits, {}), (Steered, steered)])
-    plain = WithinLimits(gym.make(SPATIAL_ID))
+    env = make_steered_vec(SPATIAL_ID, 2, wrappers=[(Steered, steered)], terminate_on_violation=True)
+    plain = gym.make(SPATIAL_ID, terminate_on_violation=True)
     env.reset(seed=0, options={"payload": [30.0, 0.0]})
     law, observation = env.steering.law, plain.reset(options={"payload": 30.0})[0]
     ended, expected = False, 0.0
@@ -188,7 +185,7 @@ class Ended(gym.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action):
         observation, reward, _, _, info = super().step(action)
-        return observation, reward, not self.succeeds, self.succeeds, info
+        return observation, reward, False, True, info | {"violated": not self.succeeds}
 
 
 def test_ceiling_follows_the_share_of_successes_with_heavy_payloads():
@@ -202,7 +199,7 @@ def test_ceiling_follows_the_share_of_successes_with_heavy_payloads():
         payload = env.reset(options={"payload": env.ceiling} if given else None)[1]["payload"]
         while not given and (payload >= 2 / 3 * env.ceiling) is not heavy:
             payload = env.reset()[1]["payload"]
-        env.step(np.full(3, 0.2))
+        assert env.step(np.full(3, 0.2))[4]["is_success"] is succeeds
         env.step(np.full(3, 0.2))
         return env.ceiling
 
@@ -218,70 +215,13 @@ def test_ceiling_follows_the_share_of_successes_with_heavy_payloads():
 
 def test_environments_of_a_batch_share_a_ceiling():
     curriculum = {"heaviest": 2.0, "start": 0.4, "step": 0.02, "window": 8, "power": 0.01}
-    wrappers = [(WithinLimits, {}), (PayloadCurriculum, curriculum), (Steered, CASES["shift"]["steered"])]
+    wrappers = [(PayloadCurriculum, curriculum), (Steered, CASES["shift"]["steered"])]
     env = make_steered_vec(PLANAR_ID, 16, wrappers=wrappers, seed=0, max_episode_steps=45)
     for _ in range(10):
         _, _, terminated, truncated, _ = env.step(np.zeros((16, 2)))
         if (terminated | truncated).any():
             env.reset(options={"reset_mask": terminated | truncated})
     assert env.env.ceiling == pytest.approx(0.4 + 4 * 0.04)  # of 32 episodes in windows of 8
-
-
-@pytest.mark.parametrize(
-    ("env_id", "payload", "action", "reason"),
-    [
-        (SPATIAL_ID, 3.5, None, ""),
-        (SPATIAL_ID, 4.5, None, "rotation_error"),
-        (PLANAR_ID, 2.5, None, "tracking_error"),
-        (PLANAR_ID, 0.0, -0.1, "slack"),
-    ],
-)
-def test_episode_ends_at_the_violation_of_the_dlcc_monitor(env_id, payload, action, reason):
-    monitor = DLCCMonitor(gym.make(env_id, payload=payload))
-    env, law = WithinLimits(monitor), FeedbackLinearization(SPATIAL if env_id == SPATIAL_ID else PLANAR)
-    observation, info = env.reset(seed=0)
-    terminated = truncated = False
-    while not (terminated or truncated):
-        assert info["is_success"] is False
-        command = law.predict(observation)[0] if action is None else np.full(3, action)
-        observation, reward, terminated, truncated, info = env.step(command)
-        excess = np.maximum(np.abs(info["commanded_action"]) - 0.97, 0).mean()
-        assert reward == pytest.approx(0.02 - terminated - 0.02 * excess, abs=1e-15)
-    assert info["termination_reason"] == reason
-    assert info["is_success"] is info["dlcc_carried"] is (not reason)
-    if reason:
-        assert monitor.verdict.violation.kind == reason.removesuffix("_error").replace("tracking", "position")
-        assert monitor.verdict.violation.time == info["time"]
-
-
-def test_limits_are_checked_during_the_motion_only():
-    motion = {"name": "dwell-planar", "duration": 0.1}
-    env = WithinLimits(gym.make(PLANAR_ID, trajectory=motion, slack_time=9.0, termination_radius=9.0))
-    law = FeedbackLinearization(PLANAR)
-    observation, _ = env.reset(seed=0)
-    for step in range(80):
-        command = law.predict(observation)[0] if step < 50 else np.full(3, -0.5)
-        observation, _, terminated, _, info = env.step(command)
-        assert not terminated
-    assert info["slack"].all()
-
-
-def test_error_bounds_in_the_options_apply_to_one_episode():
-    env = WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=AutoresetMode.DISABLED))
-    env.reset(seed=0)
-    env.reset(options={"error_bounds": {"position": 1e-9}, "reset_mask": np.array([False, True])})
-    assert env.step(np.full((2, 3), 0.2))[2].tolist() == [False, True]
-    env.reset()
-    assert not env.step(np.full((2, 3), 0.2))[2].any()
-
-
-def test_termination_by_the_environment_keeps_its_reason():
-    env = WithinLimits(gym.make(PLANAR_ID, termination_radius=9.0, slack_time=9.0, error_bounds={"position": 9.0}))
-    env.reset(options={"initial_error": [0.3, 0.0]})
-    terminated = False
-    while not terminated:
-        _, reward, terminated, _, info = env.step([0.9, 0.1, 0.1])
-    assert (info["termination_reason"], reward) == ("workspace", pytest.approx(-0.98))
 
 
 class SinglePrecision(Network):
@@ -315,7 +255,8 @@ def test_policy_on_the_plain_environment_repeats_the_training_bit_for_bit(case):
 
 
 def test_action_period_and_shift_follow_the_control_frequency_and_the_error_bounds():
-    keywords = {"control_frequency": 100.0, "error_bounds": {"position": 0.02}, "trajectory": "dwell-planar"}
+    dwell = {"name": "dwell-planar", "duration": 5.0}
+    keywords = {"control_frequency": 100.0, "error_bounds": {"position": 0.02}, "trajectory": dwell}
     env = Steered(gym.make(PLANAR_ID, **keywords), **CASES["shift"]["steered"])
     env.reset(seed=0)
     start = env.unwrapped.pose.copy()
@@ -356,7 +297,7 @@ STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
     ("wrappers", "message"),
     [
         ([], "must be Steered"),
-        ([(PayloadCurriculum, {"heaviest": 1.0}), (WithinLimits, {}), (Steered, STEERED)], "order is WithinLimits"),
+        ([(Steered, STEERED), (PayloadCurriculum, {"heaviest": 1.0})], "Steered must be outermost"),
         ([(Steered, STEERED | {"action_period": 1})], "Steered: .*unexpected keyword argument 'action_period'"),
         ([(DLCCMonitor, {}), (Steered, STEERED)], "DLCCMonitor has no vector form"),
         ([(PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)], "start must be .*at most 1 kg"),
@@ -378,8 +319,10 @@ def test_seed_of_a_batch_repeats_its_draws():
 
 def test_other_environments_and_autoreset_modes_raise():
     with pytest.raises(TypeError, match=r"gym\.make"):
-        WithinLimits(gym.make("CartPole-v1"))
+        PayloadCurriculum(gym.make("CartPole-v1"), heaviest=1.0)
     with pytest.raises(TypeError, match=r"gym\.make_vec"):
         SteeredVector(gym.make(PLANAR_ID), **STEERED)
     with pytest.raises(ValueError, match="DISABLED"):
-        WithinLimitsVector(gym.make_vec(PLANAR_ID, num_envs=2))
+        PayloadCurriculumVector(gym.make_vec(PLANAR_ID, num_envs=2), heaviest=1.0)
+    with pytest.raises(ValueError, match="leave out normalised_observation"):
+        Steered(gym.make(PLANAR_ID, normalised_observation=True), **STEERED)

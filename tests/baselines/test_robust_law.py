@@ -19,7 +19,9 @@ def errors_with(outer_loop, mass_factor=1.1, initial_error=(0.0,) * 6, steps=500
     """Position error, V and ‖s‖ at every control instant of a robot whose mass differs from the model."""
     law = FeedbackLinearization(SPATIAL)
     law.outer = outer_loop
-    env = gym.make(ID, robot=SPATIAL.replace(mass=10.0 * mass_factor), initial_error=initial_error)
+    env = gym.make(
+        ID, robot=SPATIAL.replace(mass=10.0 * mass_factor), initial_error=initial_error, trajectory="paper-spatial"
+    )
     observation, _ = env.reset(seed=0)
     record = []
     for _ in range(steps):
@@ -128,7 +130,7 @@ def test_invalid_parameters_raise(name, value, message):
     ("law", "payload"), [(Robust(SPATIAL, zeta=0.3, phi=3.0), 2.85), (ROBUST_TUNED.factory(SPATIAL), 4.58)]
 )
 def test_dlcc_with_unknown_payload_is_that_of_independent_runs(law, payload):
-    result = evaluate_dlcc(law, ID, payload_known=False, resolution=0.02)
+    result = evaluate_dlcc(law, ID, payload_known=False, trajectory="paper-spatial", resolution=0.02)
     assert result.payload == pytest.approx(payload, abs=0.05)
 
 
@@ -138,8 +140,7 @@ def test_error_reduction_with_the_papers_uncertainty(law, robot):
     """Table 6 with a known payload of 1 kg: the paper's "more than 60 %" less, at ε = 1e-3."""
     plain = Composite(robot) if robot.flexible else FeedbackLinearization(robot)
     env_id = FLEX_ID if robot.flexible else ID
-    compared = compare_policies(
-        [plain, law(robot)], env_id, names=["plain", "robust"], uncertainty="table6", payload=1.0, draws=200
-    )
+    keywords = {"uncertainty": "table6", "payload": 1.0, "draws": 200, "trajectory": "paper-spatial"}
+    compared = compare_policies([plain, law(robot)], env_id, names=["plain", "robust"], **keywords)
     assert compared.reduction(1, "mean_error").mean == pytest.approx(0.67, abs=0.03)
     assert compared.reduction(1, "max_error").mean == pytest.approx(0.65, abs=0.03)

@@ -33,7 +33,6 @@ QUICK = {"control_frequency": 100, "payload_max": 1.0, "resolution": 0.5}
 """Conditions of a short evaluation."""
 
 WRAPPERS = """
-    - cablebot_baselines.learned.wrappers.WithinLimits: {}
     - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3, power: 0.6, start: 1, window: 5}
     - cablebot_baselines.learned.wrappers.Steered:
         base: {law: fl, gains: [900, 60]}
@@ -45,7 +44,7 @@ COMMON = """
   policy: MlpPolicy
   learning_rate: lin_1e-3
   normalize: true
-  env_kwargs: {control_frequency: 100, max_episode_steps: 100}
+  env_kwargs: {control_frequency: 100, trajectory: paper-planar, max_episode_steps: 100, terminate_on_violation: true}
 """
 TINY = {
     "ppo": f"  n_envs: 32\n  n_steps: 4\n  batch_size: 64\n  n_epochs: 2\n  policy_kwargs: {{net_arch: [8]}}\n{COMMON}",
@@ -100,7 +99,8 @@ def test_shipped_configurations_are_valid():
         for env_id in ENV_IDS:
             made = make_config(read_yaml(env_id, runs.Path(algorithm)))
             names = [wrapper.__name__ for wrapper, _ in made.wrappers]
-            assert names == ["WithinLimits", "PayloadCurriculum", "Steered"]
+            assert names == ["PayloadCurriculum", "Steered"]
+            assert made.env_kwargs["terminate_on_violation"]
             assert made.normalize["gamma"] == made.model["gamma"]
 
 

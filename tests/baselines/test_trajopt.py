@@ -23,10 +23,10 @@ from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexPlanar-v0"
 
-PLANAR_BEST = 2.87
+PLANAR_BEST = 2.85
 """Best known payload on the planar circle [kg], from ``cablebot best-known``."""
 
-LINE = {"name": "line-planar", "duration": 0.4}
+LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
 """A motion that is planned within 0.1 s."""
 
 
@@ -35,7 +35,7 @@ def carried(policy, env_id, payload, known, **keywords):
     env = gym.make_vec(env_id, num_envs=len(payload), payload=payload, payload_known=known, **keywords)
     observation, info = env.reset(seed=0)
     task, judge = env.unwrapped.tasks[0], Judge("task", policy.robot.cables, len(payload))
-    judge.reset(info, task.error_bounds, task.steps)
+    judge.reset(info, task)
     policy.reset(env.unwrapped.tasks)
     state, start = None, np.ones(len(payload), np.bool_)
     for _ in range(task.steps):
@@ -50,9 +50,13 @@ def carried(policy, env_id, payload, known, **keywords):
 
 
 def test_short_motion_is_tracked_with_known_and_unknown_payload():
-    """fl fails with 5 kg."""
+    """fl fails with 5 kg.
+
+    Without dwells the plan accelerates at once, and an unknown payload lets a cable below the minimum tension within
+    the first control period, in which its estimate is zero.
+    """
     policy, payload = make_trajopt(PLANAR), np.array([0.0, 6.0, 4.0])
-    assert carried(policy, PLANAR_ID, payload, [True, True, False], trajectory=LINE) == [True] * 3
+    assert carried(policy, PLANAR_ID, payload, [True, True, False], trajectory=LINE | {"dwell": 0.3}) == [True] * 3
     assert policy.fallbacks == 0
 
 
@@ -86,7 +90,7 @@ def test_margins_make_the_policy_robust_to_sensor_noise():
 def test_margins_are_fractions_of_the_error_bounds():
     margins = TRAJOPT_SETTINGS["rigid"].margins(ErrorBounds(position=0.02, rotation=0.03))
     assert (margins.position, margins.rotation) == pytest.approx((0.02 * 0.02, 0.02 * 0.03))
-    assert (margins.action, margins.tension) == (0.005, 2.0)
+    assert (margins.action, margins.tension) == (0.005, 1.0)
 
 
 # --- fallbacks --------------------------------------------------------------------------------------------------------
@@ -113,7 +117,7 @@ def test_infeasible_plan_is_tried_once_and_the_reference_tracked(monkeypatch, ca
     with caplog.at_level(logging.WARNING, "cablebot_gym"):
         assert carried(policy, PLANAR_ID, np.array([1.5, 1.0]), [True, True]) == [True, True]
     assert policy.fallbacks == 2
-    assert "trajectory 'paper-planar' has no feasible motion within the error bounds" in caplog.text
+    assert "trajectory 'circle-planar' has no feasible motion within the error bounds" in caplog.text
     policy.reset([gym.make(PLANAR_ID).unwrapped.task])
     assert policy.fallbacks == 1
     planner.assert_called_once()
@@ -148,9 +152,11 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
 # --- invalid input ----------------------------------------------------------------------------------------------------
 
 
-def test_other_robot_and_missing_casadi_raise(monkeypatch):
+def test_other_robot_motor_lag_and_missing_casadi_raise(monkeypatch):
     with pytest.raises(ValueError, match="built for robot 'planar'"):
         make_trajopt(PLANAR).reset([gym.make(SPATIAL_ID).unwrapped.task])
+    with pytest.raises(ValueError, match="motors without lag"):
+        make_trajopt(PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)))
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
         TrajOpt(PLANAR, TRAJOPT_SETTINGS["rigid"])

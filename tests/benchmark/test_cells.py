@@ -12,31 +12,32 @@ import gymnasium as gym
 import pytest
 
 from cablebot_gym.benchmark import policy_source as policy_sources
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, cell_from_dict, compute
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict, compute
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR
 from cablebot_gym.utils import code_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
-CIRCLE = {"name": "paper-planar"}
+CIRCLE = {"name": "circle-planar"}
 FL = PolicyCell(env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl", resolution=0.02, payload_max=4.0)
 BEST = BestKnownCell(env_id=PLANAR_ID, trajectory=CIRCLE)
 SPRINGS = {"transmission": {"stiffness": 10.0}}
 OTHERS = {
     "env_id": "CableBot-Spatial-v0",
-    "trajectory": {"name": "paper-planar", "duration": 2.0},
+    "trajectory": {"name": "circle-planar", "duration": 2.0},
     "policy": "robust",
     "criterion": "paper",
     "payload_known": False,
     "model_payload_factor": 0.9,
     "uncertainty": "table6",
-    "draws": 4,
+    "draws": 60,
     "probability": 0.5,
     "error_bounds": {"position": 0.02, "rotation": 0.01},
     "control_frequency": 250.0,
-    "seed": 1,
-    "resolution": 0.5,
+    "seed": 2**127 + 1,
+    "real_time": True,
+    "resolution": 1e-3,
     "payload_max": 1.5,
     "robot_changes": {"mass": 2.0},
 }
@@ -76,11 +77,12 @@ def test_every_field_changes_the_key_and_survives_json():
     assert [cell_from_dict(json.loads(json.dumps(cell.to_dict()))) for cell in cells] == cells
 
 
-@pytest.mark.parametrize("name", sorted(set(OTHERS) - {"env_id", "criterion", "uncertainty", "draws", "probability"}))
+UNCERTAIN = {"uncertainty", "draws", "probability"}
+
+
+@pytest.mark.parametrize("name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "criterion", "real_time"}))
 def test_field_reaches_the_evaluation(name):
-    base = changed(uncertainty="sensors", resolution=1e-3) if name == "seed" else FL
-    other = dataclasses.replace(base, **{name: OTHERS[name]})
-    assert compute(base).result["payload"] != compute(other).result["payload"]
+    assert compute(FL).result["payload"] != compute(changed(**{name: OTHERS[name]})).result["payload"]
 
 
 @pytest.mark.slow
@@ -97,11 +99,46 @@ def test_robot_changes_reach_plant_and_policy():
 
 
 def test_draws_and_probability_reach_the_evaluation():
-    cell = changed(uncertainty="table6", draws=4, probability=0.5)
-    search = {"resolution": 0.02, "payload_max": 4.0}
-    expected = evaluate_dlcc("fl", PLANAR_ID, uncertainty="table6", draws=4, probability=0.5, **search)
-    assert compute(cell).result["payload"] == expected.payload
-    assert compute(dataclasses.replace(cell, probability=0.99)).result["payload"] < expected.payload
+    cell = changed(uncertainty="table6", draws=60, probability=0.5, seed=2**127)
+    search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127}
+    expected = evaluate_dlcc("fl", PLANAR_ID, uncertainty="table6", draws=60, probability=0.5, **search)
+    found = compute(cell).result
+    assert (found["payload"], found["assured"]) == (expected.payload, True)
+    assert cell.success_rate(found["payload"], 60, 2**127) >= 0.5
+    assert compute(dataclasses.replace(cell, probability=0.9)).result["payload"] < expected.payload
+
+
+@pytest.mark.slow
+def test_late_actions_lower_the_payload_of_a_slow_policy(module):
+    module("toy_slow.py", SLEEPS)
+    slow = changed(policy="toy_slow:make", resolution=1.0, trajectory={"name": "circle-planar", "dwell": 0.0})
+    in_time, late = (compute(one).result for one in (slow, dataclasses.replace(slow, real_time=True, draws=59)))
+    assert in_time["payload"] > 1.0
+    assert late["payload"] is None or late["payload"] < in_time["payload"]
+
+
+SLEEPS = """
+import time
+from cablebot_baselines.classical import FeedbackLinearization
+
+
+class Sleeps(FeedbackLinearization):
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if len(observation) == 1:
+            time.sleep(0.003)
+        return super().predict(observation, state)
+
+
+def make(robot):
+    return Sleeps(robot)
+"""
+
+
+def test_timing_cell_has_time_per_action_and_processor():
+    result = compute(TimingCell(env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl")).result
+    assert 0 < result["median"] <= result["p99"]
+    assert 0 <= result["missed"] <= 1
+    assert result["processor"]
 
 
 @pytest.mark.parametrize("factor", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])
@@ -116,10 +153,10 @@ def test_model_payload_factor_scales_the_payload_of_the_model_only(factor):
         observation, info = env.reset(seed=0)
         assert info["payload"] == pytest.approx(true)
         assert env.unwrapped.layout.split(observation)["model_payload"] == pytest.approx(factor * true)
-        for _ in range(500):
-            observation, _, terminated, _, _ = env.step(policy.predict(observation)[0])
-            if terminated:
-                break
+        ended = False
+        while not ended:
+            observation, _, terminated, truncated, _ = env.step(policy.predict(observation)[0])
+            ended = terminated or truncated
         assert env.verdict.carried == carried
 
 
@@ -129,6 +166,8 @@ from cablebot_baselines.classical import FeedbackLinearization
 
 
 class Falls(FeedbackLinearization):
+    fallbacks = 0
+
     def reset(self, tasks):
         self.fallbacks = 3 * len(tasks)
 
@@ -143,6 +182,10 @@ def clips(robot):
     return lambda observation: np.clip(law.predict(observation)[0], -1, 1)
 
 
+def claims(robot):
+    return FeedbackLinearization(robot)
+
+
 def fails(robot):
     return Fails()
 
@@ -152,11 +195,14 @@ def impossible(robot):
 """
 
 
-def test_paper_criterion_is_not_applicable_to_a_policy_that_clips(module):
+def test_paper_criterion_excludes_policies_that_clip_and_marks_those_that_only_declare(module):
     module("toy_policies.py", TOYS)
-    result = compute(changed(policy="toy_policies:clips", criterion="paper")).result
+    paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}}
+    result = compute(changed(policy="toy_policies:clips", **paper)).result
     assert (result["applicable"], result["payload"]) == (False, None)
-    assert compute(changed(criterion="paper")).result["payload"] == pytest.approx(1.06, abs=0.03)
+    law, same = compute(changed(**paper)).result, compute(changed(policy="toy_policies:claims", **paper)).result
+    assert law["payload"] == same["payload"] == pytest.approx(1.06, abs=0.03)
+    assert (law["declared"], same["declared"]) == (False, True)
 
 
 def test_exception_of_a_policy_is_the_final_error_of_its_cell(module):

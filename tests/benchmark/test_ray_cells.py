@@ -18,7 +18,7 @@ from cablebot_gym.benchmark.ray_backend import on_ray
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
 
-CIRCLE = {"name": "paper-planar", "duration": 0.8}
+CIRCLE = {"name": "circle-planar", "duration": 0.8}
 CELLS = [
     PolicyCell(env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, resolution=0.1, **model)
     for policy in ("fl", "fl-tuned")

@@ -1,40 +1,43 @@
-"""Scores, tables, maps and the page against numbers worked out by hand."""
+"""Scores, ranks, tables, maps and the page against numbers worked out by hand."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record
-from cablebot_gym.benchmark.leaderboard import markdown, read_results, results_json
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell
+from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.maps import AXES
-from cablebot_gym.benchmark.scores import best_known_payloads, leaderboards, payload_maps, scores
-from cablebot_gym.benchmark.tables import csv_text, print_benchmark
+from cablebot_gym.benchmark.scores import RANKED_MOTIONS, fraction, leaderboards, overall, payload_maps, scores
 
 PLANAR = "CableBot-Planar-v0"
-CIRCLE = {"name": "paper-planar"}
-LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(3)]
+CIRCLE = {"name": "circle-planar"}
+LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(RANKED_MOTIONS)]
 
 
-def record(cell, **result):
-    return Record(cell=cell, source="a" * 16, versions={"python": "3.11"}, result=result, seconds=1.0)
+def record(cell, final=True, **result):
+    return Record(cell=cell, source="a" * 16, versions={"python": "3.11"}, result=result, seconds=1.0, final=final)
 
 
-def best(payload, motion=CIRCLE, **more):
-    cell = BestKnownCell(env_id=PLANAR, trajectory=motion)
+def best(payload, motion=CIRCLE, env_id=PLANAR, **more):
+    cell = BestKnownCell(env_id=env_id, trajectory=motion)
     return record(cell, payload=payload, total_mass=payload + 1.0, verified=True, **more)
 
 
-def carries(policy, payload, motion=CIRCLE, more=None, **conditions):
-    cell = PolicyCell(env_id=PLANAR, trajectory=motion, policy=policy, **conditions)
+def carries(policy, payload, motion=CIRCLE, more=None, env_id=PLANAR, **conditions):
+    cell = PolicyCell(env_id=env_id, trajectory=motion, policy=policy, **conditions)
     return record(cell, payload=payload, total_mass=None if payload is None else payload + 1.0, **(more or {}))
 
 
-def fails(policy, message="it raised", motion=CIRCLE):
-    return record(PolicyCell(env_id=PLANAR, trajectory=motion, policy=policy), error=message)
+def fails(policy, message="it raised", motion=CIRCLE, **more):
+    return record(PolicyCell(env_id=PLANAR, trajectory=motion, policy=policy), error=message, **more)
+
+
+def page_of(records):
+    return markdown(Results(suite="smoke", command="cablebot benchmark --suite smoke", records=records))
 
 
 def row(text, policy):
@@ -44,33 +47,19 @@ def row(text, policy):
 def test_score_is_the_fraction_of_the_best_known_payload_of_the_same_motion_and_bounds():
     wide = {"position": 0.02, "rotation": 0.01}
     some = [best(2.0), best(8.0, LOOPS[0]), carries("fl", 1.0), carries("fl", 2.0, LOOPS[0])]
-    some += [carries("fl", None, payload_known=False), carries("fl", 3.0, error_bounds=wide), fails("bad")]
-    assert [one.score for one in scores(some)] == [0.5, 0.25, 0.0, None, None]
+    some += [carries("fl", None, payload_known=False), carries("fl", 3.0, error_bounds=wide), carries("trajopt", 2.5)]
+    assert [one.score for one in scores(some)] == [0.5, 0.25, 0.0, None, 1.25]
     assert [one.best_known for one in scores(some)] == [2.0, 8.0, 2.0, None, 2.0]
 
 
-@pytest.mark.parametrize(
-    ("model", "text"),
-    [
-        ({}, "payload known"),
-        ({"payload_known": False}, "payload unknown"),
-        ({"model_payload_factor": 1.1}, "payload model × 1.1"),
-    ],
-)
-def test_larger_payload_of_a_policy_raises_the_best_known_payload(model, text):
-    some = [best(2.0), carries("fl", 1.0), carries("trajopt", 2.5, **model)]
-    (raised,) = best_known_payloads(some).values()
-    assert (raised.payload, raised.raised_by) == (2.5, f"trajopt, {text}")
-    fl, trajopt = scores(some)
-    assert (fl.score, fl.raised) == (0.4, False)
-    assert (trajopt.score, trajopt.raised) == (1.0, True)
+def test_error_of_a_policy_counts_as_zero_and_a_lost_computation_does_not():
+    some = scores([best(2.0), fails("bad"), fails("lost", "no memory", final=False)])
+    assert [one.score for one in some] == [0.0, None]
 
 
-def test_paper_criterion_and_uncertainty_do_not_raise_the_best_known_payload():
-    some = [best(2.0), carries("fl", 3.0, criterion="paper"), carries("fl", 4.0, uncertainty="table6", draws=8)]
-    assert next(iter(best_known_payloads(some).values())).payload == 2.0
-    paper, drawn = scores(some)
-    assert (paper.score, drawn.score) == (None, 2.0)
+def test_paper_criterion_and_uncertainty_have_no_fraction():
+    some = [best(2.0), carries("fl", 3.0, criterion="paper"), carries("fl", 1.0, uncertainty="table6", draws=512)]
+    assert [one.score for one in scores(some)] == [None, None]
 
 
 @pytest.mark.parametrize("none", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
@@ -81,32 +70,92 @@ def test_without_best_known_payload_there_is_no_score(none):
 
 def test_end_of_the_scan_is_marked_as_a_lower_bound():
     free = carries("fl", 10.0, more={"violation": None, "scan_ended": True})
-    page = markdown("smoke", "c", [best(20.0), free, carries("trajopt", None)])
+    page = page_of([best(20.0), free, carries("trajopt", None)])
     assert (row(page, "fl"), row(page, "trajopt")) == (["≥ 10.00, 50%"], ["fails unloaded, 0%"])
 
 
-FAMILY = [best(2.0, motion) for motion in LOOPS]
-FAMILY += [carries("fl", payload, motion) for payload, motion in zip((1.0, 1.5, 0.2), LOOPS, strict=True)]
-FAMILY += [carries("robust", payload, motion) for payload, motion in zip((1.6, 1.2, None), LOOPS, strict=True)]
+# --- several motions --------------------------------------------------------------------------------------------------
 
 
-def test_family_of_motions_is_ranked_by_its_median_fraction():
-    (leaderboard,) = leaderboards(FAMILY)
-    assert leaderboard.motions == 3
-    assert leaderboard.policies == ("robust", "fl")
-    fl, robust = (leaderboard.fraction(policy, leaderboard.columns[0]) for policy in ("fl", "robust"))
-    assert (fl.median, fl.worst) == (0.5, 0.1)
-    assert (robust.median, robust.worst) == (0.6, 0.0)
-    assert row(markdown("smoke", "c", FAMILY[3:]), "robust") == ["1.20 kg, 0.00 kg"]
-    raised = [*FAMILY, carries("trajopt", 99.0, LOOPS[0])]
-    assert row(markdown("smoke", "c", raised), "trajopt") == ["100%, 100%\\*"]
+def family(policies, count=RANKED_MOTIONS, env_id=PLANAR):
+    """Best known payloads of 1 kg and payloads of policies on motions, given as arrays."""
+    some = [best(1.0, motion, env_id) for motion in LOOPS[:count]]
+    for policy, payloads in policies.items():
+        some += [carries(policy, one, motion, env_id=env_id) for motion, one in zip(LOOPS, payloads, strict=False)]
+    return some
 
 
-def test_error_on_one_motion_of_a_family_is_the_entry_of_the_family():
-    some = [*FAMILY[:3], fails("fl", motion=LOOPS[0]), *FAMILY[4:]]
-    (leaderboard,) = leaderboards(some)
-    assert leaderboard.fraction("fl", leaderboard.columns[0]) is None
-    assert row(markdown("smoke", "c", some), "fl") == ["error"]
+def test_rank_counts_the_policies_that_are_better_with_confidence_so_that_ties_have_equal_ranks():
+    random = np.random.default_rng(0)
+    hard, noise = random.uniform(-0.3, 0.3, RANKED_MOTIONS), random.normal(0, 0.01, RANKED_MOTIONS)
+    some = family({"a": 0.55 + hard, "b": 0.551 + hard + noise, "c": 0.5 + hard, "d": 0.3 + 0 * hard})
+    (board,) = leaderboards([*reversed(some)])  # the order of the records does not matter
+    assert board.policies == ("b", "a", "c", "d") or board.policies == ("a", "b", "c", "d")
+    # The motions differ more than the policies, and only the differences on the same motions tell c from a and b.
+    assert board.ranks == {"a": 1, "b": 1, "c": 3, "d": 4}
+    rows = _rows(page_of(some))
+    assert [row[0] for row in rows] == ["1", "1", "3", "4"]
+    assert rows[3][2] == "30.0% [30.0%, 30.0%], worst 30%"
+
+
+def _rows(page):
+    table = page[page.index(f"## {PLANAR}") :].splitlines()[4:]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in table[: table.index("")]]
+
+
+def test_few_motions_or_a_missing_motion_give_no_rank():
+    values = np.full(RANKED_MOTIONS, 0.5)
+    assert leaderboards(family({"a": values, "b": values}, RANKED_MOTIONS - 1))[0].ranks == {}
+    some = family({"a": values, "b": values[:-1]})
+    assert leaderboards(some)[0].ranks == {"a": 1}
+
+
+def test_columns_with_the_most_motions_order_the_rows_and_circle_and_draws_are_columns():
+    some = [best(2.0), carries("a", 1.9), carries("b", 1.0), carries("b", 0.5, uncertainty="sensors", draws=512)]
+    some += family({"a": [0.2, 0.3, 0.1], "b": [0.6, 0.5, 0.4]}, 3)
+    (board,) = leaderboards(some)
+    assert [(column.motion, column.uncertainty) for column in board.columns] == [
+        ("loop-planar", None),
+        ("circle-planar", None),
+        ("circle-planar", "sensors"),
+    ]
+    assert board.policies == ("b", "a")
+    page = page_of(some)
+    entries = row(page, "b")
+    assert (entries[0][:6], entries[0][-9:], entries[1:]) == ("50.0%,", "worst 40%", ["1.00, 50%", "0.50"])
+    assert "3 held-out motions: payload known" in page
+    assert "circle: payload known, sensors, 512 draws [kg]" in page
+
+
+def test_error_on_one_motion_counts_as_zero_and_is_named():
+    some = [*family({"a": [0.5, 0.5]}, 2), *family({"b": [0.5]}, 0), fails("b", "it hangs", LOOPS[1])]
+    text = row(page_of(some), "b")[0]
+    assert text.startswith("25.0%")
+    assert text.endswith("worst 0%; errors: 1")
+
+
+def test_interval_of_the_mean_is_that_of_its_normal_approximation():
+    values = np.random.default_rng(1).uniform(0.2, 0.8, 40)
+    found, error = fraction([values]), values.std() / np.sqrt(40)
+    assert found.mean == pytest.approx(values.mean())
+    assert (found.low, found.high) == pytest.approx((found.mean - 1.96 * error, found.mean + 1.96 * error), abs=0.01)
+    assert found.worst == values.min()
+
+
+def test_stratified_interval_does_not_contain_the_difference_between_environments():
+    easy, hard = np.full(20, 0.9), np.full(20, 0.1)
+    both = fraction([easy, hard])
+    assert (both.mean, both.low, both.high) == pytest.approx((0.5, 0.5, 0.5))
+    flexible = "CableBot-FlexPlanar-v0"
+    boards = leaderboards([*family({"a": easy, "b": easy}), *family({"a": hard}, env_id=flexible)])
+    assert {policy: ids for policy, (ids, _) in overall(boards).items()} == {"a": (PLANAR, flexible)}
+    random = np.random.default_rng(0)
+    noisy = fraction([random.uniform(0, 1, 20), random.uniform(0, 1, 20)])
+    alone = fraction([random.uniform(0, 1, 20)])
+    assert 0.5 < (noisy.high - noisy.low) / (alone.high - alone.low) < 0.9  # resamples of environments are independent
+
+
+# --- maps -------------------------------------------------------------------------------------------------------------
 
 
 def on_axis(name, value, payload, policy="fl"):
@@ -129,54 +178,71 @@ def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
     assert (by_duration.values, by_duration.best_known) == ((1.0, 2.0), (2.0, 6.0))
     (leaderboard,) = leaderboards(some)
     assert [one.payload for one in leaderboard.entries["fl", leaderboard.columns[0]]] == [1.0]
-    page = markdown("smoke", "c", some)
+    page = page_of(some)
     assert "| fl | 1.00, 50% | 1.50, 50% |" in page
-    assert "position error ≤ 10 mm" in page
+    assert "position error is at most 10 mm" in page
 
 
+# --- page, CSV and JSON -----------------------------------------------------------------------------------------------
+
+TIMING = {"median": 1e-4, "p99": 5e-3, "missed": 0.25, "period": 2e-3, "processor": "some processor"}
 ALL = [
     best(2.0, upper={"payload": 3.25}),
-    *FAMILY,
     carries("fl", 1.0, more={"fallbacks": None, "violation": {"kind": "torque", "index": 2}}),
     carries("trajopt", 2.5, more={"fallbacks": 0.5}),
     carries("limp", None),
+    carries("random", 0.5, more={"stochastic": True, "draws": 99}),
     fails("bad", "policy 'bad' raised | and * more"),
-    carries("fl", 1.06, criterion="paper"),
-    carries("trajopt", None, criterion="paper", more={"applicable": False}),
-    carries("fl", 0.25, payload_known=False, uncertainty="table6", draws=32, more={"assured_payload": 0.2}),
+    carries("fl", 1.06, {"name": "paper-planar"}, criterion="paper"),
+    carries("toy", 1.5, {"name": "paper-planar"}, criterion="paper", more={"declared": True}),
+    carries("trajopt", None, {"name": "paper-planar"}, criterion="paper", more={"applicable": False}),
+    carries("fl", 0.25, payload_known=False, uncertainty="table6", draws=512, more={"assured": True}),
+    record(TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"), **TIMING),
 ]
 
 
 def test_page_has_all_results_and_notes():
-    page = markdown("smoke", "cablebot benchmark --suite smoke", ALL)
-    circle = page[page.index("The paper's circle:") :]
-    assert row(circle, "trajopt") == ["2.50\\*, 100%", "n/a", "–"]
-    assert row(circle, "fl") == ["1.00, 40%", "1.06", "0.25, 10%"]
-    assert row(circle, "limp") == ["fails unloaded, 0%", "–", "–"]
-    assert row(circle, "bad") == ["error", "–", "–"]
-    heads = next(line for line in circle.splitlines() if line.startswith("| policy"))
-    assert heads == "| policy | payload known | payload known, paper criterion [kg] | payload unknown, table6 |"
+    page = page_of(ALL)
+    assert row(page, "trajopt") == ["2.50, 125%", "n/a", "–", "–"]
+    assert row(page, "fl") == ["1.00, 50%", "1.06", "0.25", "0.1, 5, 25%"]
+    assert row(page, "random") == ["0.50, stochastic (99 draws), 25%", "–", "–", "–"]
+    assert row(page, "limp") == ["fails unloaded, 0%", "–", "–", "–"]
+    assert row(page, "toy") == ["–", "1.50, declared", "–", "–"]
+    assert row(page, "bad") == ["error", "–", "–", "–"]
     for text in (
-        "| 2.000 | 3.000 | 3.250 | raised to 2.500 kg, the DLCC of trajopt, payload known\\*",
+        "| 2.000 | 3.000 | 3.250 |",
+        "the paper's circle: payload known, paper criterion [kg]",
         "* bad failed on CableBot-Planar-v0: policy 'bad' raised | and * more",
+        "* computing times were measured on: some processor",
     ):
         assert text in page
 
 
-def test_page_csv_and_terminal_have_the_numbers_of_the_json_file(capsys):
-    text = results_json("smoke", "a command", ALL)
-    suite, command, again = read_results(text)
-    assert (suite, command) == ("smoke", "a command")
-    assert markdown(suite, command, again) == markdown("smoke", "a command", ALL)
-    assert results_json(suite, command, again) == text
+def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
+    results = Results(suite="smoke", command="a command", records=ALL)
+    text = results.to_json()
+    again = Results.from_json(text)
+    assert (again.suite, again.command, again.board) == ("smoke", "a command", None)
+    assert markdown(again) == markdown(results)
+    assert again.to_json() == text
+    lost = Results(suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)])
+    assert scores(Results.from_json(lost.to_json()).records)[0].score is None
     by_policy = {cell["cell"]["policy"]: cell["score"] for cell in json.loads(text)["cells"] if "score" in cell}
-    assert (by_policy["limp"], by_policy["bad"]) == (0.0, None)
-    rows = list(csv.DictReader(io.StringIO(csv_text(ALL))))
-    assert len(rows) == len(scores(ALL))
-    fl = next(one for one in rows if one["policy"] == "fl" and one["trajectory"] == json.dumps(CIRCLE))
-    assert (fl["payload"], fl["best_known"], fl["score"], fl["violation"]) == ("1.0", "2.5", "0.4", "torque 2")
-    assert next(one for one in rows if one["policy"] == "bad")["error"] == "policy 'bad' raised | and * more"
-    drawn = next(one for one in rows if one["uncertainty"] == "table6")
-    assert (drawn["draws"], drawn["assured_payload"], drawn["score"]) == ("32", "0.2", "0.1")
-    print_benchmark(ALL)
-    assert "2.50*, 100%" in capsys.readouterr().out
+    assert (by_policy["limp"], by_policy["bad"]) == (0.0, 0.0)
+    print_page(markdown(results))
+    printed = capsys.readouterr().out
+    for one in ("2.50, 125%", "fails unloaded, 0%", "CableBot-Planar-v0", "some processor"):
+        assert one in printed
+    assert "Best known payload:" not in printed
+
+
+def test_page_of_a_board_has_commitment_and_secret():
+    from cablebot_gym.benchmark.board import Board
+
+    board = Board(version="7", policies={}, commitment="c" * 64, secret="5ec2e7", salt="5a17")
+    results = Results(suite="ranked", command="", records=family({"a": np.full(RANKED_MOTIONS, 0.5)}), board=board)
+    page = markdown(results)
+    for text in ("## Board 7", "The 20 held-out motions", "c" * 64, "5ec2e7", "5a17"):
+        assert text in page
+    assert Results.from_json(results.to_json()).board == board
+    assert replace(results, board=None).to_json() != results.to_json()

@@ -12,7 +12,7 @@ from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
 
 CELL, OTHER = (
-    PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "paper-planar"}, policy=policy)
+    PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"}, policy=policy)
     for policy in ("fl", "robust")
 )
 
@@ -43,7 +43,7 @@ def test_record_is_read_as_it_was_written(store, said, tmp_path):
     assert (found.versions, found.seconds) == ({"python": "3"}, 0.123)
     assert store.find(OTHER) is None
     assert said == []
-    assert files(tmp_path)[0].name.startswith("planar-fl-payload-known-task-paper-planar-")
+    assert files(tmp_path)[0].name.startswith("planar-fl-payload-known-task-circle-planar-")
 
 
 def truncate(path):
@@ -128,7 +128,7 @@ def test_cell_of_a_dead_worker_or_of_other_code_fails_alone_and_is_tried_again(s
 
 
 def test_longest_cells_start_first(store):
-    best = BestKnownCell(env_id="CableBot-Planar-v0", trajectory={"name": "paper-planar"})
+    best = BestKnownCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"})
     drawn = PolicyCell(**{**vars(CELL), "policy": "adaptive", "uncertainty": "table6", "draws": 9})
     found, computed = run(store, cells=(CELL, drawn, best))
     assert computed == [best, drawn, CELL]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from cablebot_gym import ENV_IDS
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, canonical
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import AXES, varied_fields
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
@@ -21,21 +21,31 @@ from cablebot_gym.uncertainty import find_uncertainty
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 
 
+class AnyBoard:
+    """Stands for a board."""
+
+    def seeds(self, env_id, count):
+        return list(range(2**50, 2**50 + count))
+
+
 def cells(name, names=()):
     suite = find_suite(name)
-    return list(suite_cells(suite, find_policies(names, suite.env_ids)).values())
+    return list(suite_cells(suite, find_policies(names, suite.env_ids), board=AnyBoard()).values())
 
 
 def policy_cells(name, names=()):
     return [cell for cell in cells(name, names) if isinstance(cell, PolicyCell)]
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "full")) for name in SUITES])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("full", "ranked"))) for name in SUITES]
+)
 def test_cells_of_a_suite_are_valid_and_have_a_best_known_payload(name):
     some = cells(name)
     best = {motion_key(cell) for cell in some if isinstance(cell, BestKnownCell)}
     policies = [cell for cell in some if isinstance(cell, PolicyCell)]
-    assert best == ({motion_key(cell) for cell in policies} if find_suite(name).best_known else set())
+    scored = {motion_key(cell) for cell in policies if cell.criterion == "task" and cell.uncertainty is None}
+    assert best == (scored if find_suite(name).best_known else set())
     for cell in {canonical([cell.env_id, cell.trajectory, cell.robot_changes]): cell for cell in some}.values():
         find_trajectory(dict(cell.trajectory), cell.robot.coordinates)
         springs = cell.robot_changes.get("transmission", {}).get("stiffness")
@@ -46,41 +56,55 @@ def test_cells_of_a_suite_are_valid_and_have_a_best_known_payload(name):
         assert env_id in policy_entries()[policy].env_ids
 
 
-@pytest.mark.parametrize("name", ["standard", pytest.param("full", marks=pytest.mark.slow)])
-def test_suite_has_every_policy_environment_and_condition(name):
+SHARED = {
+    ("circle", "payload known", None, "task"),
+    ("circle", "payload unknown", "sensors", "task"),
+    ("circle", "payload unknown", "hardware", "task"),
+    ("circle", "payload known", "table6", "task"),
+    ("paper", "payload known", None, "paper"),
+    ("loop", "payload known", None, "task"),
+}
+
+
+@pytest.mark.parametrize("name", ["standard", "ranked"])
+def test_suite_has_every_fast_policy_under_all_conditions_and_payload_unknown_only_with_noise(name):
     some = policy_cells(name)
-    assert {(cell.env_id, cell.policy) for cell in some} == {
-        (env_id, entry.name) for entry in policy_entries().values() for env_id in entry.env_ids
+    fast = {
+        (env_id, entry.name)
+        for entry in policy_entries().values()
+        for env_id in entry.env_ids
+        if name == "ranked" or not entry.slow
     }
-    expected = {
-        ("payload unknown", "sensors", "task", True),
-        ("payload known", None, "paper", True),
-        ("payload model × 0.9", None, "task", True),
-        ("payload model × 1.1", None, "task", True),
-    }
-    for model in ("payload known", "payload unknown"):
-        expected |= {(model, None, "task", True), (model, None, "task", False), (model, "table6", "task", True)}
+    assert {(cell.env_id, cell.policy) for cell in some} == fast
+    missing = {one for one in SHARED if one[2] == "sensors"} if name == "standard" else set()
     for env_id in ENV_IDS:
         own = [cell for cell in some if cell.env_id == env_id]
-        circle = [str(cell.trajectory["name"]).startswith("paper-") for cell in own]
+        motions = [str(cell.trajectory["name"]).partition("-")[0] for cell in own]
         conditions = [(cell.payload_model, cell.uncertainty, cell.criterion) for cell in own]
-        assert expected <= {(*one, paper) for one, paper in zip(conditions, circle, strict=True)}
+        assert {(motion, *one) for motion, one in zip(motions, conditions, strict=True)} == SHARED - missing
+    assert {cell.draws for cell in some} == {1, 512}
     seeds = {cell.trajectory["seed"] for cell in some if "seed" in cell.trajectory}
-    assert seeds == set(held_out_seeds(len(seeds)))
-    assert len(seeds) >= 2
+    assert seeds == (set(held_out_seeds(3)) if name == "standard" else set(AnyBoard().seeds("", 20)))
+    timed = {(cell.env_id, cell.policy) for cell in cells(name) if isinstance(cell, TimingCell)}
+    assert timed >= fast
 
 
 def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     slow = {name: replace(entry, slow=name == "fl") for name, entry in policy_entries().items()}
     monkeypatch.setattr("cablebot_gym.benchmark.suites.policy_entries", lambda: slow)
-    fl = policy_cells("standard", ["fl"])
-    assert {(cell.payload_model, cell.uncertainty, cell.trajectory["name"][:5]) for cell in fl} == {
-        ("payload known", None, "paper"),
-        ("payload unknown", None, "paper"),
-    }
+    conditions = {(cell.uncertainty, cell.trajectory["name"][:4]) for cell in policy_cells("ranked", ["fl"])}
+    assert conditions == {(None, "loop"), (None, "circ")}
+    assert policy_cells("standard", ["fl"]) == []
     monkeypatch.undo()
-    assert len(cells("standard", ["fl"])) > len(fl) + 16
+    assert len(policy_cells("standard", ["fl"])) == 2 * 7
     assert [name for name, entry in policy_entries().items() if entry.slow] == ["nmpc"]
+
+
+def test_real_time_repeats_every_episode_often_enough_for_a_bound():
+    suite = find_suite("standard")
+    some = suite_cells(suite, {PLANAR: ("fl",)}, real_time=True).values()
+    drawn = {(cell.uncertainty, cell.options()["draws"]) for cell in some if isinstance(cell, PolicyCell)}
+    assert drawn == {(None, 59), ("hardware", 512), ("table6", 512)}
 
 
 def test_policies_are_assigned_to_the_environments_that_they_support():
@@ -101,7 +125,7 @@ def test_factory_for_some_robots_is_accepted_and_for_none_rejected(tmp_path, mon
     assert find_policies(["toy_suites:planar"], [PLANAR, SPATIAL])[SPATIAL] == ("toy_suites:planar",)
     with pytest.raises(ValueError, match="not today"):
         find_policies(["toy_suites:none"], [PLANAR, SPATIAL])
-    sys.modules.pop("toy_suites")
+    assert "toy_suites" not in sys.modules  # it is loaded in another process
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from cablebot_gym.bounds.best_known import BestKnownPayload, cached_best_known, 
 from cablebot_gym.evaluation import Verdict, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.planning import Infeasible, MotionProgram
+from cablebot_gym.planning.motion import RIGID_DEGREE
 from cablebot_gym.policies.protocol import OpenLoop
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Motors
 from cablebot_gym.task import ErrorBounds
@@ -28,7 +29,7 @@ pytest.importorskip("casadi")
 pytestmark = pytest.mark.usefixtures("cache")
 
 PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexPlanar-v0"
-LINE = {"name": "line-planar", "duration": 0.4}
+LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
 
 
 @contextmanager
@@ -37,7 +38,7 @@ def coarse_search() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(best_known, "MESH_TOLERANCE", 1.0)
         upper = {"payload": 99.0, "total_mass": 100.0, "conditions": "none"}
-        patch.setattr(best_known, "planar_certificate", lambda *_: SimpleNamespace(to_dict=lambda: upper))
+        patch.setattr(best_known, "upper_bound", lambda *_: SimpleNamespace(to_dict=lambda: upper))
         yield
 
 
@@ -56,7 +57,7 @@ def line() -> BestKnownPayload:
 
 @pytest.fixture(scope="module")
 def circle() -> BestKnownPayload:
-    """The paper's circle of the planar robot."""
+    """The paper's circle of the planar robot, between dwells."""
     return find_best_known(PLANAR_ID, cache=False)
 
 
@@ -79,6 +80,37 @@ def test_replay_verifies_the_actions(line) -> None:
     assert (line.actions.shape, np.abs(line.actions).max() <= 1) == ((200, 3), True)
 
 
+def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
+    usual, fine = line.replays
+    assert fine.substeps == 10 * usual.substeps
+    for found in line.replays:
+        verdict = replay(line.payload, line.actions, substeps=found.substeps)
+        assert (verdict.carried, found.violation) == (True, None)
+        assert f"{found.substeps} physics steps per control period: least tension {found.least_tension:.3f}" in str(
+            line
+        )
+        assert verdict.least_tension == found.least_tension >= PLANAR.minimum_tension
+        assert verdict.position_peak == found.position_peak <= 0.01
+    assert fine.least_tension < usual.least_tension
+
+
+def test_replay_that_fails_at_a_tenth_of_the_step_is_not_verified(monkeypatch: pytest.MonkeyPatch, line) -> None:
+    case, seen = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0), []
+    record = best_known._Case._record
+
+    def fails(self: Any, policy: Any, payload: float, **keywords: Any) -> Any:
+        seen.append(keywords.get("substeps"))
+        rollout = record(self, policy, payload, **keywords)
+        if keywords.get("substeps") == line.replays[1].substeps:
+            rollout = SimpleNamespace(verdict=replay(1.1 * payload, line.actions))
+        return rollout
+
+    monkeypatch.setattr(best_known._Case, "_record", fails)
+    monkeypatch.setattr(best_known, "_TRIALS", 3)
+    assert case._verify(case._program(20), line.motion, lambda _: None) is None
+    assert line.replays[1].substeps in seen
+
+
 def test_replay_fails_beyond_the_limits(line) -> None:
     assert not replay(1.05 * line.payload, line.actions).carried
     assert not replay(line.payload, 0.97 * line.actions).carried
@@ -91,6 +123,7 @@ def test_json_has_no_motion(line) -> None:
     assert data["environment"]["trajectory"]["name"] == "line-planar"
     assert not {"motion", "actions"} & set(data)
     assert 0 < data["margins"]["position"] <= 0.01 * 0.01
+    assert [replay["violation"] for replay in data["replays"]] == [None, None]
 
 
 # --- the paper's circle and other robots ------------------------------------------------------------------------------
@@ -107,7 +140,7 @@ def test_circle_lies_between_policies_and_certificate(circle: BestKnownPayload) 
     assert carried is not None
     assert 0 < carried < circle.payload
     assert circle.payload > 2 * exact_payload(PLANAR, find_trajectory("paper-planar", 2)).payload
-    assert replay(circle.payload, circle.actions, trajectory="paper-planar").carried
+    assert replay(circle.payload, circle.actions, trajectory="circle-planar").carried
 
 
 @pytest.mark.slow
@@ -136,7 +169,6 @@ def test_flexible_joints_reduce_the_payload(line) -> None:
     assert found.verified
     assert 0.97 * found.program_payload < found.payload < line.payload
     assert replay(found.payload, found.actions, env_id=FLEX_ID).carried
-    assert found.upper is None
 
 
 @pytest.mark.slow
@@ -164,32 +196,29 @@ def test_result_is_reproducible(line) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_unverified_result_says_so_and_a_failed_fine_mesh_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
-    solve, failed = best_known._Case._solve, SimpleNamespace(verdict=SimpleNamespace(carried=False))
+    solve = best_known._solve
 
-    def fails_when_fine(case: Any, intervals: int, start: Any, margins: Any = None) -> Any:
-        if intervals > 20:
+    def fails_when_fine(program: MotionProgram, start: Any, margins: Any = None) -> Any:
+        if program.control_points > 20 + RIGID_DEGREE:
             raise Infeasible("no finer")
-        return solve(case, intervals, start, margins)
+        return solve(program, start, margins)
 
-    monkeypatch.setattr(best_known._Case, "_solve", fails_when_fine)
+    monkeypatch.setattr(best_known, "_solve", fails_when_fine)
     found = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
     assert [count for count, _ in found.meshes] == [20]
     assert found.verified
-    record = best_known.record_rollout
-    monkeypatch.setattr(
-        best_known,
-        "record_rollout",
-        lambda policy, *a, **k: failed if isinstance(policy, OpenLoop) else record(policy, *a, **k),
-    )
+    monkeypatch.setattr(best_known._Case, "_verify", lambda *_: None)
     found = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
     assert not found.verified
+    assert "not verified" in str(found)
+    assert "; fails: " in str(found)
 
 
 def test_best_of_several_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     payloads = iter([1.0, 3.0, 2.0])
     monkeypatch.setattr(MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads)))
     case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
-    assert case._first(20).payload == 3.0
+    assert case._first(case._program(20)).payload == 3.0
 
 
 # --- the cache --------------------------------------------------------------------------------------------------------
@@ -225,14 +254,14 @@ def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
         {},
         {"env_id": FLEX_ID, "robot": FLEX_PLANAR},
         {"robot": PLANAR.replace(mass=1.01)},
-        {"trajectory": {"name": "paper-planar", "duration": 1.1}},
+        {"trajectory": {"name": "circle-planar", "duration": 1.1}},
         {"error_bounds": {"position": 0.011}},
         {"control_frequency": 400.0},
     ]
     for problem in problems:
         find_best_known(**({"env_id": PLANAR_ID} | problem))
     assert len(solved) == len(problems) == len(list(cache.iterdir()))
-    defaults = {"robot": PLANAR, "trajectory": "paper-planar", "error_bounds": ErrorBounds(), "control_frequency": 500}
+    defaults = {"robot": PLANAR, "trajectory": "circle-planar", "error_bounds": ErrorBounds(), "control_frequency": 500}
     find_best_known(PLANAR_ID, **defaults)
     assert len(solved) == len(problems)
 
@@ -247,7 +276,7 @@ def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
         ({"env_id": "CableBot-Planar-v1"}, "CableBot-Planar-v0"),
         ({"robot": SPATIAL}, "does not fit CableBot-Planar-v0: use CableBot-Spatial-v0"),
         ({"trajectory": {"name": "circle-planar", "radius": 0.7}}, r"leaves the workspace of 'planar' at t = .*: x = "),
-        ({"control_frequency": 0.4}, "control_frequency must be a finite number greater than 0.5 Hz"),
+        ({"control_frequency": 0.3}, "control_frequency must be a finite number greater than 0.3125 Hz"),
     ],
 )
 def test_bad_argument_is_rejected(arguments: dict[str, Any], message: str, cache: Path) -> None:
@@ -263,7 +292,7 @@ def test_bad_argument_is_rejected(arguments: dict[str, Any], message: str, cache
     [
         ({"robot": PLANAR.replace(mass=5.0)}, "infeasible even unloaded: at most .* kg of the platform's 5 kg"),
         ({"trajectory": "dwell-planar"}, "nothing limits the payload on 'dwell-planar'"),
-        ({"error_bounds": {"position": 1e-6}}, "no motion along 'paper-planar' .*limiting: the error bounds"),
+        ({"error_bounds": {"position": 1e-6}}, "no motion along 'circle-planar' .*limiting: the error bounds"),
     ],
 )
 def test_infeasible_problem_names_the_limit(

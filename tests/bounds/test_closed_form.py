@@ -120,7 +120,9 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
 def test_payload_on_the_smooth_circle_matches_independent_runs(
     duration: float, payload: float, motor: int, time: float
 ) -> None:
-    result = exact_payload(SPATIAL, find_trajectory({"name": "circle-spatial", "duration": duration}, 6))
+    result = exact_payload(
+        SPATIAL, find_trajectory({"name": "smooth-circle-spatial", "duration": duration, "dwell": 0.0}, 6)
+    )
     assert result.payload == pytest.approx(payload, abs=0.006)
     assert (result.motor, result.kind, result.line) == (motor, "torque", "upper")
     assert result.time == pytest.approx(time, abs=2e-3)
@@ -151,7 +153,7 @@ def test_more_instants_lower_the_payload(robot: Robot) -> None:
 
 def test_motion_that_needs_a_pushing_cable_is_infeasible() -> None:
     # The platform does not turn, so all tensions are proportional to the mass.
-    result = exact_payload(SPATIAL, find_trajectory({"name": "circle-spatial", "duration": 0.97}, 6))
+    result = exact_payload(SPATIAL, find_trajectory({"name": "smooth-circle-spatial", "duration": 0.97}, 6))
     assert (result.payload, result.total_mass, result.lowest) == (-math.inf, -math.inf, math.inf)
     assert (result.kind, result.line) == ("tension", "lower")
 
@@ -167,7 +169,7 @@ KINDS = ["spatial", "planar-3", "planar-4", "planar-5"]
 def random_case(kind: str, rng: np.random.Generator) -> tuple[Robot, Trajectory, float]:
     """A robot with random anchors, mass and drives, a circle, and a minimum tension."""
     if kind == "spatial":
-        robot, trajectory, base = SPATIAL, "circle-spatial", SPATIAL.base + rng.uniform(-0.03, 0.03, (6, 3))
+        robot, trajectory, base = SPATIAL, "smooth-circle-spatial", SPATIAL.base + rng.uniform(-0.03, 0.03, (6, 3))
     else:
         cables = int(kind[-1])
         angles = 2 * np.pi * (np.arange(cables) + rng.uniform(-0.25, 0.25, cables)) / cables + rng.uniform(0, 6)

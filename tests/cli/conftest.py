@@ -36,11 +36,6 @@ class interrupted(Toy):
         os.kill(os.getpid(), signal.SIGINT)
         return action
 
-class interrupted_second(FeedbackLinearization):
-    def reset(self, tasks):
-        if not tasks[0].payload_known:
-            os.kill(os.getpid(), signal.SIGINT)
-
 class deadly(FeedbackLinearization):
     def reset(self, tasks):
         os.kill(os.getpid(), signal.SIGKILL)
@@ -54,6 +49,9 @@ def clipped(robot):
 
 def limp(robot):
     return lambda observation: np.zeros(robot.cables)
+
+def declares(robot):
+    return FeedbackLinearization(robot)
 """
 
 LOST = 1 + next(index for index, line in enumerate(TOYS.splitlines()) if "lost" in line)

@@ -45,9 +45,12 @@ def test_listed_fields_make_the_named_uncertainty(data):
     for name, entries in data["uncertainty_fields"].items():
         for env_id in ENV_IDS:
             given = {}
-            for path, entry in entries.items():
+            for entry in entries:
                 if env_id in entry["env_ids"]:
-                    group, _, key = path.partition(".")
-                    given.setdefault(group, {})[key] = entry["value"]
+                    group, _, key = entry["field"].partition(".")
+                    if key:
+                        given.setdefault(group, {})[key] = entry["value"]
+                    else:
+                        given[group] = entry["value"]
             robot = find_robot(env_robot(env_id))
             assert find_uncertainty(given, robot) == find_uncertainty(name, robot)

@@ -42,7 +42,7 @@ JSON_KEYWORDS: dict[str, Any] = {
     "payload_range": [0.5, 1.5],
     "initial_error_range": [0.001, 0.0, 0.001, 0.0, 0.01, 0.0],
     "cable": "bilateral",
-    "reward_weights": {"slack": 0.5},
+    "reward_weights": {"saturation": 0.5},
     "uncertainty": {
         "parameters": {"stiffness": {"low": -0.2, "high": 0.2, "distribution": "normal", "std": 0.1}},
         "wrench": {"force_mean": [1.0, -1.0, 0.0], "factor": [0.5, 1.5]},
@@ -100,7 +100,7 @@ def test_each_id_has_its_robot():
         assert env.unwrapped.settings.robot == robot
         assert env.action_space.shape == (robot.cables,)
         assert env.observation_space == observation_layout(robot).space()
-        assert gym.spec(env_id).max_episode_steps == 500
+        assert gym.spec(env_id).max_episode_steps is None
 
 
 @each_id
@@ -111,6 +111,26 @@ def test_checkers_of_gymnasium_and_sb3_find_nothing(env_id):
         env = gym.make(env_id, uncertainty=uncertainty)
         checker.check_env(env.unwrapped, warn=True)
     check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+@each_id
+def test_action_out_of_bounds_acts_like_the_bound(env_id, delay):
+    """As Gymnasium's own tests demand. Only the record of the raw action and the reward differ."""
+    rng = np.random.default_rng(0)
+    actions = 3 * rng.uniform(-0.6, 1.0, (60, 2, ROBOTS[env_id].cables))
+    raw, clipped = (
+        gym.make_vec(env_id, 2, uncertainty={"delay": delay}, termination_radius=9.0, slack_time=9.0) for _ in range(2)
+    )
+    for env in (raw, clipped):
+        env.reset(seed=0)
+    for action in actions:
+        ours, theirs = raw.step(action), clipped.step(np.clip(action, -1, 1))
+        np.testing.assert_array_equal(ours[0], theirs[0])
+        different = {name for name, value in ours[4].items() if not np.array_equal(value, theirs[4][name])}
+        assert different <= {"commanded_action", "torque_margin", "reward_saturation"}
+    assert different
+    np.testing.assert_array_equal(ours[4]["commanded_action"], actions[-1 - delay])
 
 
 def test_spec_survives_json_and_makes_the_same_environment():
@@ -125,19 +145,42 @@ def test_spec_survives_json_and_makes_the_same_environment():
 
 
 @two_ids
-def test_only_the_time_limit_truncates(env_id):
+def test_complete_default_motion_is_truncated_and_not_terminated(env_id):
     robot = ROBOTS[env_id]
     policy = MotorPD(robot) if robot.flexible else FeedbackLinearization(robot)
-    limited, bare = gym.make(env_id), gym.make(env_id).unwrapped
-    observation, _ = limited.reset(seed=0)
-    bare.reset(seed=0)
-    for step in range(1, 701):
-        action, _ = policy.predict(observation)
-        observation, _, terminated, truncated, _ = bare.step(action)
-        assert (terminated, truncated) == (False, False), step
-        if step <= 500:
-            _, _, terminated, truncated, _ = limited.step(action)
-            assert (terminated, truncated) == (False, step == 500), step
+    env = gym.make(env_id)
+    observation, _ = env.reset(seed=0)
+    for step in range(1, 801):
+        observation, _, terminated, truncated, _ = env.step(policy.predict(observation)[0])
+        assert (terminated, truncated) == (False, step == 800), step
+
+
+LENGTHS = [
+    (500.0, {"name": "dwell-planar", "duration": 0.002}, 1),
+    (500.0, {"name": "line-planar", "duration": 2.0, "dwell": 0}, 1000),
+    (1000.0, "paper-planar", 1000),
+    (1000.0, {"name": "line-planar", "duration": 2.0}, 2600),
+    (70.0, {"name": "loop-planar", "seed": 10_000}, 155),  # 2.21 s
+    (333.0, {"name": "circle-planar", "dwell": 0.0123}, 341),
+]
+
+
+@pytest.mark.filterwarnings("ignore:.*after the episode was terminated")
+@pytest.mark.parametrize(("frequency", "trajectory", "steps"), LENGTHS)
+def test_step_that_completes_the_motion_truncates_the_episode(frequency, trajectory, steps):
+    """A time limit shortens the episode and never lengthens it. Steps after the end are truncated too."""
+    keywords = {"trajectory": trajectory, "control_frequency": frequency}
+    env = gym.make(PLANAR_ID, **keywords).unwrapped
+    for _ in range(2):
+        env.reset(seed=0)
+        assert env.task.steps == steps
+        truncated = [env.step(np.zeros(3))[3] for _ in range(steps + 2)]
+        assert truncated == [False] * (steps - 1) + [True] * 3
+    for limit in (max(1, steps // 2), 2 * steps):
+        limited = gym.make(PLANAR_ID, max_episode_steps=limit, **keywords)
+        limited.reset(seed=0)
+        truncated = [limited.step(np.zeros(3))[3] for _ in range(min(limit, steps))]
+        assert truncated == [False] * (len(truncated) - 1) + [True]
 
 
 def check_info(info, cables):
@@ -195,16 +238,16 @@ def test_results_are_copies(count):
 def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     robot = ROBOTS[env_id]
     kind = "planar" if robot.planar else "spatial"
-    trajectory = {"name": f"lemniscate-{kind}", "duration": 0.3}
-    frequency = 70.0  # 0.3 s are 21 periods; 0.3 s is reached and passed
+    trajectory = {"name": f"lemniscate-{kind}", "duration": 0.3, "dwell": 0.1}
+    frequency = 70.0  # 0.5 s are 35 periods; 0.5 s is reached and passed
     env = gym.make(env_id, trajectory=trajectory, control_frequency=frequency, termination_radius=10.0).unwrapped
     wanted = find_trajectory(trajectory, robot.coordinates)
     observation, _ = env.reset(seed=0)
-    for k in range(30):
+    for k in range(44):
         time = k / frequency
         part = env.layout.split(observation)
         now = wanted(time)
-        assert part["time_to_go"][0] == pytest.approx(max(0.3 - time, 0.0), abs=1e-12)
+        assert part["time_to_go"][0] == pytest.approx(max(0.5 - time, 0.0), abs=1e-12)
         np.testing.assert_allclose(part["reference_pose"], now.position, atol=1e-12)
         np.testing.assert_allclose(part["reference_velocity"], now.velocity, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(part["reference_acceleration"], now.acceleration, rtol=1e-12, atol=1e-10)
@@ -301,9 +344,15 @@ def test_copy_in_mid_episode_continues_independently(env_id, count, duplicate):
         np.testing.assert_array_equal(env.render(), one.render())
 
 
-def flat(outcome):
+def test_copies_need_no_compilation_of_their_own():
+    """Copies of read-only arrays are writable, which is another type for numba: seconds of compilation."""
+    constants = gym.make(PLANAR_ID).unwrapped._simulation._constants
+    assert all(value.flags.writeable for value in constants if isinstance(value, np.ndarray))
+
+
+def flat(result):
     """Arrays that reset or step returned."""
-    *values, info = outcome
+    *values, info = result
     return [np.asarray(value) for value in (*values, *(info[name] for name in sorted(info)))]
 
 

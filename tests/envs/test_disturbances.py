@@ -13,7 +13,7 @@ from scipy import stats
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot
 from cablebot_gym.physics import kernel, textbook
-from cablebot_gym.robots import Motors, Robot, Transmission, find_robot
+from cablebot_gym.robots import Robot, Transmission, find_robot
 from cablebot_gym.trajectories import Reference
 from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, Uncertainty
 
@@ -82,7 +82,7 @@ def spread_of(name, low=0.05, high=0.1):
     """A deviation that is never zero; absolute where the paper's value may be zero."""
     if PARAMETERS[name].position:
         return ParameterDistribution(low=0.005, high=0.01, relative=False)
-    if name in ("damping", "motor_damping"):
+    if name in ("damping", "motor_damping", "motor_lag", "coulomb_friction"):
         return ParameterDistribution(low=1e-3, high=2e-3, relative=False)
     return ParameterDistribution(low=low, high=high, each=name != "platform_inertia")
 
@@ -94,11 +94,12 @@ def replaced(robot: Robot, truth) -> Robot:
     return robot.replace(
         mass=float(truth["platform_mass"]),
         base_anchors=truth["base_anchors"],
-        motors=Motors(stall_torque=tuple(truth["motor_strength"]), free_speed=robot.motors.free_speed),
+        motors=robot.motors.replace(stall_torque=tuple(truth["motor_strength"]), lag=tuple(truth["motor_lag"])),
         transmission=Transmission(
             pulley_radius=robot.transmission.pulley_radius,
             pulley_inertia=tuple(truth["pulley_inertia"]),
             damping=tuple(truth["damping"]),
+            coulomb_friction=tuple(truth["coulomb_friction"]),
             **spring,
         ),
         **body,
@@ -270,6 +271,35 @@ def test_sensor_noise_is_white_and_affects_measured_blocks_only(env_id):
     assert np.abs(lanes).max() < 6 / np.sqrt(151 * white.shape[-1])
 
 
+@two_ids
+def test_sensor_bias_is_normal_and_constant_in_an_episode(env_id):
+    """White noise is added to it; the second environment has none, and the next episode another one."""
+    robot, sigma = ROBOTS[env_id], {"position": 1e-3, "rotation": 2e-3, "velocity": 3e-3, "motor_angle": 4e-3}
+    biased, clean = batch(env_id, 400), batch(env_id, 400)
+    forms = [{"sensor_bias": sigma}, {"sensors": {"position": 1e-3}}, {"sensor_bias": sigma}, None] * 100
+    actions = np.random.default_rng(0).uniform(0.0, 0.6, (3, 400, robot.cables))
+    options = {"uncertainty": forms}
+    ours, theirs = (rollout(env, actions, seed=9, options=options if env is biased else {}) for env in (biased, clean))
+    np.testing.assert_array_equal(ours[2], theirs[2])
+    error = biased.layout.split(ours[0] - theirs[0])
+    places = 2 if robot.planar else 3
+    for name, values in error.items():
+        constant = values[:, ::2]
+        np.testing.assert_allclose(constant, np.broadcast_to(constant[0], constant.shape), rtol=0, atol=1e-14)
+        assert not values[:, 3::4].any()
+        expected = {"pose": 1e-3, "velocity": 3e-3, "motor_angle": 4e-3}.get(name)
+        if expected is not None:
+            normal = constant[0, :, :places].ravel() / expected
+            assert stats.kstest(normal, "norm").pvalue > 0.01, name
+            assert len(np.unique(normal)) == normal.size
+        else:
+            assert not values[:, ::2].any(), name
+    assert np.ptp(error["pose"][:, 1], axis=0)[0] > 1e-4
+    again = (biased.reset(options=options)[0] - clean.reset()[0])[0, 0]
+    assert 0 < abs(again) != abs(error["pose"][0, 0, 0])
+    np.testing.assert_array_equal(biased.reset(options={"uncertainty": None})[0], clean.reset()[0])
+
+
 def test_noise_and_wrench_affect_their_environment_and_episode_only():
     env, clean = batch("CableBot-FlexPlanar-v0", 3), batch("CableBot-FlexPlanar-v0", 3)
     forms = ["table6+sensors", None, {"sensors": {"velocity": 0.01}}]
@@ -324,6 +354,9 @@ def test_actions_arrive_delayed(env_id, delay):
     hold = holding(robot, 1.0, start.position, start.velocity)
     ours = rollout(late, actions, seed=0)
     theirs = rollout(prompt, np.concatenate([np.tile(hold, (delay, 1)), actions[:-delay]]), seed=0)
+    sent = late.layout.slices()["last_actions"]
+    for observations in (ours[0], theirs[0]):  # those hold the actions of the policy, before the delay
+        observations[:, sent] = 0.0
     np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-12, atol=1e-12)
     first = prompt.layout.split(theirs[0][0])
     np.testing.assert_allclose(first["velocity"], 0.01 * np.arange(1, robot.coordinates + 1), atol=1e-15)
@@ -339,7 +372,8 @@ def test_actions_arrive_delayed(env_id, delay):
 def test_motors_hold_the_true_robot_until_the_first_action_arrives(env_id):
     names = ["payload", "platform_mass", "motor_strength", *(["stiffness"] if ROBOTS[env_id].flexible else [])]
     uncertainty = Uncertainty(parameters={name: spread_of(name) for name in names}, delay=5)
-    env = single(env_id, payload=2.0, trajectory=f"dwell-{kind(env_id)}", uncertainty=uncertainty)
+    keywords = {"payload": 2.0, "trajectory": f"dwell-{kind(env_id)}", "initial_error": 0.0}
+    env = single(env_id, uncertainty=uncertainty, **keywords)
     env.reset(seed=0)
     assert env.truth["payload"] > 2.05
     zero = np.zeros(ROBOTS[env_id].cables)
@@ -379,6 +413,40 @@ def test_delays_of_environments_are_independent(env_id):
                 np.testing.assert_array_equal(info[key][place], expected[key], err_msg=f"{key} {place} {number}")
     assert np.array_equal(info["commanded_action"][1], actions[-4, 1])
     assert np.array_equal(info["commanded_action"][2], actions[-1, 2])
+
+
+def test_delay_is_drawn_uniformly_between_its_bounds():
+    """A drawn delay acts as a fixed one does."""
+    keywords = {"trajectory": "dwell-planar", "payload": 1.0}
+    env = batch("CableBot-Planar-v0", 600, uncertainty={"delay": [1, 3]}, **keywords)
+    actions = np.tile(random_actions("CableBot-Planar-v0", 8)[:, None], (600, 1))
+    infos = rollout(env, actions, seed=0)[1]
+    found = []
+    for delay in (1, 2, 3):
+        fixed = rollout(single("CableBot-Planar-v0", uncertainty={"delay": delay}, **keywords), actions[:, 0], seed=0)[
+            1
+        ]
+        same = np.all(infos["commanded_action"] == fixed["commanded_action"][:, None], axis=(0, 2))
+        np.testing.assert_array_equal(infos["torques"][:, same], fixed["torques"][:, None].repeat(same.sum(), axis=1))
+        found.append(same.sum())
+    assert sum(found) == 600
+    assert stats.chisquare(found).pvalue > 0.01
+
+
+@each_id
+def test_motors_with_lag_start_from_the_holding_torques(env_id):
+    """A robot whose motors answer slowly stays at rest for some steps, whatever the action."""
+    robot = ROBOTS[env_id]
+    moved = []
+    for lag in (1e3, 1e-3):
+        slow = robot.replace(motors=robot.motors.replace(lag=lag))
+        env = single(env_id, robot=slow, payload=2.0, trajectory=f"dwell-{kind(env_id)}", initial_error=0.0)
+        _, info = env.reset(seed=0)
+        held = info["torques"]
+        for _ in range(5):
+            info = env.step(np.zeros(robot.cables))[4]
+        moved.append(np.abs(info["torques"] - held).max())
+    assert moved[0] < 1e-3 < 0.1 < moved[1]
 
 
 def test_delayed_action_is_a_copy():

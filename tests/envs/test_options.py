@@ -9,9 +9,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.kinematics import structure_jacobian
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.uncertainty import ParameterDistribution, Uncertainty
 
@@ -92,9 +94,14 @@ OPTIONS = {
     "uncertainty": Case(
         {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}, "sensors": {"position": 1e-4}, "delay": 1},
         ("reset observation", "observation", "reward", "info commanded_action", "info torques", "info tracking_error"),
-        ("info payload", "flags", "reset info"),
+        ("info payload", "flags"),
     ),
-    "error_bounds": Case({"position": 0.02, "rotation": 0.02}, ("reward", "info reward_position"), ("observation",)),
+    "error_bounds": Case(
+        {"position": 0.02, "rotation": 0.02},
+        ("reward", "info reward_position"),
+        ("observation",),
+        {"initial_error": 0.0},  # the bound also sets the start pose of spatial robots
+    ),
 }
 KEYWORDS = OPTIONS | {
     "payload_range": Case((1.0, 2.0), ("reset observation", "observation", "info payload")),
@@ -108,7 +115,7 @@ KEYWORDS = OPTIONS | {
     "control_frequency": Case(250.0, ("observation", "info time", "info tracking_error")),
     "substeps": Case(7, ("observation",), ("reset observation", "info time"), action=0.5, steps=5),
     "termination_radius": Case(1e-6, ("flags", "reward", "info termination_reason"), ("observation",)),
-    "slack_time": Case(0.0, ("flags", "reward", "info termination_reason"), ("observation",), action=-0.3),
+    "slack_time": Case(0.0, ("flags", "info termination_reason"), ("observation",), action=-0.3),
     "reward_weights": Case({"position": 3.0}, ("reward", "info reward_position"), ("observation", "flags")),
 }
 
@@ -168,13 +175,65 @@ def test_start_errors_are_uniform_within_their_half_widths():
     widths = np.array([0.002, 0.0, 0.001, 0.003, 0.0, 0.001])
     env = make("spatial", trajectory="dwell-spatial", initial_error_range=widths)
     env.reset(seed=0)
-    found = draws(env, 200, "start")
+    lowered = env.task.start_pose - env.task.trajectory(0.0).position
+    found = draws(env, 200, "start") - lowered
     assert np.all(np.abs(found) <= widths + 1e-15)
     np.testing.assert_allclose(np.abs(found).max(axis=0), widths, rtol=0.1)
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=4 * widths.max() / np.sqrt(3 * 200))
     given = make("spatial", trajectory="dwell-spatial", initial_error_range=widths, initial_error=np.full(6, 0.01))
     given.reset(seed=0)
-    np.testing.assert_allclose(draws(given, 5, "start"), found[:5] + 0.01, atol=1e-15)
+    np.testing.assert_allclose(draws(given, 5, "start"), found[:5] + 0.01, atol=1e-15)  # in place of the start pose
+
+
+@pytest.mark.parametrize("trajectory", ["circle", "paper", "loop"])
+@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+def test_episodes_of_all_payloads_start_at_the_start_pose_of_the_task(env_id, trajectory):
+    kind = "planar" if "Planar" in env_id else "spatial"
+    keywords = {"trajectory": f"{trajectory}-{kind}", "error_bounds": {"position": 0.014}}
+    env = gym.make_vec(env_id, 3, payload=[0.0, 2.0, 20.0], uncertainty="table6", **keywords).unwrapped
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.pose, [env.tasks[0].start_pose] * 3)
+    for initial_error in (None, 0, np.full(env.tasks[0].robot.coordinates, 1e-3)):
+        env.reset(options={"initial_error": initial_error})
+        first = env.tasks[0].trajectory(0.0).position
+        expected = env.tasks[0].start_pose if initial_error is None else first + initial_error
+        np.testing.assert_array_equal(env.pose, [expected] * 3)
+
+
+@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+def test_torques_after_a_reset_hold_the_true_robot_at_rest(env_id):
+    """With the true mass and anchors: in the second environment beyond what the motors can hold."""
+    planar = "Planar" in env_id
+    motion = {"trajectory": f"dwell-{'planar' if planar else 'spatial'}"}
+    payloads = [1.0, 5.0 if planar else 14.0]
+    anchors = {"low": -0.01, "high": 0.01, "relative": False}
+    uncertainty = {"parameters": {"payload": {"low": 0.2, "high": 0.3}, "base_anchors": anchors}}
+    env = gym.make_vec(env_id, 2, payload=payloads, uncertainty=uncertainty, **motion).unwrapped
+    _, info = env.reset(seed=0)
+    stall = env.settings.robot.stall_torque
+    np.testing.assert_allclose(info["torque_margin"], stall - np.abs(info["torques"]), rtol=1e-14)
+    assert (info["torque_margin"].min(axis=1) < 0).tolist() == [False, not planar]
+    start = env.pose
+    for _ in range(20):
+        env.step(info["torques"] / stall)
+    moved = np.abs(env.pose - start).max(axis=1)
+    assert moved[0] < 1e-9
+    assert planar or moved[1] > 1e-4
+
+
+@pytest.mark.parametrize("payload", [1.0, 14.0])
+def test_springs_and_delayed_motors_start_within_the_stall_torque(payload):
+    weak = {"motor_strength": {"low": -0.1, "high": -0.05}}
+    env = gym.make("CableBot-FlexSpatial-v0", payload=payload, uncertainty={"parameters": weak, "delay": 2}).unwrapped
+    observation, info = env.reset(seed=0)
+    stall = env.truth["motor_strength"]
+    wound = env.layout.split(observation)["motor_angle"] - textbook.pulley_angle(FLEX_SPATIAL, env.pose)
+    np.testing.assert_allclose(FLEX_SPATIAL.stiffness * wound, np.minimum(info["torques"], stall), rtol=1e-9)
+    assert (info["torques"] > stall).any() == (payload == 14.0)
+    for _ in range(2):
+        held = env.step(np.zeros(6))[4]["commanded_action"]
+        np.testing.assert_allclose(held, np.minimum(info["torques"] / stall, 1.0), rtol=1e-9)
+    assert not env.step(np.zeros(6))[4]["commanded_action"].any()
 
 
 @each_kind
@@ -196,7 +255,7 @@ def test_payload_is_mass_in_the_plants_equations(payload):
     """From rest, with taut cables and no torque: (M + payload + Σ J/r² s²) z̈ = (M + payload) g, by symmetry."""
     frequency = 1e4
     env = make("spatial", payload=payload, trajectory="dwell-spatial", control_frequency=frequency, cable="bilateral")
-    observation, info = env.reset()
+    observation, info = env.reset(options={"initial_error": 0})
     observation, _, _, _, info = env.step(np.zeros(6))
     column = structure_jacobian(SPATIAL.base, SPATIAL.platform, SPATIAL.home)[:, 2]
     mass = SPATIAL.mass + payload
@@ -268,10 +327,10 @@ def test_default_physics_step_is_at_most_a_millisecond(frequency, substeps):
 
 @each_kind
 def test_default_physics_steps_have_fourth_order_accuracy(kind):
-    """Closed loop over the paper's whole circle. Measured: 5e-12 m, 2e-10 m/s; one step is 16 times worse."""
+    """Closed loop over the whole circle as printed. Measured: 5e-12 m, 2e-10 m/s; one step is 16 times worse."""
     paths = {}
     for substeps in (1, 2, 20):
-        env = make(kind, substeps=substeps)
+        env = make(kind, substeps=substeps, trajectory=f"paper-{kind}")
         policy = FeedbackLinearization(ROBOTS[kind])
         observation, _ = env.reset()
         path = []
@@ -368,8 +427,8 @@ def test_bad_option_raises_and_leaves_the_episode(options, named):
     same_step(env, twin, np.full(6, 0.5))
 
 
-def test_rigid_robot_with_a_delay_needs_a_start_that_tensions_hold():
-    options = {"initial_error": [0, 0, -0.1, 0, 0, 0], "trajectory": "dwell-spatial", "uncertainty": {"delay": 1}}
+def test_start_pose_that_no_tensions_hold_raises():
+    options = {"initial_error": [0, 0, -0.1, 0, 0, 0], "trajectory": "dwell-spatial"}
     with pytest.raises(ValueError, match="start pose"):
         make("spatial").reset(options=options)
 

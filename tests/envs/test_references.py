@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_gym.trajectories import Reference, find_trajectory, trajectory_names
+from cablebot_gym.trajectories import Reference, SmoothCircle, find_trajectory, trajectory_names
 
 RIGID, FLEXIBLE = "CableBot-Planar-v0", "CableBot-FlexPlanar-v0"
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
@@ -21,7 +20,7 @@ class Own:
     name, duration, coordinates = "own", 1.0, 2
 
     def __init__(self, change):
-        self._circle, self._change = find_trajectory({"name": "circle-planar", "duration": self.duration}, 2), change
+        self._circle, self._change = SmoothCircle(radius=0.2165, center=(0.0, 0.0), duration=self.duration), change
 
     def __call__(self, times):
         times = np.asarray(times, float)
@@ -81,9 +80,8 @@ def test_motion_after_the_duration_warns():
 @pytest.mark.parametrize(("frequency", "duration"), [(20.0, 0.05), (500.0, 1.0)])
 def test_motions_of_the_library_do_not_warn(kind, coordinates, frequency, duration):
     for name in trajectory_names(coordinates):
-        motion = find_trajectory(name, coordinates)
-        if not name.startswith("loop"):  # their durations follow from their accelerations
-            motion = replace(motion, duration=duration)
+        fields = {} if name.startswith("loop") else {"duration": duration}  # the accelerations of loops set theirs
+        motion = find_trajectory({"name": name, **fields}, coordinates)
         gym.make(f"CableBot-Flex{kind}-v0", trajectory=motion, control_frequency=frequency).reset()
 
 

@@ -73,7 +73,7 @@ def test_blocks_have_independent_normal_numbers():
     made, width, rows = streams(5, 6), 100, []
     for purpose in Purpose:
         for block in (0, 1, 2, 300):
-            found = made.normal(indices(0, 1), purpose, indices(block, block), width)
+            found = made.normal_block(indices(0, 1), purpose, indices(block, block), width)
             assert found.shape == (2, BLOCK, width)
             rows += list(found.reshape(2, -1))
     check_unrelated(rows)
@@ -84,7 +84,7 @@ def test_streams_do_not_depend_on_what_was_read():
     usual, disturbed = streams(3, 4), streams(3, 4)
     for purpose in Purpose:
         disturbed.uniform(indices(1, 0), purpose, 17)
-        disturbed.normal(indices(0), purpose, indices(9), 3)
+        disturbed.normal_block(indices(0), purpose, indices(9), 3)
     for purpose in Purpose:
         ours, theirs = (made.uniform(indices(0, 1), purpose, 5) for made in (disturbed, usual))
         np.testing.assert_array_equal(ours, theirs)
@@ -180,6 +180,52 @@ def test_seed_determines_all_draws(env_id, seed):
         for place in (0, 2):
             assert not np.any(first[place] == other[place])
         assert not np.any((first[3] == other[3])[:, :2])
+
+
+@pytest.mark.parametrize("noise_seed", [7, [9, 5, 7]])
+def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
+    """Wrench and white noise follow it until the next seed; masses, factors, biases and delays follow the seed."""
+    wrench, noise = ExternalWrench(force_std=1.0, factor=(0.5, 2.0)), SensorNoise(position=1e-3)
+    form = Uncertainty(parameters=MASS, wrench=wrench, sensors=noise, sensor_bias=noise, delay=(0, 9))
+    env: Any = gym.make_vec("CableBot-Planar-v0", num_envs=3, uncertainty=form).unwrapped
+
+    def draws(**reset):
+        """Of two episodes: noise and force, then mass, factor, bias and delay."""
+        found = []
+        for number in range(2):
+            env.reset(**reset if number == 0 else {})
+            disturbances = env._simulation._disturbances
+            white = np.round(disturbances.noise - disturbances._bias, 12)
+            env.step(np.zeros((3, 3)))
+            drawn = env.truth["platform_mass"], disturbances._factor, disturbances._bias, disturbances._delay
+            force = forces(env)[:, :2] / disturbances._factor
+            found.append([value.copy() for value in (white[:, :2], force, *drawn)])
+        return found
+
+    usual, other = draws(seed=1), draws(seed=1, options={"noise_seed": noise_seed})
+    for ours, theirs in zip(usual, other, strict=True):
+        assert not np.any(ours[0] == theirs[0])
+        assert not np.any(ours[1] == theirs[1])
+        for one, same in zip(ours[2:], theirs[2:], strict=True):
+            np.testing.assert_array_equal(one, same)
+        assert len(np.unique(theirs[0])) == theirs[0].size
+    for ours, theirs in zip(draws(seed=1), usual, strict=True):
+        for one, same in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(one, same)
+
+
+@pytest.mark.parametrize("bad", [-1, 0.5, [1, 2], "seed"])
+def test_impossible_noise_seed_raises_and_keeps_the_streams(bad):
+    env = single("CableBot-Planar-v0", uncertainty=Uncertainty(parameters=MASS, sensors=SensorNoise(position=1e-3)))
+    found = []
+    for given in ({"noise_seed": bad}, None):
+        env.reset(seed=0)
+        if given:
+            with pytest.raises(ValueError, match="noise_seed must be"):
+                env.reset(seed=1, options=given)
+        observation, _ = env.reset()
+        found.append([*observation, *env.truth["platform_mass"].ravel()])
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_noise_and_wrench_have_different_numbers():

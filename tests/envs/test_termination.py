@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import structure_jacobian
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
 
@@ -130,15 +129,15 @@ def test_non_finite_state_is_bounded_and_earns_nothing():
     env.reset()
     reason = ""
     while reason != "non_finite":
-        observation, _, terminated, truncated, info = env.step(rng.choice([-5.0, 5.0], 6))
+        observation, _, terminated, _, info = env.step(rng.choice([-5.0, 5.0], 6))
         reason = info["termination_reason"]
-    assert (terminated, truncated) == (True, False)
+    assert terminated
     assert observation in env.observation_space
     assert all(np.all(np.isfinite(value)) for name, value in info.items() if name != "termination_reason")
     for name in ("tracking_error", "rotation_error", "rotation_error_peak"):
         assert info[name] > 1e3
     assert max(info["reward_position"], info["reward_rotation"]) < 1e-3
-    assert info["reward_failure"] == -1.0
+    assert (info["violated"], info["reward_inside"]) == (True, 0.0)
 
 
 def test_bilateral_cables_push():
@@ -235,29 +234,6 @@ def test_peaks_and_slack_are_over_every_physics_step(kind):
     assert inner > 0
     assert late > 0
     assert early > 0
-
-
-# -------------------------------------------------------------------------------------------------------- reward
-
-
-@pytest.mark.parametrize("weight", [1.0, -2.5])
-@each_kind
-def test_reward_is_the_sum_of_its_weighted_terms(kind, weight):
-    weights = {term: weight * (1 + index) for index, term in enumerate(REWARD_TERMS)}
-    bounds = {"position": 0.03, "rotation": 0.002}
-    _, actions, _, rewards, info = random_run(kind, 20, 0.01, reward_weights=weights, error_bounds=bounds)
-    terms = {
-        "position": 1 / (1 + info["tracking_error"] / bounds["position"]),
-        "rotation": 1 / (1 + info["rotation_error"] / bounds["rotation"]) if kind == "spatial" else np.zeros(20),
-        "saturation": -np.maximum(np.abs(actions) - 1, 0).mean(axis=1),
-        "slack": -info["slack"].mean(axis=1),
-        "failure": -(info["termination_reason"] != "").astype(float),
-    }
-    assert np.ptp(terms["failure"]) == 1.0
-    assert list(terms) == list(REWARD_TERMS)
-    for name, value in terms.items():
-        np.testing.assert_allclose(info[f"reward_{name}"], weights[name] * value, atol=1e-12)
-    np.testing.assert_allclose(rewards, sum(info[f"reward_{name}"] for name in terms), atol=1e-12)
 
 
 # ---------------------------------------------------------------------------------------------------- uncertainty

@@ -245,10 +245,37 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
             np.testing.assert_array_equal(value[~mask], theirs[4][key][~mask], err_msg=key)
         if number < 9:
             np.testing.assert_array_equal(ours[0][1], single.step(action[1])[0])
-            assert [task.trajectory.duration for task in env.tasks] == [3.0, 3.0, 1.0, 3.0, 1.0]
+            assert [task.trajectory.duration for task in env.tasks] == [3.6, 3.6, 1.6, 3.6, 1.6]
         if number == 8:  # back to the default motion: the tables shrink
             env.reset(options={"reset_mask": mask})
-            assert [task.trajectory.duration for task in env.tasks] == [1.0] * 5
+            assert [task.trajectory.duration for task in env.tasks] == [1.6] * 5
+
+
+@each_mode
+@pytest.mark.parametrize("limit", [None, 12, 40])
+def test_each_environment_is_truncated_when_its_own_motion_is_complete(mode, limit):
+    """By 6, 20 and 6 steps, or by an earlier limit; the third environment starts again while the others continue."""
+    env = make(count=3, autoreset_mode=mode, trajectory={"name": "dwell-planar", "duration": 0.06}, slack_time=9.0,
+               control_frequency=100.0, max_episode_steps=limit)  # fmt: skip
+    env.reset(seed=0)
+    long = {"trajectory": {"name": "dwell-planar", "duration": 0.2}, "reset_mask": np.array([False, True, False])}
+    env.reset(options=long)
+    for _ in range(3):
+        env.step(np.zeros((3, 3)))
+    env.reset(options={"reset_mask": np.array([False, False, True])})
+    steps = np.array([3, 3, 0])
+    lengths = np.array([6, 20 if limit is None else min(limit, 20), 6])
+    ended = np.zeros(3, bool)
+    for _ in range(40):
+        _, _, terminated, truncated, _ = env.step(np.zeros((3, 3)))
+        steps += 1
+        if mode is AutoresetMode.NEXT_STEP:
+            steps[ended], lengths[ended] = 0, 6
+        ended = steps >= lengths
+        assert truncated.tolist() == ended.tolist()
+        assert not terminated.any()
+        if mode is AutoresetMode.SAME_STEP:
+            steps[ended], lengths[ended] = 0, 6
 
 
 def test_reset_mask_restarts_the_slack_time():

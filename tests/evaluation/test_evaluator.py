@@ -18,6 +18,7 @@ from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, Task, evaluate_dlcc
+from cablebot_gym.evaluation.batch import noise_seed
 from cablebot_gym.evaluation.evaluator import PAYLOAD_MAX, SCAN_POINTS
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors
@@ -42,6 +43,7 @@ def scored(kind, criterion, known=True, position=0.01, rotation=0.01):
         fl(kind),
         IDS[kind],
         criterion=criterion,
+        trajectory=f"paper-{kind}",
         payload_known=known,
         error_bounds=ErrorBounds(position=position, rotation=rotation),
     )
@@ -95,7 +97,8 @@ def hang_capacity(stall):
 
 @pytest.mark.parametrize("resolution", [1e-2, 1e-5])
 def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, criterion="paper", trajectory=HANG, resolution=resolution)
+    keywords = {"trajectory": HANG, "initial_error": 0.0}  # the usual start is lower, where the cables hold more
+    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, criterion="paper", resolution=resolution, **keywords)
     expected = hang_capacity(10.0) - 10
     assert 14 < expected < 15
     # At the exact payload every motor stalls; only rounding of the numbers is tolerated there.
@@ -106,22 +109,17 @@ def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
 
 def test_weakest_motor_limits_the_static_hang():
     robot = SPATIAL.replace(motors=Motors(stall_torque=(10, 10, 10, 9, 10, 10), free_speed=SPATIAL.motors.free_speed))
-    result = evaluate_dlcc("fl", SPATIAL_ID, criterion="paper", robot=robot, trajectory=HANG, resolution=1e-4)
+    keywords = {"trajectory": HANG, "initial_error": 0.0, "robot": robot}
+    result = evaluate_dlcc("fl", SPATIAL_ID, criterion="paper", resolution=1e-4, **keywords)
     assert result.violation.index == 4
     assert result.total_mass == pytest.approx(0.9 * hang_capacity(10.0), abs=2e-4)
 
 
 @pytest.mark.parametrize("frequency", [250.0, 1000.0])
 def test_control_frequency_reaches_the_environment(frequency):
-    steps = []
-    result = evaluate_dlcc(
-        lambda observation: steps.append(1) or np.full(3, 0.1),
-        PLANAR_ID,
-        trajectory={"name": "dwell-planar", "duration": 0.02},
-        control_frequency=frequency,
-    )
+    motion = {"name": "dwell-planar", "duration": 0.02}
+    result = evaluate_dlcc(lambda _: np.full(3, 0.1), PLANAR_ID, trajectory=motion, control_frequency=frequency)
     assert result.environment["control_frequency"] == frequency
-    assert len(steps) == 2 * SCAN_POINTS * round(0.02 * frequency), "one scan, and the repeated episode"
     assert len(result.rollout) == 1 + round(0.02 * frequency)
 
 
@@ -140,7 +138,7 @@ def test_environment_terminates_outside_wide_error_bounds_only():
 
 def rerun(env_id, policy, payload, criterion, **keywords):
     """The verdict on one payload in a single environment."""
-    env = DLCCMonitor(gym.make(env_id, payload=payload, max_episode_steps=-1, **keywords), criterion=criterion)
+    env = DLCCMonitor(gym.make(env_id, payload=payload, **keywords), criterion=criterion)
     observation, _ = env.reset(seed=0)
     for _ in range(env.get_wrapper_attr("task").steps):
         observation, _, terminated, _, _ = env.step(policy.predict(observation)[0])
@@ -153,7 +151,7 @@ def test_resolution_below_rounding_ends():
     def stop(done, total):
         assert done <= 100 * 25, "a hundred rounds without an end"
 
-    keywords = {"criterion": "paper", "trajectory": HANG, "resolution": 1e-18}
+    keywords = {"criterion": "paper", "trajectory": HANG, "initial_error": 0.0, "resolution": 1e-18}
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, progress=stop, **keywords)
     assert result.payload == pytest.approx(hang_capacity(10.0) - 10, abs=1e-9)
 
@@ -198,10 +196,12 @@ def test_feasible_set_with_holes_is_reported_as_intervals():
     motion = {"name": "dwell-spatial", "duration": 0.1}
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=3.15, resolution=1e-4, trajectory=motion)
     assert 1.02 - 1e-4 <= result.payload <= 1.02
-    assert result.violation.kind == "position"
-    # 64 points of [0, 3.15] are 0.05 apart.
+    assert result.violation.kind == "slack"
     assert (len(result.feasible), result.feasible[0]) == (3, (0.0, result.payload))
-    np.testing.assert_allclose(result.feasible[1:], [(1.6, 2.2), (2.4, 3.15)], atol=1e-9)
+    # 64 points of [0, 3.15] are at most 0.075 apart.
+    lows, highs = np.array(result.feasible[1:]).T
+    assert np.all((lows >= [1.58, 2.38]) & (lows <= [1.655, 2.455]))
+    assert np.all((highs <= [2.22, 3.15]) & (highs >= [2.145, 3.15]))
 
 
 def test_policy_that_fails_unloaded_has_no_payload():
@@ -210,15 +210,15 @@ def test_policy_that_fails_unloaded_has_no_payload():
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=6.3, **keywords)
     assert (result.payload, result.total_mass, result.score, result.resolution) == (None, None, 0.0, 0.0)
     assert result.violation == rerun(SPATIAL_ID, policy, 0.0, "task", **keywords).violation
-    assert (result.violation.kind, result.margins) == ("position", {})
+    assert (result.violation.kind, result.margins) == ("slack", {})
     assert result.rollout.arrays["time"][-1] == result.violation.time
     assert result.rollout.payload == 0
     ((low, high),) = result.feasible
-    assert (low, high) == pytest.approx((2.5, 3.5), abs=1e-9)
-    step = 6.3 / (SCAN_POINTS - 1)
-    for payload, carried in ((low, True), (high, True), (low - step, False), (high + step, False)):
+    assert 2.5 <= low <= 2.65
+    assert 3.35 <= high <= 3.5
+    for payload, carried in ((low, True), (high, True), (low - 0.15, False), (high + 0.15, False)):
         assert rerun(SPATIAL_ID, policy, payload, "task", **keywords).carried is carried
-    assert "fails unloaded: position error reaches its bound of 10 mm at t =" in str(result)
+    assert "fails unloaded: cable 1 falls below its tension bound of 1 N at t =" in str(result)
     assert json.loads(result.to_json())["payload"] is None
     nothing = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, **keywords)
     assert (nothing.payload, nothing.feasible, nothing.score) == (None, (), 0.0)
@@ -236,7 +236,7 @@ def test_seed_determines_the_result_and_reaches_the_environment():
     spy = Spy(SPATIAL)
     evaluate_dlcc(spy, SPATIAL_ID, seed=5, **keywords)
     assert np.ptp(spy.observations[0][:, :6], axis=0).max() == 0.0, "all payloads share the draw"
-    np.testing.assert_array_equal(spy.observations[0][0, :12], spy.observations[25][0, :12])
+    assert str(results[0]).endswith("(not assured: only 1 draw)")
 
 
 # --- the policy protocol ----------------------------------------------------------------------------------------------
@@ -266,14 +266,15 @@ class Spy(FeedbackLinearization):
 def test_policy_gets_its_state_and_the_episode_starts():
     spy, steps = Spy(SPATIAL), 25
     evaluate_dlcc(spy, SPATIAL_ID, trajectory=HANG, payload_max=1.0)
-    assert spy.calls == (["reset"] + ["predict"] * steps) * 2, "the scan, and the repeated episode"
-    for first in (0, steps):
+    batches = 4
+    assert spy.calls == (["reset"] + ["predict"] * steps) * batches, "scan, checks, finer physics, recorded episode"
+    for first in range(0, batches * steps, steps):
         assert spy.states[first] is None
-        assert spy.starts[first].tolist() == [True] * SCAN_POINTS
+        assert spy.starts[first].all()
         for step in range(first + 1, first + steps):
             assert spy.states[step] == ("state", step)
-            assert spy.starts[step].tolist() == [False] * SCAN_POINTS
-    assert {observation.shape for observation in spy.observations} == {(SCAN_POINTS, spy._layout.size)}
+            assert not spy.starts[step].any()
+    assert [len(spy.observations[first]) for first in (0, steps)] == [SCAN_POINTS, 2 * SCAN_POINTS]
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -282,8 +283,9 @@ def test_tasks_contain_public_knowledge_only(known):
     public = {"payload_known": known, "error_bounds": bounds, "control_frequency": 400.0, "cable": "bilateral"}
     evaluate_dlcc(spy, SPATIAL_ID, trajectory=HANG, **public)
     tasks = spy.tasks[0]
-    payloads = np.linspace(0, PAYLOAD_MAX["spatial"], SCAN_POINTS)
-    np.testing.assert_allclose([task.model_payload for task in tasks], payloads * known, rtol=1e-15)
+    assert len(tasks) == SCAN_POINTS
+    payloads = np.sort([task.model_payload for task in tasks])
+    assert (payloads[0], payloads[-1]) == (0.0, PAYLOAD_MAX["spatial"] * known)
     assert PAYLOAD_MAX == {"planar": 10.0, "spatial": 20.0}
     names = {field.name for field in dataclasses.fields(Task)}
     assert names == {"robot", "trajectory", "model_payload", *public}
@@ -317,7 +319,7 @@ def test_fallbacks_of_the_policy_are_averaged_over_the_last_batch():
 
 
 class Failing(Spy):
-    """FL that does something wrong in the episode at 2 kg, from the eleventh step on."""
+    """FL that does something wrong from the eleventh step on."""
 
     def __init__(self, wrong):
         super().__init__(SPATIAL)
@@ -343,7 +345,7 @@ def raising(action):
         (raising, r"payloads of 0 to 6\.3 kg: it raised KeyError: 'lost'"),
         (lambda action: action[:, :5], r"it returned shape \(64, 5\); expected \(64, 6\)"),
         (lambda action: action + 1j, r"it returned ndarray of type complex128 instead of real numbers"),
-        (infinite, r"a payload of 2 kg: it returned NaN or infinity"),
+        (infinite, r"a payload of [\d.]+ kg: it returned NaN or infinity"),
     ],
     ids=["raises", "one motor short", "complex", "inf"],
 )
@@ -443,9 +445,7 @@ def test_policy_that_is_not_reproducible_is_an_error():
             action, state = super().predict(observation, state)
             return action * (0.0 if self.rounds > 1 else 1.0), state
 
-    with pytest.raises(
-        PolicyError, match="not reproducible: it carried 1 kg in 1 of 1 episodes, and in 0 of the same episodes when"
-    ):
+    with pytest.raises(PolicyError, match=r"not reproducible: .*: carried and then .* declare stochastic = True"):
         evaluate_dlcc(Moody(SPATIAL), SPATIAL_ID, trajectory=HANG, payload_max=1.0)
 
 
@@ -456,18 +456,18 @@ def test_result_has_the_recorded_episode_at_the_payload():
     result = scored("planar", "paper")
     arrays = result.rollout.arrays
     assert 1 - np.abs(arrays["commanded_action"]).max() == pytest.approx(result.margins["torque"], abs=1e-12)
-    assert arrays["tensions"].min() == pytest.approx(result.margins["tension"], abs=1e-9)
+    assert arrays["least_tensions"].min() == pytest.approx(result.margins["tension"], abs=1e-9)
     np.testing.assert_allclose(arrays["action_time"], np.arange(500) / 500, atol=1e-12)
-    again = record_rollout("fl", PLANAR_ID, payload=result.payload)
+    again = record_rollout("fl", PLANAR_ID, payload=result.payload, trajectory="paper-planar")
     for name, values in arrays.items():
         np.testing.assert_allclose(again.arrays[name], values, rtol=0, atol=1e-9, err_msg=name)
 
 
 def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
-    keywords = {"trajectory": {"name": "line-spatial", "duration": 0.2}, "uncertainty": "table6"}
-    env, policy = gym.make(SPATIAL_ID, payload=2.0, max_episode_steps=-1, **keywords), fl("spatial")
+    keywords = {"trajectory": {"name": "line-spatial", "duration": 0.2, "dwell": 0.0}, "uncertainty": "table6"}
+    env, policy = gym.make(SPATIAL_ID, payload=2.0, **keywords), fl("spatial")
     rollout = record_rollout(policy, SPATIAL_ID, payload=2.0, seed=4, **keywords)
-    observation, info = env.reset(seed=4)
+    observation, info = env.reset(seed=4, options={"noise_seed": noise_seed(4, 2.0)})
     assert (len(rollout), rollout.payload) == (101, info["payload"])
     np.testing.assert_array_equal(rollout.stall_torque, env.unwrapped.truth["motor_strength"])
     for index in range(101):
@@ -490,6 +490,6 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
 
 def test_recording_goes_on_after_a_violation_until_the_termination():
     rollout = record_rollout(lambda _: np.zeros(6), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.5})
-    assert (rollout.reason, rollout.verdict.violation.kind) == ("tracking_error", "position")
+    assert (rollout.reason, rollout.verdict.violation.kind) == ("tracking_error", "slack")
     assert rollout.arrays["tracking_error"][-1] > 0.1 > rollout.arrays["tracking_error"][-2]
     assert rollout.verdict.violation.time < rollout.arrays["time"][-1] < 0.5

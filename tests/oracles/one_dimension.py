@@ -15,6 +15,9 @@ from cablebot_gym.trajectories import Reference
 BOUND = 0.05
 """Position error bound [m]."""
 
+TENSION = 3.0
+"""Minimum tension of all cables [N]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Accelerating:
@@ -47,17 +50,19 @@ def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
         motors=Motors(stall_torque=5.0, free_speed=free_speed),
         transmission=Transmission(pulley_radius=0.05, pulley_inertia=inertia, damping=damping),
         home_pose=(0.0, 0.0),
+        minimum_tension=TENSION,
     )
 
 
 def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
-    """At full torque (M + 2μ) ẍ + 2k ẋ = 2s must reach x_d(T) − R."""
+    """At full torque of two cables and least tension T₀ of the other two, (M + 2μ) ẍ + 2k ẋ = 2(s − T₀) must reach
+    x_d(T) − R."""
     radius, motion = 0.05, Accelerating()
     pull, mu, k = 5.0 / radius, inertia / radius**2, (5.0 / free_speed + damping) / radius**2
     end = motion.duration
 
     def surplus(mass: float) -> float:
-        rate, acceleration = 2 * k / (mass + 2 * mu), 2 * pull / (mass + 2 * mu)
+        rate, acceleration = 2 * k / (mass + 2 * mu), 2 * (pull - TENSION) / (mass + 2 * mu)
         distance = end**2 / 2 if rate * end < 1e-4 else end / rate - (1 - math.exp(-rate * end)) / rate**2
         return acceleration * distance - (motion.rate * end**2 / 2 - BOUND)
 

@@ -58,6 +58,21 @@ NINE = PLANAR.replace(
 """So many cables and so much pulley inertia that changing all wrong cables at once goes round in circles."""
 
 
+def _rough(robot):
+    friction, lag = np.linspace(0.25, 0.0, robot.cables), np.linspace(0.0, 0.02, robot.cables)
+    return with_transmission(robot, coulomb_friction=tuple(friction.tolist())).replace(
+        name=f"rough-{robot.name}", motors=robot.motors.replace(lag=tuple(lag.tolist()))
+    )
+
+
+def with_transmission(robot, **changes):
+    return robot.replace(transmission=robot.transmission.replace(**changes))
+
+
+ROUGH = tuple(_rough(robot) for robot in (QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL))
+"""With Coulomb friction and a lag, different in every motor; the first has no lag and the last no friction."""
+
+
 def each_of(*robots):
     return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
 
@@ -65,6 +80,7 @@ def each_of(*robots):
 rigid_robots = each_of(QUAD, UNEQUAL)
 flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
 every_robot = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
+smooth_and_rough = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH)
 papers_flexible = each_of(FLEX_PLANAR, FLEX_SPATIAL)
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
@@ -116,12 +132,8 @@ def off_centre(robot):
 
 
 def free_motors(robot):
-    """Motors whose torque limits do not depend on the speed: an action of τ/τ_s holds the torque τ."""
+    """Motors without lag, whose torque limits do not depend on the speed: an action of τ/τ_s holds the torque τ."""
     return robot.replace(motors=Motors(stall_torque=robot.motors.stall_torque, free_speed=1e100))
-
-
-def with_transmission(robot, **changes):
-    return robot.replace(transmission=robot.transmission.replace(**changes))
 
 
 def loaded_plant(robot, state, cable="bilateral", mass=None):
@@ -199,20 +211,21 @@ def drive_speed(robot, state):
 
 
 def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
-    """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′ (Eq. 4)."""
+    """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′ (Eq. 4) − friction."""
     at_pulley = pulley_torques(robot, state, torques, cable)
     mass = robot.mass if mass is None else mass
     platform, tension = textbook.forward_dynamics(robot, mass, state.pose, state.velocity, at_pulley, cable=cable)
     motors = 0.0 * state.speed
     if robot.flexible:
-        motors = (torques - at_pulley - robot.motor_damping * state.speed) / robot.motor_inertia
+        motors = (torques - at_pulley - textbook.motor_friction(robot, state.speed)) / robot.motor_inertia
     return State(state.velocity, platform, state.speed, motors), tension
 
 
 def take_up_torques(robot, state, torques, acceleration, tension, cable):
-    """u = r T − κ + J β̈ + c β̇, the torque with which a slack cable is wound up."""
+    """u = r T − κ + J β̈ + c β̇ + friction, the torque with which a slack cable is wound up."""
     winding = textbook.pulley_acceleration(robot, state.pose, state.velocity, acceleration)
-    damping = robot.damping * textbook.pulley_speed(robot, state.pose, state.velocity)
+    speed = textbook.pulley_speed(robot, state.pose, state.velocity)
+    damping = robot.damping * speed + (0.0 if robot.flexible else textbook.coulomb_torque(robot, speed))
     at_pulley = pulley_torques(robot, state, torques, cable)
     return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
 

@@ -14,7 +14,7 @@ from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Robot
 from cablebot_gym.trajectories import TRAJECTORIES, Trajectory, find_trajectory
 
 NAMES = [name for name in TRAJECTORIES if name != "dwell-planar"]
-TOO_FAST = find_trajectory({"name": "circle-spatial", "duration": 1.0}, 6)
+TOO_FAST = find_trajectory({"name": "smooth-circle-spatial", "duration": 1.0, "dwell": 0}, 6)
 """Motor 2 is overloaded by the platform alone, by 1.26 kg."""
 CIRCLE = find_trajectory("paper-spatial", 6)
 
@@ -108,7 +108,7 @@ def test_overload_by_the_platform_is_a_negative_payload_in_the_corrected_form_on
 
 
 def test_motion_without_any_payload_does_not_converge() -> None:
-    trajectory = find_trajectory({"name": "circle-spatial", "duration": 0.3}, 6)
+    trajectory = find_trajectory({"name": "smooth-circle-spatial", "duration": 0.3, "dwell": 0}, 6)
     found = iterate_load(SPATIAL, trajectory, guess=5.0, corrected=True)
     assert exact(SPATIAL, trajectory).payload == -math.inf
     assert not found.converged

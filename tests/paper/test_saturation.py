@@ -153,7 +153,7 @@ def test_counted_payload_includes_the_platform_if_the_payload_is_total():
 def test_errors_and_curves_are_those_of_the_drawn_episodes(results, numbers):
     for name, result in (("fig11", "paper"), ("fig13", "paper"), ("fig14", "fl4")):
         peak = 1e3 * results[name][result].rollout.arrays["tracking_error"].max()
-        assert peak <= numbers[name]["peak_error_mm"] <= 1.01 * peak + 1e-3
+        assert peak * (1 - 1e-12) <= numbers[name]["peak_error_mm"] <= 1.01 * peak + 1e-3
         assert (numbers[name]["within"], numbers[name]["bound_mm"]) == (True, 10.0)
     path = BY_NAME["fig13"].draw(DEFAULT, results["fig13"]).axes[0]
     drawn = [line.get_xydata().tolist() for line in path.get_lines()]

@@ -78,7 +78,7 @@ def platform_points(robot, pose):
 
 def test_wind_up_is_that_at_the_start_of_an_episode():
     robot = Interpretation().flexible("control")
-    env = gym.make(FLEXIBLE, robot=robot)
+    env = gym.make(FLEXIBLE, robot=robot, trajectory="paper-spatial")
     blocks = env.get_wrapper_attr("layout").split(env.reset(seed=0)[0])
     wound = blocks["motor_angle"] - textbook.pulley_angle(robot, blocks["pose"])
     found = numbers("fig3", Interpretation())
@@ -137,7 +137,8 @@ def test_added_input_is_the_term_of_the_same_instant(flexible):
     law = (RobustComposite if flexible else Robust)(robot)
     law.outer = Recording(gains=law.outer.gains)
     object.__setattr__(law.outer, "seen", [])
-    loop = record_rollout(law, FLEXIBLE if flexible else SPATIAL, robot=robot, uncertainty="table6")
+    env_id, keywords = FLEXIBLE if flexible else SPATIAL, {"trajectory": "paper-spatial", "uncertainty": "table6"}
+    loop = record_rollout(law, env_id, robot=robot, **keywords)
     added = robust.added_input(law.outer, loop, robot)
     expected = np.concatenate(law.outer.seen)[1:500]  # the first instant is not recorded
     np.testing.assert_allclose(added.term, expected, atol=1e-9)

@@ -212,11 +212,13 @@ def test_least_substeps_are_stable_and_larger_steps_are_not(robot):
 def test_observation_holds_the_motors_and_the_higher_derivatives(env_id):
     """β′ and β̇′ against a plant of our own under the same actions; jerk and snap against the motion itself."""
     robot, payload = PAPERS[env_id], 0.8
-    env = gym.make(env_id, payload=payload, payload_known=False)
+    env = gym.make(env_id, payload=payload, payload_known=False, initial_error=0.0)
     settings, layout = env.unwrapped.settings, env.unwrapped.layout
     observation, _ = env.reset(seed=3)
     start = settings.trajectory(0.0)
-    angle = textbook.static_motor_angle(robot, robot.mass + payload, start.position, minimum=5.0)
+    angle = layout.split(observation)["motor_angle"].copy()
+    static = textbook.static_motor_angle(robot, robot.mass + payload, start.position, minimum=5.0)
+    np.testing.assert_allclose(angle, static, rtol=1e-13)
     speed = textbook.pulley_speed(robot, start.position, start.velocity)
     state = State(*(np.array([value]) for value in (start.position, start.velocity, angle, speed)))
     plant = loaded_plant(robot, state, "unilateral", robot.mass + payload)
@@ -244,7 +246,7 @@ def test_observation_holds_the_motors_and_the_higher_derivatives(env_id):
 def test_reset_winds_the_springs_for_the_true_payload(env_id, known):
     """Under the holding torques nothing moves, whether the controller knows the payload or not."""
     robot, payload = PAPERS[env_id], 3.0
-    env = gym.make(env_id, payload=2.0, payload_known=known)
+    env = gym.make(env_id, payload=2.0, payload_known=known, initial_error=0.0)
     layout, start = env.unwrapped.layout, env.unwrapped.settings.trajectory(0.0)
     observation, _ = env.reset(seed=1, options={"payload": payload})
     blocks = layout.split(observation)

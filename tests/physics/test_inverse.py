@@ -10,6 +10,7 @@ from oracles.plants import (
     FLEX_UNEQUAL,
     NINE,
     QUAD,
+    ROUGH,
     UNEQUAL,
     each_of,
     rigid_robots,
@@ -19,7 +20,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import PLANAR, SPATIAL
 
-every_robot = each_of(PLANAR, QUAD, NINE, SPATIAL, UNEQUAL, FLEX_UNEQUAL)
+every_robot = each_of(PLANAR, QUAD, NINE, SPATIAL, UNEQUAL, FLEX_UNEQUAL, *ROUGH)
 
 
 def random_motion(robot, shape, seed=1):

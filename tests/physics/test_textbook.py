@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from oracles.plants import QUAD, UNEQUAL, each_of
+from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.special import logsumexp
@@ -15,7 +15,7 @@ from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 
-every_robot = each_of(QUAD, SPATIAL, UNEQUAL)
+every_robot = each_of(QUAD, SPATIAL, UNEQUAL, *ROUGH[:2])
 
 
 def random_motion(robot, count, seed=3):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import zipfile
 from contextlib import closing
+from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -13,20 +16,26 @@ from gymnasium.spaces import Box, MultiBinary
 
 from cablebot_baselines.classical import FL, FeedbackLinearization
 from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import env_robot
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.policies import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,
     Policy,
     PolicyEntry,
     PolicyError,
+    PolicyFactory,
     as_policy,
+    holds_unsaturated_actions,
     load_policy,
     loading,
     policy_entries,
+    policy_entry,
 )
-from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, reset_policy
-from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
-from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, checked_actions, reset_policy
+from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS, fitted
+from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import Task
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -45,10 +54,10 @@ class Constant:
 class Point:
     """An entry point of another package."""
 
-    name, value = "other", "other:load"
+    value, dist = "other:load", SimpleNamespace(name="other")
 
     def __init__(self, entry):
-        self.load = lambda: entry
+        self.name, self.load = getattr(entry, "name", "other"), lambda: entry
 
 
 @pytest.fixture
@@ -261,20 +270,32 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
 @pytest.mark.parametrize(
     ("observation", "action", "message"),
     [
-        (57, 6, "the model reads 57 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
-        (21, MultiBinary(3), r"the model reads 21 numbers and returns MultiBinary\(3\)"),
-        (Box(-10.0, 10.0, (21,)), 3, r"the model reads a normalised observation within \[-10, 10\]"),
-        (21, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
+        (76, 6, "the model reads 76 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
+        (31, MultiBinary(3), r"the model reads 31 numbers and returns MultiBinary\(3\)"),
+        (Box(-10.0, 10.0, (31,)), 3, r"the model reads an observation that a wrapper rescaled to \[-10, 10\]"),
+        (31, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
     ],
 )
 def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, message):
     own, path = spaces_of(PLANAR_ID), tmp_path / "model.zip"
     if isinstance(observation, int):
-        observation = own[0] if observation == 21 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
+        observation = own[0] if observation == 31 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
     saved(path, observation, Box(-1.0, 1.0, (action,)) if isinstance(action, int) else action)
-    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}\. The robot has 21 observed numbers"
+    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}\. The robot has 31 observed numbers"
     with pytest.raises(ValueError, match=match):
         load_policy(str(path), PLANAR)
+
+
+def test_model_of_normalised_observations_reads_them_also_in_physical_units(tmp_path):
+    """Excludes a model that is silently fed with observations of another scale."""
+    env, path = gym.make(PLANAR_ID, normalised_observation=True), tmp_path / "model.zip"
+    model, policy = saved(path, env.observation_space, env.action_space), load_policy(str(path), PLANAR)
+    raw, normalised = gym.make(PLANAR_ID).reset(seed=0)[0], env.reset(seed=0)[0]
+    action = policy.predict(raw, deterministic=True)[0]
+    np.testing.assert_array_equal(action, model.predict(normalised, deterministic=True)[0])
+    assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
+    batch = policy.predict(np.stack([raw, raw]), None, np.ones(2, bool), True)[0]
+    np.testing.assert_allclose(batch, [action, action], rtol=1e-6)
 
 
 def test_model_for_another_workspace_is_accepted(tmp_path):
@@ -366,3 +387,177 @@ def test_raising_reset_gives_a_policy_error():
 
     with pytest.raises(PolicyError, match=r"policy 'mine': .*RuntimeError in reset\(\): no plan \(test_policies"):
         reset_policy(with_reset(reset), "mine", tuple)
+
+
+# --- one instance per episode -----------------------------------------------------------------------------------------
+
+
+class Remembers:
+    """A controller with state: it counts its calls."""
+
+    unsaturated_actions, stochastic = True, True
+
+    def __init__(self):
+        self.calls, self.tasks = 0, None
+
+    def reset(self, tasks):
+        self.tasks = tasks
+
+    def __call__(self, observation):
+        self.calls += 1
+        if observation[0] == 9:
+            raise KeyError("mass")
+        return [observation[0], self.calls, 0.0 if self.tasks is None else self.tasks[0]]
+
+
+def test_factory_makes_one_instance_for_each_episode_of_a_batch():
+    policy = PolicyFactory(Remembers)
+    assert isinstance(policy, Policy)
+    assert (policy.name, policy.unsaturated_actions, policy.stochastic) == ("Remembers", True, True)
+    for _ in range(2):
+        policy.reset([7.0, 8.0])
+        state = None
+        for call in (1, 2):
+            action, state = policy.predict(np.array([[5.0], [6.0]]), state)
+            np.testing.assert_array_equal(action, [[5, call, 7], [6, call, 8]])
+    with pytest.raises(BatchItemError, match=r"it failed with KeyError: 'mass' \(test_policies.py") as caught:
+        policy.predict(np.array([[5.0], [9.0]]))
+    assert caught.value.index == 1
+
+
+def test_factory_keeps_the_state_of_each_policy():
+    class Sums(Constant):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            total = observation[:, :1] + (0 if state is None or episode_start[0] else state)
+            return np.repeat(total, 3, axis=1), total
+
+    policy, state = PolicyFactory(lambda: Sums(PLANAR)), None
+    for start, expected in (([True, True], [1, 2]), ([False, False], [2, 4]), ([False, True], [3, 2])):
+        action, state = policy.predict(np.array([[1.0], [2.0]]), state, np.array(start))
+        np.testing.assert_array_equal(action[:, 0], expected)
+    np.testing.assert_array_equal(PolicyFactory(lambda: Sums(PLANAR)).predict(np.array([3.0]))[0], [3, 3, 3])
+
+
+# --- calls ------------------------------------------------------------------------------------------------------------
+
+
+class Own(BaseException):
+    def __str__(self):
+        raise SystemExit
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (SystemExit(0), r"it raised SystemExit: 0 \(test_policies.py, line \d+\)"),
+        (GeneratorExit(), "it raised GeneratorExit"),
+        (RuntimeError("lost" * 1000), "it raised RuntimeError: (lost){250}…"),
+        (Own(), "it raised Own: its message cannot be shown"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_every_exception_but_an_interrupt_is_a_policy_error(error, message):
+    """``sys.exit(0)`` of a policy ended a benchmark with status 0 and without a table."""
+
+    def fail(*_, **__):
+        raise error
+
+    policy = Constant(PLANAR)
+    policy.predict = policy.reset = fail
+    with pytest.raises(PolicyError, match=rf"^policy 'mine', at t = 0.000 s with a payload of 0 kg: {message}"):
+        call(policy)
+    with pytest.raises(PolicyError, match=rf"^policy 'mine': it raised {type(error).__name__} in reset\(\)"):
+        reset_policy(policy, "mine", tuple)
+    with pytest.raises(PolicyError, match=message.replace("raised", "failed with")):
+        call(as_policy(fail))
+    policy.predict = policy.reset = lambda *_, **__: signal.raise_signal(signal.SIGINT)
+    for run in (lambda: call(policy), lambda: reset_policy(policy, "mine", tuple)):
+        with pytest.raises(KeyboardInterrupt):
+            run()
+
+
+def call(policy, observation=None):
+    observation = np.zeros((1, 21)) if observation is None else observation
+    start, payloads = np.ones(len(observation), np.bool_), np.arange(len(observation), dtype=float)
+    return checked_actions(policy, "mine", observation, None, start, cables=3, payloads=payloads, time=0.0)
+
+
+@pytest.mark.parametrize(("value", "message"), [(1e6, r"the action -1e\+06; actions must be within"), (np.nan, "NaN")])
+def test_actions_that_the_environment_refuses_are_a_policy_error(value, message):
+    policy = as_policy(lambda observation: [0.0, -value if observation[0] else 1.0, 1.0])
+    with pytest.raises(PolicyError, match=f"with a payload of 1 kg: it returned {message}"):
+        call(policy, np.arange(2.0)[:, None])
+    np.testing.assert_array_equal(call(as_policy(lambda _: [0.0, -9e5, 1.0]))[0], [[0.0, -9e5, 1.0]])
+
+
+def test_policy_gets_a_copy_of_the_observation():
+    def overwrites(observation):
+        observation[:] = np.nan
+        return np.zeros(3)
+
+    observation = np.ones((2, 21))
+    call(as_policy(overwrites), observation)
+    assert (observation == 1).all()
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_sb3_model_gets_the_observations_of_its_space(normalised):
+    layout = observation_layout(PLANAR)
+
+    class Model(Constant):
+        observation_space, action_space = layout.space(normalised=normalised), Box(-1, 1, (3,))
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return observation[..., :3], state
+
+    Model.__module__ = "stable_baselines3.toy.model"
+    raw = np.linspace(1, 2, layout.size)[None]
+    expected = (layout.normalise(raw) if normalised else raw)[:, :3]
+    np.testing.assert_array_equal(fitted(Model(PLANAR), PLANAR, "policy 'toy'").predict(raw)[0], expected)
+    batch = Batch(Model(PLANAR), "CableBot-Planar-v0")
+    np.testing.assert_array_equal(batch.policy.predict(raw)[0], expected)
+    with pytest.raises(ValueError, match=r"^policy 'Model' does not fit robot 'spatial'.*fits CableBot-Planar-v0"):
+        Batch(Model(SPATIAL), "CableBot-Spatial-v0")
+
+
+# --- unsaturated actions ----------------------------------------------------------------------------------------------
+
+HELD = [
+    (name, env_id)
+    for name, entry in policy_entries().items()
+    if entry.unsaturated_actions
+    for env_id in entry.env_ids
+    if load_policy(name, find_robot(env_robot(env_id))).unsaturated_actions
+]
+
+
+@pytest.mark.parametrize(("name", "env_id"), HELD)
+def test_law_that_is_held_to_it_requests_more_torque_than_the_motors_have(name, env_id):
+    """A law that saturates under the declaration scored 4.59 instead of 1.78 kg under the paper criterion."""
+    env = gym.make(env_id).unwrapped
+    policy = load_policy(name, env.settings.robot)
+    observation, _ = env.reset(seed=0, options={"payload": 60.0})
+    policy.reset(env.tasks if hasattr(env, "tasks") else [env.task])
+    state, largest = None, 0.0
+    for step in range(200):
+        action, state = policy.predict(observation, state, np.array(step == 0))
+        largest = max(largest, np.abs(action).max())
+        if largest > 1.05:
+            return
+        observation, _, terminated, _, _ = env.step(np.clip(action, -1, 1))
+        assert not terminated
+    pytest.fail(f"largest action {largest}")
+
+
+def test_declarations_of_other_policies_are_not_held():
+    assert all(holds_unsaturated_actions(name) for name, _ in HELD)
+    assert {name for name, entry in policy_entries().items() if entry.unsaturated_actions} == {name for name, _ in HELD}
+    for name in ("trajopt", "apg-loops", "mine:make", "model.zip"):
+        assert not holds_unsaturated_actions(name)
+
+
+def test_declaration_of_another_package_is_not_held(points):
+    entry = replace(FL, name="theirs")
+    points[ENTRY_POINT_GROUP].append(Point(entry))
+    assert policy_entry("theirs").unsaturated_actions
+    assert not holds_unsaturated_actions("theirs")

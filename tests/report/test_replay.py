@@ -43,7 +43,7 @@ def episodes():
 
 
 def test_frames_are_those_of_the_rollout(episodes):
-    rollout, every = record_rollout("fl", SPATIAL_ID, payload=4.0), 500 // RATE
+    rollout, every = record_rollout("fl", SPATIAL_ID, payload=4.0, trajectory="paper-spatial"), 500 // RATE
     frames = unpack_channels(episodes["known"][0])
     assert (episodes["known"][0].frames, episodes["known"][0].end) == (101, pytest.approx(1.0))
     positions = np.array([rollout.moment(index).pose[:3] for index in range(0, 501, every)])
@@ -64,7 +64,7 @@ def test_frames_are_those_of_the_rollout(episodes):
 )
 def test_batch_gives_each_cell_its_own_conditions(episodes, name, options):
     seed = 0 if name != "drawn" else int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11
-    rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, seed=seed, **options)
+    rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, seed=seed, **{"trajectory": "paper-spatial"} | options)
     replay = episodes[name][0]
     assert (replay.carried, replay.payload) == (rollout.verdict.carried, rollout.payload)
     assert replay.end == rollout.arrays["time"][-1]
@@ -84,7 +84,7 @@ def test_second_episode_states_how_the_margin_shrinks(episodes):
     carried, beyond = episodes["known"]
     assert (carried.payload, carried.carried, carried.violation, carried.violation_time) == (4.0, True, "", None)
     assert (beyond.payload, beyond.carried) == (pytest.approx(4.2), False)
-    rollout = record_rollout("fl", SPATIAL_ID, payload=4.2)
+    rollout = record_rollout("fl", SPATIAL_ID, payload=4.2, trajectory="paper-spatial")
     time, error = rollout.verdict.violation.time, rollout.arrays["rotation_error_peak"]
     steps = [round((time - before) * 500) - 1 for before in (0.1, 0.05, 0.02)]
     percent = ", ".join(f"{value:.0f}" for value in 100 * error[steps] / 0.01)

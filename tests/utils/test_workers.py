@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from functools import partial
@@ -28,6 +29,10 @@ def raises(error):
 
 def raises_unpicklable():
     raise BatchItemError(3, "a lost lane")
+
+
+def exits():
+    sys.exit(0)
 
 
 def returns_unpicklable():
@@ -94,6 +99,22 @@ def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     assert found == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
     with pytest.raises(WorkerDied):
         dict(started({"deadly": partial(dies), "good": partial(square, 2)}))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_computation_that_exits_costs_its_own_result(workers):
+    """With one worker, ``sys.exit(0)`` of a policy ended a benchmark with status 0 and no table."""
+    tasks = {"exits": partial(exits), "good": partial(square, 2)}
+    found = dict(started(tasks, workers=workers, returned=(WorkerDied,)))
+    assert str(found["exits"]) == "it raised SystemExit: 0"
+    assert found["good"] == 4
+    with pytest.raises(WorkerDied, match="SystemExit"):
+        dict(started(tasks, workers=workers))
+
+
+def test_interrupt_of_a_computation_in_this_process_is_raised():
+    with pytest.raises(KeyboardInterrupt):
+        dict(started({"a": partial(raises, KeyboardInterrupt())}, workers=1, returned=(WorkerDied,)))
 
 
 def test_workers_continue_while_the_caller_uses_a_result(tmp_path):

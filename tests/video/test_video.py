@@ -31,7 +31,7 @@ def lost():
 
 
 def test_note_states_the_verdict_from_its_time_on(carried, lost):
-    assert [note(carried[1], index) for index in (0, 499, 500)] == ["", "", "carried"]
+    assert [note(carried[1], index) for index in (0, 799, 800)] == ["", "", "carried"]
     rollout = lost[1]
     first = next(index for index in range(len(rollout)) if note(rollout, index))
     violation = rollout.verdict.violation
@@ -40,21 +40,21 @@ def test_note_states_the_verdict_from_its_time_on(carried, lost):
 
 
 def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
-    alone = [VideoPainter([one], SMALL).array(0.3) for one in (carried, lost)]
+    alone = [VideoPainter([one], SMALL).array(0.8) for one in (carried, lost)]
     both = VideoPainter([carried, lost], SMALL)
-    assert (both.size, both.duration) == ((640, 240), pytest.approx(1.0))
-    assert np.array_equal(both.array(0.3), np.concatenate(alone, axis=1))
+    assert (both.size, both.duration) == ((640, 240), pytest.approx(1.6))
+    assert np.array_equal(both.array(0.8), np.concatenate(alone, axis=1))
     painter = VideoPainter([carried], SMALL)
-    assert np.array_equal(painter.array(0.3), painter.array(0.3019)), "the last moment that is not later"
-    assert not np.array_equal(painter.array(0.3), painter.array(0.302))
+    assert np.array_equal(painter.array(0.8), painter.array(0.8019)), "the last moment that is not later"
+    assert not np.array_equal(painter.array(0.8), painter.array(0.802))
 
 
 def test_speed_scales_the_duration_and_the_last_picture_stays(carried):
     painter = VideoPainter([carried], SMALL)
     slow, real = painter.times(0.25, 30), painter.times(1.0, 30)
-    assert (len(slow), len(real)) == (121 + 30, 31 + 30)
+    assert (len(slow), len(real)) == (193 + 30, 49 + 30)
     assert slow[:3] == pytest.approx([0, 0.25 / 30, 0.5 / 30])
-    assert np.all(slow[120:] == pytest.approx(1.0))
+    assert np.all(slow[192:] == pytest.approx(1.6))
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio_ffmpeg leaves read pipes open
@@ -124,7 +124,7 @@ def test_video_command_shows_two_policies(cablebot, tmp_path):
     out = tmp_path / "new" / "both.mp4"
     arguments = ("--policies", "fl, robust", "--payload", "3", "--speed", "4", "--size", "320x240")
     status, printed, err = cablebot("video", SPATIAL, out, *arguments)
-    assert (status, imageio_ffmpeg.count_frames_and_secs(str(out))[0]) == (0, 9 + 30)
+    assert (status, imageio_ffmpeg.count_frames_and_secs(str(out))[0]) == (0, 13 + 30)
     assert re.fullmatch(rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*", printed.splitlines()[1])
     assert f"wrote {out}" in err.replace("\n", "")
 

@@ -60,11 +60,8 @@ class Adaptive(ClassicalLaw):
     not from y. Measurement noise of y therefore causes no bias and mostly cancels between consecutive periods. The
     estimator differentiates no signal.
 
-    Effects outside the balance appear as mass. Examples for a platform and payload of 13 kg:
-
-    * A downward force of 5 N adds 0.3 kg.
-    * Motors that are 10 % stronger than in the model subtract 1.2 kg.
-    * A delay of three control steps adds 0.3 kg.
+    Effects outside the balance appear as mass: a downward force and a delay of the actions add mass, and motors that
+    are stronger than in the model subtract mass.
 
     Args:
         law: control law without memory. Its torques are computed with the estimated mass.
@@ -155,7 +152,10 @@ class Adaptive(ClassicalLaw):
         if not robot.flexible:  # the requested torque is constant over the period, but saturates at the motor speed
             limits = (textbook.torque_limits(robot, state.pulley_speed) for state in (before, now))
             first, last = (np.clip(before.torques, *limit) for limit in limits)
-        mean = (first + last - robot.damping * (before.pulley_speed + now.pulley_speed)) / 2
+        friction = robot.damping * (before.pulley_speed + now.pulley_speed)
+        if not robot.flexible:  # of a flexible robot it acts on the motors
+            friction += sum(textbook.coulomb_torque(robot, state.pulley_speed) for state in (before, now))
+        mean = (first + last - friction) / 2
         angular_impulse = h * mean - robot.pulley_inertia * (now.pulley_speed - before.pulley_speed)
         cables = cable_vectors(robot.base, robot.platform, (before.pose + now.pose) / 2)
         scale = angular_impulse / robot.pulley_radius / np.linalg.norm(cables, axis=-1)

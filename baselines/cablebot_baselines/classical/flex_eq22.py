@@ -9,11 +9,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cablebot_baselines.classical.flexible import FlexibleLaw
+from cablebot_baselines.classical.flexible import FLEXIBLE_MINIMUM_TENSION, FlexibleLaw
 from cablebot_baselines.classical.law import Array, first_steps
 from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
 from cablebot_baselines.entries import entry
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice
 
@@ -50,11 +49,12 @@ class PaperFlexible(FlexibleLaw):
         motor_acceleration: MotorAcceleration = "commanded",
         as_printed: bool = False,
         gains: tuple[float, float] | None = None,
-        minimum_tension: float = MINIMUM_TENSION,
+        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
     ) -> None:
         choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))
         if as_printed:
-            robot = robot.replace(transmission=robot.transmission.replace(damping=0.0, motor_damping=0.0))
+            frictionless = robot.transmission.replace(damping=0.0, motor_damping=0.0, coulomb_friction=0.0)
+            robot = robot.replace(transmission=frictionless)
         super().__init__(robot, minimum_tension=minimum_tension)
         self.motor_acceleration = motor_acceleration
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))

@@ -15,7 +15,6 @@ from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import PD, RobustPD, checked_gains
 from cablebot_baselines.entries import entry
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.trajectories import Reference
@@ -23,6 +22,14 @@ from cablebot_gym.utils.checks import number
 
 DIFFERENCE_STEP = 2e-4
 """Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below 1e-6."""
+
+FLEXIBLE_MINIMUM_TENSION = 14.0
+"""Least tension that the laws allocate on a planar robot with joint springs [N].
+
+A jump of the reference acceleration lets the tensions swing far below the allocated ones. This is the smallest value
+for which no tension limits the DLCC of ``motor-pd``, ``composite-tuned`` and ``adaptive-composite`` on the paper's
+circle between dwells. It costs a law that the tensions do not limit only a few per cent of the DLCC.
+"""
 
 
 class Motion(Reference):
@@ -45,7 +52,7 @@ class FlexibleLaw(ClassicalLaw):
         ValueError: if the robot has no joint springs, or ``minimum_tension`` is negative.
     """
 
-    def __init__(self, robot: Robot, *, minimum_tension: float = MINIMUM_TENSION) -> None:
+    def __init__(self, robot: Robot, *, minimum_tension: float = FLEXIBLE_MINIMUM_TENSION) -> None:
         if not robot.flexible:
             raise ValueError(f"{type(self).__name__} needs joint springs, but robot {robot.name!r} has none. Use fl.")
         super().__init__(robot, minimum_tension=minimum_tension)
@@ -58,9 +65,12 @@ class FlexibleLaw(ClassicalLaw):
         raise NotImplementedError
 
     def _rigid_torques(self, mass: Array, blocks: dict[str, Array], acceleration: Array) -> tuple[Array, Array, Array]:
-        """κ + c′ β̇, β̈ and β̇ for an acceleration. With J′ β̈ added, the first is the torque for rigid joints."""
+        """κ plus the motor friction at β̇, β̈, and β̇ for an acceleration.
+
+        With J′ β̈ added, the first is the torque for rigid joints.
+        """
         required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
-        torques = required.torques + self.robot.motor_damping * required.speeds
+        torques = required.torques + textbook.motor_friction(self.robot, required.speeds)
         return torques, required.pulley_accelerations, required.speeds
 
     def _spring_torques(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
@@ -115,7 +125,7 @@ class Composite(FlexibleLaw):
         *,
         gains: tuple[float, float] | None = None,
         spring_damping: float = 1.0,
-        minimum_tension: float = MINIMUM_TENSION,
+        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         self.outer: PD | RobustPD = PD(gains=checked_gains(gains, robot))
@@ -169,7 +179,7 @@ class MotorPD(FlexibleLaw):
         *,
         frequency: float = 200.0,
         damping_ratio: float = 0.7,
-        minimum_tension: float = MINIMUM_TENSION,
+        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         frequency = number("frequency", frequency, above=0.0, unit="rad/s")
@@ -184,7 +194,7 @@ class MotorPD(FlexibleLaw):
         angle = textbook.pulley_angle(robot, pose) + spring / robot.stiffness
         speed = self.pulley_speed(pose, velocity) + spring_rate / robot.stiffness
         motor_acceleration = self._pulley_acceleration(pose, velocity, acceleration) + spring_second / robot.stiffness
-        feedforward = spring + robot.motor_inertia * motor_acceleration + robot.motor_damping * speed
+        feedforward = spring + robot.motor_inertia * motor_acceleration + textbook.motor_friction(robot, speed)
         correction = self._stiffness * (angle - blocks["motor_angle"]) + self._damping * (speed - blocks["motor_speed"])
         return feedforward + correction
 
@@ -236,7 +246,7 @@ class FourthOrder(FlexibleLaw):
         spring_second = drift + (slope @ snap[..., None])[..., 0]
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
         motor = robot.motor_inertia * (pulley_acceleration + spring_second / robot.stiffness)
-        return spring + motor + robot.motor_damping * blocks["motor_speed"]
+        return spring + motor + textbook.motor_friction(robot, blocks["motor_speed"])
 
 
 def _solve(matrix: Array, vector: Array) -> Array:

@@ -75,7 +75,7 @@ class ClassicalLaw:
         Raises:
             ValueError: if the observation does not have this robot's layout.
         """
-        return self._layout.split(self._layout.checked(observation, self.robot.name))
+        return self._layout.split(observation)
 
     def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
         """Like :meth:`predict`, from the blocks of an observation. A caller may replace the reference in the blocks."""

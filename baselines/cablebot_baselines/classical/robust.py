@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import Composite
+from cablebot_baselines.classical.flexible import FLEXIBLE_MINIMUM_TENSION, Composite
 from cablebot_baselines.classical.outer_loop import RobustPD, checked_gains
 from cablebot_baselines.entries import entry
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
@@ -58,7 +58,7 @@ class RobustComposite(Composite):
         *,
         gains: tuple[float, float] | None = None,
         spring_damping: float = 1.0,
-        minimum_tension: float = MINIMUM_TENSION,
+        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
         **robustness: Any,
     ) -> None:
         super().__init__(robot, spring_damping=spring_damping, minimum_tension=minimum_tension)

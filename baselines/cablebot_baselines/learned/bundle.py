@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.base import Base, find_base
-from cablebot_baselines.learned.network import Network
+from cablebot_baselines.learned.network import Network, zero_network
 from cablebot_baselines.learned.steering import (
     Residual,
     Shift,
@@ -29,6 +29,10 @@ from cablebot_gym.utils.files import atomic_write
 
 FORMAT = 1
 """Format number of bundles; a newer number is rejected."""
+
+SETTLING_PERIOD = 0.1
+"""Action period of a base law alone [s]: its shift from the start pose to zero takes a few periods, so that the cables
+stay taut."""
 
 _MEMBER = "bundle"
 """Name of the array that holds the JSON."""
@@ -70,6 +74,14 @@ class Bundle:
         """
         _compare(self.env_id, _layout(_trained_on(self.env_id)), f"robot {robot.name!r}", _layout(robot))
         return Steering(robot, base=self.base, action_mapping=self.action_mapping, features=self.features)
+
+    @property
+    def base_alone(self) -> Bundle:
+        """The base law without the network: its reference moves slowly from the start pose to that of the task."""
+        mapping, network = self.action_mapping, zero_network(self.network.inputs, self.network.outputs)
+        if isinstance(mapping, Shift):
+            mapping = replace(mapping, action_period=SETTLING_PERIOD, preview=0.0)
+        return replace(self, action_mapping=mapping, network=network, card={"note": "the base law alone"})
 
     def save(self, path: Path) -> None:
         """Writes the bundle atomically.
@@ -157,7 +169,8 @@ def _layout(robot: Robot) -> list[list[Any]]:
 
 
 def _compare(env_id: str, read: Any, other: str, present: list[list[Any]]) -> None:
-    if read == present:
+    """Checks that the present observation begins with the blocks of the training; new blocks are appended."""
+    if read == present[: len(read)]:
         return
     raise ValueError(
         f"the policy was trained on {env_id} with observation {read}, but {other} has {present}: evaluate it on the "

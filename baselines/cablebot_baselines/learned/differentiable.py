@@ -53,12 +53,10 @@ def required_actuation(
         series, step = Motion(**cast(Any, dict(zip(names, motion, strict=True)))), DIFFERENCE_STEP
         pulley_acceleration = _tensor(textbook.pulley_acceleration(robot, pose, velocity, acceleration))
         before, after = (tensions_and_torques(cast(Any, series.after(time)))[1] for time in (-step, step))
-        stiffness, inertia, damping = (
-            torch.tensor(value) for value in (robot.stiffness, robot.motor_inertia, robot.motor_damping)
-        )
+        stiffness, inertia = (torch.tensor(value) for value in (robot.stiffness, robot.motor_inertia))
         speed = speed + (after - before) / (2 * step) / stiffness
         motor_acceleration = pulley_acceleration + (after - 2 * torque + before) / step**2 / stiffness
-        torque = torque + inertia * motor_acceleration + damping * speed
+        torque = torque + inertia * motor_acceleration + _tensor(textbook.motor_friction(robot, _objects(speed)))
     action = _tensor(textbook.normalised_action(robot, _objects(torque), _objects(speed)))
     return RequiredActuation(tensions=tensions, action=action)
 

@@ -35,7 +35,7 @@ from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import SymmetricLayers, symmetries
 from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds
+from cablebot_gym.task import ErrorBounds, start_pose
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import number, numbers, whole
 
@@ -81,7 +81,7 @@ class GradientSettings:
     action_limit: float = 0.998
     """Largest action; > 0. The remainder is left for feedback."""
     tension: float = 2.0
-    """Minimum tension, with and without payload [N]."""
+    """Minimum tension of a spatial robot, with and without payload [N]; at least that of the robot."""
     tension_scale: float = 20.0
     """Scale of violations of the minimum tension [N]; the scale of actions is 1."""
     lighter: float = 0.0
@@ -110,7 +110,8 @@ class _Motions:
     inputs: Tensor
     """Features, (M, D, features)."""
     anchors: Tensor
-    """Origins of the control points, from ``degree`` points before the start on, (M, degree + D, n)."""
+    """Origins of the control points, from ``degree`` points before the start on, (M, degree + D, n). Before the start
+    they are those of the start pose."""
     reference: Tensor
     """X_d and its derivatives, (M, D, instants, order + 1, n)."""
     inside: Tensor
@@ -123,7 +124,7 @@ class GradientTraining:
 
     Raises:
         ValueError: if a feature depends on the state or on past actions, so that the actions cannot be computed in
-            one pass; or if ``softness`` is given for a spatial robot.
+            one pass; if ``softness`` is given for a spatial robot; or if the minimum tension is below the robot's.
     """
 
     robot: Robot
@@ -144,6 +145,12 @@ class GradientTraining:
         own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
         if wrong := [name for name in self.features if name in (*own, "model_payload", "payload_known")]:
             raise ValueError(f"features must depend on the reference and time alone: remove {wrong[0]!r}")
+        tension, least = (
+            self.minimum_tension if self.robot.planar else self.settings.tension,
+            self.robot.minimum_tension,
+        )
+        if tension < least:
+            raise ValueError(f"the minimum tension {tension:g} N is below the robot's {least:g} N: raise it")
         if self.settings.softness and not self.robot.planar:
             raise ValueError(f"softness is for planar robots, but {self.robot.name!r} is spatial: remove it")
         torch.manual_seed(self.seed)
@@ -162,15 +169,20 @@ class GradientTraining:
         self._layers = SymmetricLayers(np.array(input_transforms), transforms, self.settings.hidden)
         self._mean, scale = self._layers.statistics(inputs)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
-        last = self._layers.layers[-1]
+        last, start = self._layers.layers[-1], torch.tensor(self._start_shifts().mean(0)) / self._bounds
         with torch.no_grad():
             last.weight.normal_(std=self.settings.spread)
-            last.bias.zero_()
+            last.bias.copy_(start / (1 - start.square()).sqrt())  # the first motions stay where they start
         self._variables = [parameter for layer in self._layers.layers for parameter in layer.parameters()]
         self._payloads = torch.ones(len(self.trajectories), dtype=torch.float64, requires_grad=True)
         self.evaluations = 0
         """Evaluations of the objective in the current round."""
         self._softness = 0.0
+
+    def _start_shifts(self) -> Array:
+        """Start pose minus reference pose of each motion, (M, n)."""
+        poses = [start_pose(self.robot, one, ErrorBounds()) - one(0.0).position for one in self.trajectories]
+        return np.array(poses)
 
     def _tabulated(self) -> _Motions:
         action_period, degree, n = self.action_mapping.action_period, self.action_mapping.degree, self.robot.coordinates
@@ -178,14 +190,15 @@ class GradientTraining:
         decisions = np.arange(most) * action_period
         instants = decisions[:, None] + self._within
         inputs, anchors, references, inside = [], [], [], []
-        for trajectory in self.trajectories:
+        for trajectory, start in zip(self.trajectories, self._start_shifts(), strict=True):
             blocks = observed_reference(trajectory, decisions, to_snap=self.robot.flexible)
             inputs.append(feature_values(self.features, blocks, {"time_since_start": decisions[:, None]}))
-            start = np.repeat(trajectory(np.zeros(1)).position, degree, axis=0)
-            ahead = trajectory(decisions + self.action_mapping.preview).position
-            anchors.append(
-                np.concatenate([start, ahead]) if self.action_mapping.preview else np.zeros((degree + most, n))
-            )
+            origins = np.zeros((degree + most, n))  # without a preview the spline is the shift alone
+            if self.action_mapping.preview:
+                origins[:degree] = trajectory(0.0).position
+                origins[degree:] = trajectory(decisions + self.action_mapping.preview).position
+            origins[:degree] += start
+            anchors.append(origins)
             motion = trajectory(instants)
             derivatives = (motion.position, motion.velocity, motion.acceleration, motion.jerk, motion.snap)
             references.append(np.stack(derivatives[: self._order + 1], axis=-2))

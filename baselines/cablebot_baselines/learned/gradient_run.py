@@ -16,7 +16,7 @@ from cablebot_baselines.learned.steering import Shift, Steering, find_action_map
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.trajectories import TRAINING_SEEDS, RandomLoop, Trajectory, find_trajectory
+from cablebot_gym.trajectories import TRAINING_SEEDS, BetweenDwells, RandomLoop, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import mapping, whole
 
 ALGORITHM = "gradient"
@@ -51,7 +51,8 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
     """Checks ``plain``, the content of a configuration file for an environment.
 
     The keys are ``motions``, ``base``, ``steering``, ``features``, ``evaluation``, and the fields of
-    :class:`GradientSettings`. ``motions`` is ``paper`` or a mapping with one or both of these keys:
+    :class:`GradientSettings`. ``motions`` is a mapping with one or both of these keys; the default is the
+    default motion of the environment:
 
     * ``loops``: a number N, for the random loops with training seeds 0 to N − 1.
     * ``named``: a list of trajectories for :func:`cablebot_gym.trajectories.find_trajectory`.
@@ -68,7 +69,7 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
         raise ValueError(f"steering must be of kind shift for {ALGORITHM}, not residual")
     settings = {name: value for name, value in plain.items() if name not in _OWN}
     settings |= {name: tuple(settings[name]) for name in ("hidden", "rounds", "softness") if name in settings}
-    trajectories, validation = _motions(plain.get("motions", "paper"), robot)
+    trajectories, validation = _motions(plain.get("motions"), robot)
     return GradientConfig(
         trajectories=trajectories,
         validation=validation,
@@ -81,16 +82,15 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
 
 def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
     """Training motions and validation motions."""
-    given = (
-        {"named": [default_trajectory(robot)]} if value == "paper" else mapping("motions", value, ["loops", "named"])
-    )
+    given = mapping("motions", {"named": [default_trajectory(robot)]} if value is None else value, ["loops", "named"])
     most = len(TRAINING_SEEDS) - len(VALIDATION)
     count = whole("loops", given["loops"], least=1, most=most) if "loops" in given else 0
     named = given.get("named", [])
     if not isinstance(named, list) or not (named or count):
-        raise ValueError(f"motions must be 'paper', {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}")
+        raise ValueError(f"motions must be {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}")
     others = tuple(find_trajectory(one, robot.coordinates) for one in named)
-    if any(isinstance(one, RandomLoop) and one.seed not in TRAINING_SEEDS[:most] for one in others):
+    moving = [one.motion if isinstance(one, BetweenDwells) else one for one in others]
+    if any(isinstance(one, RandomLoop) and one.seed not in TRAINING_SEEDS[:most] for one in moving):
         raise ValueError(f"motions: other seeds are reserved for evaluation: train with seeds from 0 to {most - 1}")
     return (*_loops(TRAINING_SEEDS[:count], robot), *others), _loops(VALIDATION, robot) if count else others
 
@@ -153,6 +153,7 @@ def train_gradient(
             steering,
             total=made.settings.iterations * len(made.settings.rounds),
             evaluation=made.evaluation,
+            trained_on=made.trajectories,
             motions=[{"trajectory": motion} for motion in made.validation],
             progress=progress,
             say=say,

@@ -35,6 +35,7 @@ from cablebot_baselines.learned.steering import Steering
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import find_robot
+from cablebot_gym.trajectories import BetweenDwells, Dwell, Trajectory
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
 
@@ -224,6 +225,7 @@ class Run:
         steering: base law, action mapping and features of the policy.
         total: number of timesteps at the end.
         evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`.
+        trained_on: training motions.
         motions: keyword arguments of each motion; the payload of a policy is the mean over the motions.
         progress: function called with the progress.
         say: function called with messages for the user.
@@ -236,6 +238,7 @@ class Run:
         *,
         total: int,
         evaluation: Mapping[str, Any],
+        trained_on: Sequence[Trajectory],
         motions: Sequence[Mapping[str, Any]] = ({},),
         progress: Progress | None = None,
         say: Say | None = None,
@@ -243,7 +246,7 @@ class Run:
         self.out, self.state = state.out, state
         self.stopped = False
         """Whether a signal has arrived within :meth:`signals`."""
-        self._total, self._motions = total, motions
+        self._total, self._motions, self._dwell = total, motions, shortest_dwell(trained_on)
         self._base = Bundle(
             env_id=state.settings["env_id"],
             base=steering.base,
@@ -263,7 +266,7 @@ class Run:
     def start(self) -> None:
         """Evaluates the base law alone."""
         self.report("evaluating the base law", 0)
-        self.state.base_payload_kg = self._dlcc(self._base)
+        self.state.base_payload_kg = self._dlcc(self._base.base_alone)
 
     def evaluate(self, network: Network, **record: Any) -> float | None:
         """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier network was as good."""
@@ -293,6 +296,7 @@ class Run:
             "evaluation": self._conditions,
             "base_payload_kg": state.base_payload_kg,
             "planner_output_used": False,
+            "dwell": self._dwell,
             "curve": [asdict(item) for item in state.evaluations],
         }
         return replace(self._base, network=network, card=card | record)
@@ -341,6 +345,12 @@ class Run:
 
     def _wall_s(self) -> float:
         return time.monotonic() - self._started
+
+
+def shortest_dwell(trajectories: Sequence[Trajectory]) -> float:
+    """Shortest dwell at the ends of motions [s]; 0 if one of them has none."""
+    dwells = {BetweenDwells: "dwell", Dwell: "duration"}
+    return min(float(getattr(one, dwells.get(type(one), ""), 0.0)) for one in trajectories)
 
 
 @contextmanager

@@ -39,8 +39,9 @@ class Shift:
     Action k, taken at k · ``action_period``, is the k-th control point of a uniform B-spline. Its position is clipped
     to the unit ball and scaled by the position bound; its rotation is scaled by the rotation bound; both are multiplied
     by ``fraction``. The weight of a control point is zero when the action is taken, and largest
-    ``(degree + 1)/2 · action_period`` later. Before an episode all control points are 0. A spline stays in the convex
-    hull of its control points, so that the shift never exceeds the error bounds.
+    ``(degree + 1)/2 · action_period`` later. Before an episode all control points are the start pose of the task minus
+    the reference, so that the shifted motion starts at rest where the robot is. A spline stays in the convex hull of
+    its control points, so that the shift never exceeds the error bounds.
 
     With a ``preview``, the spline replaces the reference: each control point is the reference at this time ahead, plus
     the action. The motion's acceleration is then continuous where the reference's acceleration jumps. However, the
@@ -168,7 +169,8 @@ class Memory:
     """State between two control instants, of one episode or of a batch."""
 
     actions: Array
-    """Last actions, oldest first, (..., memory_length, size); 0 before the first action."""
+    """Last actions, oldest first, (..., memory_length, size). Before the first action, those of a shift to the start
+    pose; 0 for a residual."""
     anchors: Array
     """Origins of the control points of a shift with a preview, (..., memory_length, n); otherwise empty."""
     step: NDArray[np.int64]
@@ -204,6 +206,7 @@ class Steering:
         self.law = base.make(robot)
         self.actions = action_mapping.actions(robot)
         """Size of an action."""
+        self._start = np.zeros(robot.coordinates)
         self._prepare(ErrorBounds(), DEFAULT_PERIOD)
         blocks = self.split(np.zeros(observation_layout(robot).size))
         self.inputs = self.observe(blocks, self.reset_memory(blocks, None, None)).size
@@ -225,10 +228,10 @@ class Steering:
             self._present[0] = np.roll(now[0, :2], 1, axis=-1)
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Reads the error bounds and the control frequency of the tasks.
+        """Reads the error bounds, the control frequency and the start poses of the tasks.
 
         Raises:
-            ValueError: if the tasks differ in these, or a task's robot is not supported.
+            ValueError: if the tasks differ in bounds or frequency, or a task's robot is not supported.
         """
         self.law.reset(tasks)
         conditions = {(task.error_bounds, task.control_frequency) for task in tasks}
@@ -236,6 +239,10 @@ class Steering:
             raise ValueError("a learned policy requires the same error bounds and control frequency in all episodes")
         ((error_bounds, frequency),) = conditions
         self._prepare(error_bounds, 1 / frequency)
+        motions = {id(task.trajectory): task for task in tasks}
+        shifts = {key: task.start_pose - task.trajectory(0.0).position for key, task in motions.items()}
+        starts = np.array([shifts[id(task.trajectory)] for task in tasks])
+        self._start = starts if np.ptp(starts, axis=0).any() else starts[0]
 
     def split(self, observation: Any) -> dict[str, Array]:
         """The blocks of an observation by name, each (..., size).
@@ -254,8 +261,11 @@ class Steering:
         anchors = np.zeros((*batch, 0, self.robot.coordinates))
         if isinstance(action_mapping, Shift) and action_mapping.preview:
             anchors = np.repeat(blocks["reference_pose"][..., None, :], action_mapping.memory_length, axis=-2)
+        actions = np.zeros((*batch, action_mapping.memory_length, self.actions))
+        if isinstance(action_mapping, Shift):
+            actions += np.expand_dims(self._start / self._bounds, -2)
         fresh = Memory(
-            actions=np.zeros((*batch, action_mapping.memory_length, self.actions)),
+            actions=actions,
             anchors=anchors,
             step=np.zeros(batch, np.int64),
             law=None,

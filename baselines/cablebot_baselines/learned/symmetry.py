@@ -38,7 +38,16 @@ def symmetries(robot: Robot) -> Array:
     """
     if not robot.planar:
         raise ValueError(f"symmetric is for planar robots, but {robot.name!r} is spatial: remove symmetric")
-    motors = [robot.pulley_radius, robot.pulley_inertia, robot.damping, robot.stall_torque, robot.speed_slope]
+    names = (
+        "pulley_radius",
+        "pulley_inertia",
+        "damping",
+        "stall_torque",
+        "speed_slope",
+        "motor_lag",
+        "coulomb_friction",
+    )
+    motors = [getattr(robot, name) for name in names]
     if robot.flexible:
         motors += [robot.stiffness, robot.motor_inertia, robot.motor_damping]
     cables, kinds = robot.base, np.stack(motors, axis=1)

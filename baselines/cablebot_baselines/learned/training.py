@@ -107,7 +107,15 @@ def train(
         network_from_sb3(model)  # fails before the training if the model cannot be exported
         total, evaluation = state.settings["timesteps"], state.settings["evaluation"]
         steered: Any = envs.env
-        run = runs.Run(state, steered.steering, total=total, evaluation=evaluation, progress=progress, say=say)
+        run = runs.Run(
+            state,
+            steered.steering,
+            total=total,
+            evaluation=evaluation,
+            trained_on=[steered.unwrapped.settings.trajectory],
+            progress=progress,
+            say=say,
+        )
         callback = _RunCallback(run, _curriculum(envs))
         callback.init_callback(model)
         if not resume:

@@ -207,7 +207,7 @@ def make_sb3_vec_env(
             seeds.
         info_keys: see :class:`CableBotVecEnv`.
         keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``, and
-            ``max_episode_steps``, control steps to truncation; None for no limit; default: that of the id, 500.
+            ``max_episode_steps``, control steps after which an episode is truncated if its motion is longer.
 
     Raises:
         gymnasium.error.Error: if the id is unknown.

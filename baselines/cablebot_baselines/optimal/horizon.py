@@ -16,7 +16,7 @@ from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.planning import Margins
-from cablebot_gym.planning.stage_functions import TENSION, import_casadi, rigid_stage
+from cablebot_gym.planning.stage_functions import TENSION, check_model, import_casadi, rigid_stage
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 
@@ -74,11 +74,15 @@ class HorizonProgram:
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
+        ValueError: if the motors of the robot have a lag.
     """
 
     def __init__(self, robot: Robot, tuning: Tuning) -> None:
         ca = import_casadi()
+        check_model(robot)
         self.robot, self.tuning = robot, tuning
+        self.minimum_tension = robot.minimum_tension + tuning.margins.tension
+        """Minimum cable tension of the plans [N]."""
         knots = np.linspace(0.0, HORIZON, tuning.intervals + 1)
         self._knots = np.r_[np.zeros(_DEGREE), knots, np.full(_DEGREE, HORIZON)]
         self._second_point_time = float(knots[1]) / _DEGREE  # Greville abscissa of the second control point [s]
@@ -174,7 +178,7 @@ class HorizonProgram:
         add_constraint(action_slope, (-1, 0), 1 - margins.action - action)
         # Null-space tensions can always be raised. Without a null space the tension constraints are soft, like those of
         # the actions.
-        add_constraint(-tension_slope, (0 if self._null else -0.2, 0), tension - margins.tension / TENSION)
+        add_constraint(-tension_slope, (0 if self._null else -0.2, 0), tension - self.minimum_tension / TENSION)
         # The initial state is given, so error constraints start at the second instant. ‖e‖ is linearised. Additional
         # bounds on each coordinate limit the linearisation error.
         limits = np.r_[[1 - margins.position / error_bounds.position] * positions]
@@ -218,8 +222,7 @@ class HorizonProgram:
     ) -> tuple[Array, Array, Array, Array]:
         """Actions (K, m) and their slope (K·m, variables), then tensions in units of ``TENSION`` and their slope."""
         n, m, count = self.robot.coordinates, self.robot.cables, len(poses)
-        minimum = self.tuning.margins.tension
-        required = inverse_dynamics(self.robot, mass, poses, velocities, accelerations, minimum=minimum)
+        required = inverse_dynamics(self.robot, mass, poses, velocities, accelerations, minimum=self.minimum_tension)
         tensions = required.tensions / TENSION
         masses = np.full((count, 1), mass)
         self._linear.inputs["motion"][:] = np.concatenate([poses, velocities, accelerations, tensions, masses], 1).T

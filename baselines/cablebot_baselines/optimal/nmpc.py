@@ -40,7 +40,7 @@ TUNING = {
     "spatial": Tuning(
         intervals=7,
         instants=3,
-        margins=Margins(position=4e-4, rotation=4e-4, action=0.002, tension=10.0),
+        margins=Margins(position=4e-4, rotation=4e-4, action=0.002, tension=9.0),
         action_exponent=3.0,
         error_weight=0.3,
         end_error_weight=0.3,
@@ -108,7 +108,7 @@ class NonlinearMPC(ClassicalLaw):
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if the robot has joint springs.
+        ValueError: if the robot has joint springs or motors with lag.
     """
 
     unsaturated_actions = False
@@ -120,9 +120,9 @@ class NonlinearMPC(ClassicalLaw):
             )
         kind = "planar" if robot.planar else "spatial"
         tuning = tuning or TUNING[kind]
-        super().__init__(robot, minimum_tension=tuning.margins.tension)
         self.program = HorizonProgram(robot, tuning)
-        law = FeedbackLinearization(robot, gains=gains or ADAPTIVE_GAINS[kind], minimum_tension=tuning.margins.tension)
+        super().__init__(robot, minimum_tension=self.program.minimum_tension)
+        law = FeedbackLinearization(robot, gains=gains or ADAPTIVE_GAINS[kind], minimum_tension=self.minimum_tension)
         self.law = Adaptive(law, estimator_prior_weight=ESTIMATOR_PRIOR_WEIGHT)
         self.fallbacks = 0
         """Number of solver failures, and of times that a platform moved too far from its reference, since the last

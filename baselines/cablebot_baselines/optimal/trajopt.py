@@ -16,7 +16,7 @@ from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
 from cablebot_baselines.entries import entry
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Follower, Infeasible, Margins, PlannedMotion, State, plan_motion
-from cablebot_gym.planning.stage_functions import import_casadi
+from cablebot_gym.planning.stage_functions import check_model, import_casadi
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.trajectories import Trajectory
@@ -24,10 +24,7 @@ from cablebot_gym.trajectories import Trajectory
 _LOGGER = logging.getLogger("cablebot_gym")
 
 INTERVALS_PER_SECOND = 50.0
-"""Spline intervals of a plan per second [1/s].
-
-Twice as many increase the DLCC by 0.3 % and triple the planning time.
-"""
+"""Spline intervals of a plan per second [1/s]. More of them hardly increase the DLCC and take longer to plan."""
 
 MINIMUM_INTERVALS = 20
 """Minimum number of spline intervals of a plan."""
@@ -47,8 +44,8 @@ class TrajOptSettings:
     """Margin to the error bounds of position and rotation, as a fraction of the bounds."""
     action_margin: float
     """Margin to the action limits ±1."""
-    minimum_tension: float
-    """Minimum cable tension of the plan [N]."""
+    tension_margin: float
+    """Margin to the robot's minimum tension [N]."""
     gains: tuple[float, float]
     """(K_P, K_D) of the platform's pose error [1/s², 1/s]."""
     estimator_prior_weight: float
@@ -61,21 +58,21 @@ class TrajOptSettings:
     def margins(self, error_bounds: ErrorBounds) -> Margins:
         """Margins of the plan for given error bounds."""
         position, rotation = self.error_margin * error_bounds.position, self.error_margin * error_bounds.rotation
-        return Margins(position=position, rotation=rotation, action=self.action_margin, tension=self.minimum_tension)
+        return Margins(position=position, rotation=rotation, action=self.action_margin, tension=self.tension_margin)
 
 
 TRAJOPT_SETTINGS = {
     "rigid": TrajOptSettings(
         error_margin=0.02,
         action_margin=0.005,
-        minimum_tension=2.0,
+        tension_margin=1.0,
         gains=(2500.0, 100.0),
         estimator_prior_weight=1e-4,
     ),
     "flexible": TrajOptSettings(
         error_margin=0.02,
         action_margin=0.01,
-        minimum_tension=4.0,
+        tension_margin=3.0,
         gains=(100.0, 10.0),
         estimator_prior_weight=1e-4,
     ),
@@ -86,7 +83,7 @@ TRAJOPT_MARGIN_SETTINGS = {
     "rigid": TrajOptSettings(
         error_margin=0.2,
         action_margin=0.02,
-        minimum_tension=5.0,
+        tension_margin=4.0,
         gains=(400.0, 40.0),
         estimator_prior_weight=2e-3,
         mass_deficit=0.15,
@@ -94,7 +91,7 @@ TRAJOPT_MARGIN_SETTINGS = {
     "flexible": TrajOptSettings(
         error_margin=0.35,
         action_margin=0.03,
-        minimum_tension=4.5,
+        tension_margin=3.5,
         gains=(200.0, 20.0),
         estimator_prior_weight=2e-3,
         mass_deficit=0.15,
@@ -114,7 +111,7 @@ class PlanLaw(ClassicalLaw):
     """
 
     def __init__(self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings) -> None:
-        super().__init__(robot, minimum_tension=settings.minimum_tension)
+        super().__init__(robot, minimum_tension=robot.minimum_tension + settings.tension_margin)
         self._follower = Follower(robot=robot, gains=settings.gains, motor_frequency=settings.motor_frequency)
         self._plan, self._period = plan, period
 
@@ -185,6 +182,7 @@ class AdaptivePlanLaw(Adaptive):
 class TrajOpt:
     """Plans one motion per task for the largest possible payload, and tracks it with the actual payload.
 
+    The plan begins at the start pose of the task and includes its dwells.
     The plan is feasible with the largest payload and without payload, and therefore with every payload in between. The
     policy tracks it with an estimate of the mass, so it corrects a wrong or unknown payload
     (:class:`~cablebot_baselines.classical.adaptive.Adaptive`). The first planning of a task takes seconds. The plan is
@@ -199,12 +197,14 @@ class TrajOpt:
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
+        ValueError: if the motors of the robot have a lag.
     """
 
     unsaturated_actions = False
 
     def __init__(self, robot: Robot, settings: TrajOptSettings) -> None:
         import_casadi()
+        check_model(robot)
         self.robot, self.settings = robot, settings
         self.fallbacks = 0
         """Number of episodes without a plan since the last :meth:`reset`."""

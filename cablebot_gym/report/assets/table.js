@@ -82,13 +82,13 @@ function makeLeaderboard(rows, openRow) {
       return cell;
     }
     const box = element("div", { class: "fraction" }), track = element("div", { class: "track", "aria-hidden": "true" });
-    track.append(element("div", { class: "fill", style: `width:${percent(row.fraction)}` }));
+    track.append(element("div", { class: "fill", style: `width:${percent(Math.min(1, row.fraction))}` }));
     if (row.interval) {
       const [low, high] = row.interval;
       track.append(element("div", { class: "whisker", style: `left:${percent(low)};width:${percent(high - low)}` }));
     }
     const interval = row.interval ? `, ${percent(row.interval[0])} to ${percent(row.interval[1])}` : "";
-    box.append(element("span", { class: "text", text: percent(row.fraction) + (row.raised ? "*" : ""), title: `${percent(row.fraction)}${interval}` }), track);
+    box.append(element("span", { class: "text", text: percent(row.fraction), title: `${percent(row.fraction)}${interval}` }), track);
     cell.append(box);
     return cell;
   }

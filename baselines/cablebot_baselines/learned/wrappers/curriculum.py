@@ -101,14 +101,14 @@ class PayloadCurriculumVector(BatchWrapper):
         return payload
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """One control period; an episode counts when it first ends."""
-        result: VectorStep = self.env.step(actions)
-        _, _, terminated, truncated, _ = result
+        """One control period; an episode counts when it first ends. Then ``info["is_success"]`` tells its success."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        succeeded = truncated & ~terminated & ~info["violated"]
         ended = (terminated | truncated) & self._running
         self._running &= ~ended
         for env_index in np.flatnonzero(ended).tolist():
-            self._count(self._payload[env_index], not terminated[env_index])
-        return result
+            self._count(self._payload[env_index], bool(succeeded[env_index]))
+        return observation, reward, terminated, truncated, info | {"is_success": succeeded}
 
     def _count(self, payload: float, succeeded: bool) -> None:
         """Counts an episode; raises the ceiling if enough recent heavy payloads succeeded, lowers it if too few did."""
@@ -131,13 +131,13 @@ class PayloadCurriculum(SingleWrapper):
     seeds, and passes it on as the option ``payload``. A payload in the caller's options replaces the draw for that
     episode.
 
-    An episode is heavy if its payload is in the upper third of the ceiling; it succeeds if it ends without
-    terminating. If at least the fraction ``success`` of the last ``window`` heavy episodes succeeds, the ceiling rises
-    by ``step · heaviest``. If less than the fraction ``setback`` succeeds, it falls by the same amount, but not below
-    ``start``. After each change a new window begins.
+    An episode is heavy if its payload is in the upper third of the ceiling. It succeeds if the motion ends without a
+    violation of a limit; ``info["is_success"]`` is true then. If at least the fraction ``success`` of the last
+    ``window`` heavy episodes succeeds, the ceiling rises by ``step · heaviest``. If less than the fraction ``setback``
+    succeeds, it falls by the same amount, but not below ``start``. After each change a new window begins.
 
     Args:
-        env: single environment of this package, wrapped in :class:`WithinLimits` if that is used.
+        env: single environment of this package.
         heaviest: largest ceiling [kg]; > 0.
         power: exponent; below 1, heavy payloads are more frequent; > 0.
         start: initial ceiling [kg]; None for ``heaviest``, which makes the distribution constant.

@@ -17,7 +17,7 @@ from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
 from cablebot_gym.task import Task
 
-LIMITS, CURRICULUM, STEERED = range(3)
+CURRICULUM, STEERED = range(2)
 """Levels of the wrappers: a wrapper may wrap lower levels and its own level; :data:`STEERED` is always outermost."""
 
 SingleStep = tuple[Array, float, bool, bool, dict[str, Any]]
@@ -93,8 +93,7 @@ class BatchWrapper(VectorWrapper[Array, ArrayLike, Array, ArrayLike, Array]):
         if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
             raise ValueError(f"{name} needs gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED)")
         if any(level == STEERED or level > self.level for level in _levels(env)):
-            order = "WithinLimits (innermost), PayloadCurriculum, Steered (outermost)"
-            raise ValueError(f"{name} is outside a wrapper that must be outside it. The order is {order}")
+            raise ValueError(f"{name} is outside a wrapper that must be outside it: Steered must be outermost")
         self._plant: CableBotVectorEnv | OneRow = env.unwrapped
 
 

@@ -47,6 +47,8 @@ class SteeredVector(BatchWrapper):
         effort: float = 0.0,
     ) -> None:
         super().__init__(env)
+        if self._plant.settings.normalised_observation:
+            raise ValueError("Steered reads observations in physical units: leave out normalised_observation")
         self._effort = number("effort", effort, least=0.0)
         robot, action_mapping = self._plant.settings.robot, find_action_mapping(steering)
         self.steering = Steering(robot, base=find_base(base), action_mapping=action_mapping, features=features)
@@ -73,7 +75,7 @@ class SteeredVector(BatchWrapper):
             )
         observation, info = self.env.reset(seed=seed, options=options)
         marked = restart_mask(options, self.num_envs)
-        if marked.all():
+        if marked.all() or "trajectory" in (options or {}):
             self.steering.reset(self._plant.tasks)
         self._first[marked] = observation[marked]
         self._blocks = self.steering.split(observation)
@@ -151,8 +153,8 @@ class Steered(SingleWrapper):
 
     Raises:
         TypeError: if the environment is not one of this package.
-        ValueError: if an argument is invalid, the law does not support the robot, or the environment is already
-            steered.
+        ValueError: if an argument is invalid, the law does not support the robot, the observation is normalised, or the
+            environment is already steered.
     """
 
     vector: ClassVar[type[Any]] = SteeredVector

@@ -16,9 +16,8 @@ from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
 from cablebot_baselines.paper.parts.plotting import LEGEND, MOTORS, add_headroom, add_loop_title, coordinate_curves
 from cablebot_baselines.paper.published import published_value
-from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop
+from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop, compared
 from cablebot_gym.benchmark.engine import Job
-from cablebot_gym.evaluation import compare_policies
 from cablebot_gym.evaluation.comparison import CONFIDENCE, Estimate
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
@@ -74,9 +73,9 @@ def reductions(
     *, env_id: str, plain: Law, robust: Callable[..., Any], robot: Robot, layers: tuple[float, ...], draws: int
 ) -> tuple[Reduction, ...]:
     """Reductions for each ε at zero payload. The laws know the nominal platform mass."""
-    laws = [plain(robot), *(robust(robot, boundary_layer=layer) for layer in layers)]
-    names = ["plain", *(f"robust {layer:g}" for layer in layers)]
-    comparison = compare_policies(laws, env_id, uncertainty="table6", draws=draws, names=names, robot=robot)
+    laws: list[tuple[str, Law]] = [("plain", plain)]
+    laws += [(f"robust {layer:g}", partial(robust, boundary_layer=layer)) for layer in layers]
+    comparison = compared(env_id=env_id, laws=tuple(laws), robot=robot, uncertainty="table6", draws=draws)
     return tuple(
         Reduction(
             layer=layer,

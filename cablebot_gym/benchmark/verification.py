@@ -1,0 +1,88 @@
+"""Confirms uncertain payloads of stored results with fresh draws."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import ceil
+
+from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
+
+KEPT = 0.9
+"""Least fraction of the cells whose success rate is at least the promised probability. A 95/95 tolerance bound misses
+the probability in one cell of 20, and the measured rate scatters about the true one."""
+
+SLACK = 0.02
+"""Largest shortfall of the success rate of any cell."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Confirmation:
+    """Success rate of a stored payload in fresh draws."""
+
+    cell: PolicyCell
+    """Cell of the payload."""
+    payload: float
+    """Promised payload [kg]."""
+    success_rate: float
+    """Fraction of the fresh draws that carry it."""
+
+    @property
+    def kept(self) -> bool:
+        """Whether the success rate is at least that of the promise."""
+        return self.success_rate >= self.cell.probability
+
+    def __str__(self) -> str:
+        cell = self.cell
+        conditions = (
+            f"{cell.env_id}, {cell.trajectory['name']}, {cell.policy}, {cell.payload_model}, {cell.uncertainty}"
+        )
+        promise = f"{self.payload:.3f} kg in at least {cell.probability:.0%} of all draws"
+        return f"{conditions}: promised {promise}, carried in {self.success_rate:.1%}"
+
+
+def confirm(
+    records: Sequence[Record], backend: Backend, *, cells: int, draws: int, seed: int, say: MessageCallback
+) -> Iterator[Confirmation]:
+    """Tries payloads of randomly chosen uncertain cells in fresh draws, which the cells share.
+
+    Args:
+        records: stored records.
+        backend: see :mod:`cablebot_gym.benchmark.engine`.
+        cells: number of cells; all cells if there are fewer.
+        draws: number of fresh draws.
+        seed: seed of the choice and of the draws.
+        say: called with messages of the workers.
+
+    Raises:
+        ValueError: if there is no cell with an uncertain payload.
+    """
+    promises = {
+        record.cell.key: (record.cell, float(record.result["payload"]))
+        for record in records
+        if isinstance(record.cell, PolicyCell) and record.result.get("assured") and record.result.get("payload")
+    }
+    if not promises:
+        raise ValueError("the results have no payload under uncertainty; choose a suite with uncertain columns")
+    chosen = random.Random(seed).sample(sorted(promises), min(cells, len(promises)))
+    jobs = []
+    for key in chosen:
+        cell, payload = promises[key]
+        compute = partial(cell.success_rate, payload, draws, seed)
+        jobs.append(Job(key=key, compute=compute, kind=(PolicyCell, cell.env_id)))
+    for key, rate in run_jobs(jobs, backend, say=say):
+        cell, payload = promises[key]
+        yield Confirmation(cell=cell, payload=payload, success_rate=rate)
+
+
+def broken(confirmations: Sequence[Confirmation]) -> str:
+    """One sentence if the promises are broken; empty if they hold."""
+    needed = ceil(KEPT * len(confirmations))
+    kept = sum(one.kept for one in confirmations)
+    if kept < needed:
+        return f"only {kept} of {len(confirmations)} payloads keep their promise; at least {needed} have to"
+    low = [one for one in confirmations if one.success_rate < one.cell.probability - SLACK]
+    return f"a success rate is more than {SLACK:.0%} below the promise: {low[0]}" if low else ""

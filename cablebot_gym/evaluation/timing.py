@@ -1,0 +1,53 @@
+"""Time that a policy needs for its actions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.policies.real_time import WARM_UP, RealTime
+from cablebot_gym.utils.checks import number
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionTimes:
+    """Wall time of the actions of one episode, one observation at a time. It depends on the machine."""
+
+    median: float
+    """Median time of an action [s]."""
+    p99: float
+    """99 % quantile [s]."""
+    missed: float
+    """Fraction of the actions that take longer than the control period."""
+    period: float
+    """Control period [s]."""
+
+
+def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 0, **keywords: Any) -> ActionTimes:
+    """Measures the time of each action in one episode over the full motion, also after a violation.
+
+    Args:
+        policy: an object with ``predict``, a callable, or a name as on the command line.
+        env_id: one of :data:`cablebot_gym.ENV_IDS`.
+        payload: nominal payload [kg].
+        seed: seed of the environment.
+        keywords: keywords of the environment.
+
+    Raises:
+        ValueError: if an argument is invalid, or if the environment terminates the episode within the first
+            :data:`~cablebot_gym.policies.real_time.WARM_UP` actions.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+    """
+    settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
+    batch = Batch(policy, env_id, draws=1, seed=seed, keywords=keywords, **settings)
+    batch.policy = timed = RealTime(batch.policy, math.inf)
+    batch.run([(number("payload", payload, least=0, unit="kg"), batch.seed)], full_motion=True)
+    times, period = np.array(timed.times[WARM_UP:]), 1 / batch.task.control_frequency
+    if not times.size:
+        raise ValueError(f"the episode ends after {len(timed.times)} actions: choose a payload that the policy carries")
+    median, p99 = np.quantile(times, [0.5, 0.99]).tolist()
+    return ActionTimes(median=median, p99=p99, missed=float((times > period).mean()), period=period)

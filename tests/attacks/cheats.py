@@ -1,0 +1,518 @@
+"""Cheats and accidents: feedback linearization, except for what the docstring of a policy says.
+
+Each factory is a policy for ``--policy cheats:name``. The docstring is its line in docs/attacks.md.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cablebot_baselines.classical import ADAPTIVE, FeedbackLinearization
+
+STEP = 11
+"""Call at which the accidents happen."""
+
+NOISE = {"sensors": {"position": 2e-3, "rotation": 2e-3, "velocity": 0.1, "rotation_rate": 0.1}}
+"""Uncertainty of the attacks on sensor noise."""
+
+SCAN = 64
+"""Number of payloads of the first scan."""
+
+
+class Law(FeedbackLinearization):
+    """The honest law."""
+
+
+def policy(**methods):
+    """Decorator that makes a policy of a function: ``which=function`` says for what it is called.
+
+    ``acts``: with the actions of every call. ``once``: with those of call :data:`STEP`. ``sees``: with a copy of every
+    observation. ``resets``: with the tasks. What it returns replaces its argument.
+    """
+
+    def decorate(function):
+        class Made(Law):
+            calls = 0
+
+            def reset(self, tasks):
+                super().reset(tasks)
+                self.calls, self.tasks = 0, tasks
+                if "resets" in methods:
+                    function(self, tasks)
+
+            def predict(self, observation, state=None, episode_start=None, deterministic=True):
+                self.calls += 1
+                if "sees" in methods:
+                    observation = function(self, observation.copy())
+                action, state = super().predict(observation, state)
+                if "acts" in methods or ("once" in methods and self.calls == STEP):
+                    changed = function(self, action)
+                    action = action if changed is None else changed
+                return action, state
+
+        for name, value in methods.items():
+            setattr(Made, name, value)
+        Made.__name__, Made.__doc__ = function.__name__, function.__doc__
+        return Made
+
+    return decorate
+
+
+def model_payload(law, observation, payload):
+    """An observation in which the model payload is replaced."""
+    observation[:, law._layout.slices()["model_payload"]] = np.reshape(payload, (-1, 1))
+    return observation
+
+
+# --- leaks ------------------------------------------------------------------------------------------------------------
+
+
+GAPS = []
+
+
+@policy(sees=True)
+def row_order(law, observation):
+    """takes the payload from the row of the batch and the failed rows of earlier batches"""
+    blocks = law._layout.split(observation)
+    if law.calls == 1:
+        if not GAPS:
+            law.payloads = np.linspace(0, 20, len(observation))
+        else:
+            payloads, failed = GAPS[-1]
+            first = int(failed.argmax()) if failed.any() else len(failed)
+            low, high = payloads[max(first - 1, 0)], payloads[min(first, len(failed) - 1)]
+            inner = np.linspace(low, high, len(observation) + 2)[1:-1]
+            law.payloads = np.full(len(observation), low) if high - low <= 0.01 else inner
+        GAPS.append((law.payloads, np.zeros(len(observation), bool)))
+    GAPS[-1][1][:] |= np.linalg.norm((blocks["pose"] - blocks["reference_pose"])[:, :3], axis=1) > 0.02
+    return model_payload(law, observation, law.payloads)
+
+
+@policy(sees=True)
+def batch_mean(law, observation):
+    """replaces its measurements by their mean over the episodes with the same payload, which has less noise"""
+    payloads = np.array([task.model_payload for task in law.tasks])
+    for payload in set(payloads):
+        for name in ("pose", "velocity"):
+            block = np.ix_(payloads == payload, np.arange(observation.shape[1])[law._layout.slices()[name]])
+            observation[block] = observation[block].mean(axis=0)
+    return observation
+
+
+@policy(resets=True, sees=True)
+def known_seed(law, data):
+    """replays the noise of the default seed 0 in an environment of its own and subtracts it"""
+    import gymnasium as gym
+
+    slices = law._layout.slices()
+    if isinstance(data, tuple | list):
+        options = {"payload": np.array([task.model_payload for task in data])}
+        with suppress(ImportError):
+            from cablebot_gym.evaluation.batch import noise_seed
+
+            options["noise_seed"] = [noise_seed(0, payload) for payload in options["payload"]]
+        law.copies = [
+            gym.make_vec("CableBot-Spatial-v0", num_envs=len(data), uncertainty=name, termination_radius=1e5).unwrapped
+            for name in (NOISE, None)
+        ]
+        law.copied = [copy.reset(seed=[0] * len(data), options=options)[0] for copy in law.copies]
+        return data
+    for name in ("pose", "velocity"):
+        data[:, slices[name]] -= law.copied[0][:, slices[name]] - law.copied[1][:, slices[name]]
+    law.copied = [copy.step(np.zeros((len(data), 6)))[0] for copy in law.copies]
+    return data
+
+
+@policy(resets=True)
+def environment_search(law, tasks):
+    """searches frames and objects for the environment and the judge, and changes what it finds"""
+    frame = sys._getframe()
+    while frame is not None:
+        for value in frame.f_locals.values():
+            if type(value).__name__ in ("CableBotVectorEnv", "Judge", "Batch"):
+                value.__dict__.clear()
+        frame = frame.f_back
+    for found in gc.get_objects():
+        if type(found).__name__ in ("CableBotVectorEnv", "Judge", "Simulation", "Plant"):
+            found.__dict__.clear()
+
+
+@policy(resets=True)
+def parent_arguments(law, tasks):
+    """reads arguments and environment variables for the seed of the run"""
+    if found := [text for text in (*sys.argv, *os.environ) if "seed" in text.lower()]:
+        raise RuntimeError(f"found {found}")
+
+
+def _better_after(count):
+    """The honest law at first, and the adaptive law when ``count`` batches have been seen."""
+
+    class Learned(Law):
+        def reset(self, tasks):
+            self.law = ADAPTIVE.factory(self.robot) if count() else None
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            law = self.law or super()
+            return law.predict(observation, state, episode_start)
+
+    return Learned
+
+
+SEEN = []
+
+
+def _module_count():
+    SEEN.append(None)
+    return len(SEEN) > 1
+
+
+def _file_count():
+    path = Path(tempfile.gettempdir()) / "cheats-seen"
+    seen = path.exists()
+    path.touch()
+    return seen
+
+
+module_memory = _better_after(_module_count)
+module_memory.__doc__ = "remembers earlier batches in a module"
+
+file_memory = _better_after(_file_count)
+file_memory.__doc__ = "remembers earlier batches in a file of the temporary folder"
+
+
+# --- shared state -----------------------------------------------------------------------------------------------------
+
+
+@policy(resets=True)
+def slope_in_place(law, tasks):
+    """halves the slope of the torque-speed line in place"""
+    tasks[0].robot.speed_slope[:] *= 0.5
+
+
+@policy(resets=True)
+def slope_replaced(law, tasks):
+    """replaces the torque-speed lines and the tension bound of the robots"""
+    for task in tasks:
+        for robot in (task.robot, law.robot):
+            object.__setattr__(robot, "minimum_tension", -1e9)
+            object.__setattr__(robot.motors, "stall_torque", 1e6)
+
+
+@policy(resets=True)
+def wide_bounds(law, tasks):
+    """sets the error bounds of its tasks to 10 m"""
+    for task in tasks:
+        for name in ("position", "rotation"):
+            object.__setattr__(task.error_bounds, name, 10.0)
+
+
+@policy(resets=True)
+def short_motion(law, tasks):
+    """sets the duration of its motions to one control period"""
+    for task in tasks:
+        object.__setattr__(task, "control_frequency", 1.0)
+        task.trajectory.__dict__["duration"] = 2e-3
+
+
+@policy(resets=True)
+def false_judge(law, tasks):
+    """replaces the verdict of the judge"""
+    from cablebot_gym.evaluation.constraints import Judge
+
+    verdict = Judge.verdict
+    Judge.verdict = lambda judge, index: replace(verdict(judge, index), violation=None, carried=True)
+
+
+@policy(resets=True)
+def false_numpy(law, tasks):
+    """replaces functions of NumPy and the clocks"""
+    np.allclose = np.array_equal = lambda *_, **__: True
+    time.monotonic = time.perf_counter = lambda: 0.0
+
+
+@policy(sees=True)
+def overwritten(law, observation):
+    """overwrites the observation that it gets"""
+    kept = observation.copy()
+    observation[:] = np.nan
+    return kept
+
+
+# --- episodes ---------------------------------------------------------------------------------------------------------
+
+
+@policy(acts=True)
+def islands(law, action):
+    """acts only near the payloads of a scan in equal steps"""
+    payload = np.array([task.model_payload for task in law.tasks])
+    step = 20 / (SCAN - 1)
+    return np.where((abs(payload / step - np.round(payload / step)) < 0.02)[:, None], action, 0.0)
+
+
+@policy(acts=True, unsaturated_actions=True)
+def saturating(law, action):
+    """declares unsaturated actions and saturates"""
+    return np.clip(action, -1, 1)
+
+
+@policy(acts=True)
+def large_actions(law, action):
+    """requests 1,000 times the torque where the motors saturate, to get it within the control period"""
+    return np.where(abs(action) > 1, 1000 * action, action)
+
+
+@policy(acts=True)
+def lets_go(law, action):
+    """lets the platform fall in the last 20 ms, in which it stays within the error bound"""
+    return action * (0.5 if law.calls > law.tasks[0].steps - 10 else 1.0)
+
+
+@policy(acts=True)
+def noisy(law, action):
+    """adds 2 % of noise to its actions"""
+    return action * np.random.default_rng().normal(1, 0.02, action.shape)
+
+
+@policy(acts=True, stochastic=True)
+def declared_noise(law, action):
+    """adds 2 % of noise and declares it"""
+    return action * np.random.default_rng().normal(1, 0.02, action.shape)
+
+
+@policy(acts=True)
+def fails_sometimes(law, action):
+    """fails in 2 % of the episodes"""
+    if law.calls == 1:
+        law.lost = np.random.default_rng().random(len(action)) < 0.02
+    return np.where(law.lost[:, None], 0.0, action)
+
+
+@policy(acts=True)
+def first_row(law, action):
+    """fails in the first row of a batch"""
+    action[0] = 0.0
+    return action
+
+
+@policy(acts=True)
+def slow(law, action):
+    """takes 3 ms for each action, more than the control period"""
+    time.sleep(3e-3)
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+@policy(once=True)
+def hangs(law, action):
+    """never returns"""
+    while True:
+        pass
+
+
+@policy(resets=True)
+def hangs_in_reset(law, tasks):
+    """never returns from reset()"""
+    threading.Event().wait()
+
+
+@policy(once=True)
+def stops_itself(law, action):
+    """stops its process by a signal"""
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+@policy(once=True)
+def sys_exit(law, action):
+    """calls sys.exit(0)"""
+    sys.exit(0)
+
+
+def exit_in_factory(robot):
+    """calls sys.exit(0) when it is made"""
+    sys.exit(0)
+
+
+@policy(once=True)
+def os_exit(law, action):
+    """calls os._exit(0)"""
+    os._exit(0)
+
+
+@policy(once=True)
+def kills_itself(law, action):
+    """kills its process"""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@policy(once=True)
+def crashes(law, action):
+    """reads from address 0"""
+    ctypes.string_at(0)
+
+
+@policy(once=True)
+def interrupts(law, action):
+    """raises KeyboardInterrupt"""
+    raise KeyboardInterrupt
+
+
+@policy(once=True)
+def long_error(law, action):
+    """raises an error with a message of 10 MB"""
+    raise RuntimeError("lost\n" * 2_000_000)
+
+
+@policy(once=True)
+def own_error(law, action):
+    """raises an exception of its own that is no Exception and has no text"""
+
+    class Own(BaseException):
+        def __str__(self):
+            raise SystemExit
+
+    raise Own
+
+
+@policy(once=True)
+def recursion(law, action):
+    """calls itself without end"""
+    return (lambda function: function(function))(lambda function: function(function))
+
+
+@policy(once=True)
+def memory(law, action):
+    """allocates memory without end"""
+    law.kept = []
+    while True:
+        law.kept.append(np.zeros(1 << 27))
+
+
+@policy(once=True)
+def ten_million(law, action):
+    """returns 1e7"""
+    return np.full_like(action, 1e7)
+
+
+@policy(once=True)
+def nan(law, action):
+    """returns NaN"""
+    return action * np.nan
+
+
+@policy(once=True)
+def wrong_shape(law, action):
+    """returns one action too few"""
+    return action[:, 1:]
+
+
+@policy(once=True)
+def strings(law, action):
+    """returns text"""
+    return action.astype(str)
+
+
+@policy(once=True)
+def huge(law, action):
+    """returns an array of 800 MB"""
+    return np.zeros((len(action), 6, 10**8 // (6 * len(action))))
+
+
+@policy(once=True)
+def lazy(law, action):
+    """returns an object that ends the process when it is converted"""
+
+    class Lazy:
+        def __array__(self, *_, **__):
+            sys.exit(0)
+
+    return Lazy()
+
+
+@policy(once=True)
+def forks(law, action):
+    """leaves a child process behind"""
+    if os.fork() == 0:
+        time.sleep(600)
+        os._exit(0)
+
+
+@policy(once=True)
+def daemon(law, action):
+    """leaves a process in a session of its own behind"""
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True)
+
+
+@policy(once=True)
+def threads(law, action):
+    """leaves a busy thread behind"""
+    threading.Thread(target=lambda: [None for _ in iter(int, 1)]).start()
+
+
+@policy(once=True)
+def prints(law, action):
+    """prints 30 MB on both outputs and writes to descriptor 1"""
+    for stream in (sys.stdout, sys.stderr):
+        stream.write("payload 20 kg\n" * 1_000_000)
+        stream.flush()
+    os.write(1, b"payload 20 kg")
+
+
+@policy(once=True)
+def garbage(law, action):
+    """writes to all descriptors"""
+    for number in range(3, 64):
+        with suppress(OSError):
+            os.write(number, b"\x80\x04payload 20 kg\n" * 100)
+
+
+@policy(once=True)
+def closes(law, action):
+    """closes all descriptors"""
+    os.closerange(0, 256)
+
+
+# --- the callables' forms ---------------------------------------------------------------------------------------------
+
+
+def shared_memory(robot):
+    """a function that keeps one integral for all episodes"""
+    law, kept = Law(robot), {"sum": 0.0}
+
+    def act(observation):
+        action = law.predict(observation)[0]
+        kept["sum"] += action[0]
+        return action + 1e-3 * np.sin(kept["sum"])
+
+    return act
+
+
+class Counter:
+    """A controller with state for one episode: honest, but useless if episodes share it."""
+
+    def __init__(self, robot):
+        self.law, self.step = Law(robot), 0
+
+    def __call__(self, observation):
+        self.step += 1
+        return self.law.predict(observation)[0] * (self.step < 10**6)
+
+
+def instances(robot):
+    """a controller with state, one instance for each episode"""
+    from cablebot_gym.policies import PolicyFactory
+
+    return PolicyFactory(lambda: Counter(robot))

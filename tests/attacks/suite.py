@@ -1,0 +1,147 @@
+"""The attack suite: what each policy of cheats.py scored before, and what happens to it now.
+
+``python tests/attacks/suite.py > docs/attacks.md`` writes the page.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+sys.path.append(str(FOLDER))
+
+import cheats  # noqa: E402
+
+ENV_ID = "CableBot-Spatial-v0"
+UNKNOWN = ("--payload-unknown",)
+NOISE = ("--uncertainty", json.dumps(cheats.NOISE), "--draws", "1")
+NOISE_DRAWS = (*NOISE[:-1], "64")
+DEADLINE = ("--deadline", "2")
+RESOLUTION = 0.01
+
+
+@dataclass(frozen=True)
+class Attack:
+    """A policy of cheats.py, and its outcome under ``cablebot dlcc --isolate``."""
+
+    name: str
+    status: int = 0
+    now: str = "payload of the honest policy"
+    """With status 1, words of the error; with status 0, what the payload is."""
+    options: tuple[str, ...] = ()
+    before: str = "not tried"
+    """What the evaluation did before version 0.1, in this process."""
+    fast: bool = False
+    """Whether a fast test runs it in this process too."""
+
+
+LESS = "a smaller payload"
+SCORED = "scored, and marked as such"
+ROWS = "depends on the other episodes of its batch"
+REPEATS = "is not reproducible"
+STATUS_0 = "the run ended with status 0 and no result"
+ABORTED = "the run ended with a traceback"
+
+ATTACKS = (
+    # leaks
+    Attack("row_order", 1, ROWS, UNKNOWN, before="4.03 kg (honest: 0.39 kg)"),
+    Attack("batch_mean", 1, ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)"),
+    Attack("known_seed", options=NOISE, now=LESS, before="4.03 kg (honest: fails unloaded)"),
+    Attack("environment_search", before="the run ended with a traceback"),
+    Attack("parent_arguments", before="it found the seed"),
+    Attack("module_memory", before="4.12 kg (honest: 4.03 kg)"),
+    Attack("file_memory", before="4.12 kg (honest: 4.03 kg)"),
+    # shared state
+    Attack(
+        "slope_in_place",
+        1,
+        "it raised ValueError in reset(): output array is read-only",
+        before="fails unloaded, and the next policy got other payloads",
+        fast=True,
+    ),
+    Attack("slope_replaced", before="4.03 kg"),
+    Attack("wide_bounds", before="4.12 kg (honest: 4.03 kg)"),
+    Attack("short_motion", before="4.12 kg (honest: 4.03 kg)"),
+    Attack("false_judge", before="20 kg"),
+    Attack("false_numpy", before="4.03 kg"),
+    Attack("overwritten", fast=True, before="4.03 kg"),
+    # episodes
+    Attack("islands", now=LESS, before="3.81 kg"),
+    Attack("saturating", options=("--criterion", "paper"), now=SCORED, before="4.59 kg (honest: 1.77 kg)"),
+    Attack("large_actions", before="4.03 kg"),
+    Attack("lets_go", before="4.03 kg"),
+    Attack("noisy", 1, REPEATS, before="3.92 kg"),
+    Attack("declared_noise", now=SCORED, before="4.01 kg"),
+    Attack("fails_sometimes", 1, REPEATS, before="3.94 kg"),
+    Attack("first_row", 1, ROWS, before="fails unloaded"),
+    Attack("slow", before="4.03 kg"),
+    # processes
+    Attack("hangs", 1, "it did not answer within 2 s, the deadline of a call", DEADLINE, before="the run never ended"),
+    Attack("hangs_in_reset", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"),
+    Attack("stops_itself", 1, "it did not answer within 2 s", DEADLINE, before="the run never ended"),
+    Attack("sys_exit", 1, "it raised SystemExit: 0", before=STATUS_0, fast=True),
+    Attack("exit_in_factory", 1, "the factory raised SystemExit: 0", before=STATUS_0, fast=True),
+    Attack("os_exit", 1, "its process ended with exit status 0", before=STATUS_0),
+    Attack("kills_itself", 1, "its process was ended by SIGKILL", before="the run was killed"),
+    Attack("crashes", 1, "its process was ended by SIGSEGV", before="the run crashed"),
+    Attack("interrupts", 1, "it raised KeyboardInterrupt", before="the run was interrupted (status 130)"),
+    Attack("long_error", 1, "it raised RuntimeError: lost lost", before="the run did not end within 25 s"),
+    Attack("own_error", 1, "it raised Own", before=ABORTED, fast=True),
+    Attack("recursion", 1, "it raised RecursionError", fast=True, before="refused"),
+    Attack("memory", 1, "MemoryError", before="not tried"),
+    Attack(
+        "ten_million", 1, "it returned the action 1e+07; actions must be within ± 1e+06", before="status 2", fast=True
+    ),
+    Attack("nan", 1, "it returned NaN or infinity", before="refused", fast=True),
+    Attack("wrong_shape", 1, "it returned shape", before="refused", fast=True),
+    Attack("strings", 1, "instead of real numbers", before="refused", fast=True),
+    Attack("huge", 1, "it returned shape", before="refused"),
+    Attack("lazy", 1, "it returned Lazy instead of real numbers", before=STATUS_0, fast=True),
+    Attack("forks", before="the process survived"),
+    Attack("daemon", before="the process survived"),
+    Attack("threads", before="the run never ended"),
+    Attack("prints", before="30 MB on the outputs of the run"),
+    Attack("garbage", 1, "its process closed its pipe or sent invalid data", before="not tried"),
+    Attack("closes", 1, "its process ended with exit status 0", before="not tried"),
+    # callables with state
+    Attack("shared_memory", 1, ROWS, before="4.03 kg"),
+    Attack("instances", before="not tried"),
+)
+
+
+@cache
+def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy of cheats.py."""
+    criterion = () if "--criterion" in options else ("--criterion", "task")
+    command = [sys.executable, "-m", "cablebot_gym.cli.app", "dlcc", ENV_ID, "--policy", f"cheats:{name}", "--isolate"]
+    settings = ["--json", "--payload-max", "10", "--resolution", str(RESOLUTION), *criterion, *options]
+    ended = subprocess.run(
+        [*command, *settings],
+        cwd=FOLDER,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=os.environ | {"RUN_SEED": "7"},
+    )
+    return ended.returncode, ended.stdout, ended.stderr
+
+
+def page() -> str:
+    """The page docs/attacks.md."""
+    lines = [(FOLDER / "attacks_head.md").read_text(encoding="utf-8")]
+    lines += ["| the policy … | before | status | now |", "|---|---|---|---|"]
+    for attack in ATTACKS:
+        text = f"“{attack.now}”" if attack.status else attack.now
+        what = getattr(cheats, attack.name).__doc__
+        lines.append(f"| {what} | {attack.before} | {attack.status} | {text} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(page(), end="")

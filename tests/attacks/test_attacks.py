@@ -1,0 +1,77 @@
+"""The attack suite: every policy of cheats.py is refused, harmless or marked, in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from attacks.suite import ATTACKS, ENV_ID, FOLDER, LESS, SCORED, cheats, page, run
+
+from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+from cablebot_gym.policies import PolicyError
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies use signals and fork")
+
+
+def descendants() -> set[str]:
+    """Processes that policies of this suite have left."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            found |= {path.parent.name} if b"time.sleep(600)" in path.read_bytes() else set()
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
+def test_attack_on_an_isolated_evaluation(attack):
+    before = descendants()
+    status, out, err = run(attack.name, attack.options)
+    assert status == attack.status, err
+    assert descendants() <= before
+    assert "Traceback" not in err
+    if attack.status:
+        assert out == ""
+        last = err.splitlines()[-1]
+        assert last.startswith(f"cablebot: policy 'cheats:{attack.name}'")
+        assert attack.now in last
+        assert len(last) < 2000
+        return
+    (result,) = json.loads(out)
+    if attack.now == SCORED:
+        assert result["stochastic"] or result["declared"]
+        return
+    (honest,) = json.loads(run("Law", attack.options)[1])
+    tolerance, payloads = (
+        result["resolution"] + honest["resolution"],
+        [one["payload"] or 0.0 for one in (result, honest)],
+    )
+    assert payloads[0] <= payloads[1] + tolerance
+    assert attack.now == LESS or payloads[0] >= payloads[1] - tolerance
+
+
+@pytest.mark.parametrize("attack", [attack for attack in ATTACKS if attack.fast], ids=lambda attack: attack.name)
+def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
+    monkeypatch.chdir(FOLDER)
+    motion = {"name": "dwell-spatial", "duration": 0.05}
+    settings = {"trajectory": motion, "payload_max": 1.0, "resolution": 0.5}
+    if attack.status == 0:
+        assert evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings).scan_ended
+        return
+    with pytest.raises(PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"):
+        evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
+
+
+def test_every_policy_is_in_the_suite_and_on_the_page():
+    made = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
+    own = {name for name in made if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()}
+    assert own - {"policy", "model_payload", "_better_after"} == {attack.name for attack in ATTACKS}
+    assert len(ATTACKS) >= 25
+    assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (
+        "run python tests/attacks/suite.py > docs/attacks.md"
+    )

@@ -1,0 +1,182 @@
+"""Boards: the hidden motions and the policies are fixed by a commitment; stored promises are tried again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+
+from cablebot_gym.benchmark import board as boards
+from cablebot_gym.benchmark import suites
+from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.engine import local
+from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.benchmark.policy_source import _data_files, policy_source
+from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
+from cablebot_gym.benchmark.verification import Confirmation, broken, confirm
+from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
+from cablebot_gym.utils import code_hash
+
+PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+
+
+@pytest.fixture
+def policy(tmp_path, monkeypatch):
+    """A policy in a package; the function writes it again."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def write(text):
+        (tmp_path / "toy_board").mkdir(exist_ok=True)
+        for name, content in (("__init__.py", ""), ("law.py", text), ("weights.bin", text)):
+            (tmp_path / "toy_board" / name).write_text(content, encoding="utf-8")
+        for cached in (policy_source, _data_files, code_hash.module_file, code_hash._parsed):
+            cached.cache_clear()
+        return "toy_board.law:make"
+
+    yield write
+    for name in ("toy_board.law", "toy_board"):
+        sys.modules.pop(name, None)
+
+
+def test_secret_is_not_in_the_public_file_and_the_commitment_binds_everything(tmp_path, policy):
+    name = policy("def make(robot): ...\n")
+    board = boards.commit(tmp_path, "1", [name])
+    public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")
+    assert board.secret not in public
+    assert board.salt not in public
+    assert (tmp_path / boards.SECRET).stat().st_mode & 0o077 == 0
+    assert len(board.secret) == 32
+    assert boards.read_board(tmp_path) == board
+    other = f"{int(board.secret, 16) ^ 1:032x}"
+    for change in ({"secret": other}, {"salt": other}, {"version": "2"}, {"policies": {name: "0" * 64}}):
+        with pytest.raises(ValueError, match="does not match its commitment"):
+            replace(board, **change).check()
+    with pytest.raises(ValueError, match="not published"):
+        replace(board, secret=None).check()
+    with pytest.raises(ValueError, match="has a board"):
+        boards.commit(tmp_path, "2", [name])
+
+
+def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy):
+    name = policy("def make(robot): ...\n")
+    board = boards.commit(tmp_path, "1", [name, "fl"])
+    board.check_policies([name, "fl"])
+    policy('"""The gains are here, in a docstring: 1, 2."""\ndef make(robot): ...\n')
+    with pytest.raises(ValueError, match=r"without the present toy_board\.law:make"):
+        board.check_policies([name, "fl"])
+    policy("def make(robot): ...\n")
+    board.check_policies([name, "fl"])
+    (tmp_path / "toy_board" / "weights.bin").write_bytes(b"other weights")
+    with pytest.raises(ValueError, match=r"without the present toy_board\.law:make"):
+        board.check_policies([name])
+    with pytest.raises(ValueError, match="without the present adaptive"):
+        board.check_policies(["adaptive"])
+    (tmp_path / "toy_flat.py").write_text("def make(robot): ...\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="put its module into a package"):
+        boards.commit(tmp_path / "other", "1", ["toy_flat:make"])
+
+
+def test_hidden_motions_are_held_out_and_depend_on_secret_and_environment(tmp_path):
+    board = boards.commit(tmp_path, "1", [])
+    seeds = board.seeds(PLANAR, 20)
+    assert len({*seeds, *board.seeds(SPATIAL, 20)}) == 40
+    assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
+    assert board.seeds(PLANAR, 30)[:20] == seeds
+    assert boards.commit(tmp_path / "other", "1", []).seeds(PLANAR, 20) != seeds
+    suite = Suite(
+        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=2),), best_known=False
+    )
+    cells = suite_cells(suite, {PLANAR: ("fl",)}, seed=2**127, board=board)
+    assert [cell.trajectory["seed"] for cell in cells.values()] == seeds[:2]
+    assert {cell.seed for cell in cells.values()} == {2**127}
+    with pytest.raises(ValueError, match="--commit VERSION"):
+        suite_cells(suite, {PLANAR: ("fl",)})
+
+
+def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
+    seed = boards.run_seed(tmp_path)
+    assert boards.run_seed(tmp_path) == seed
+    assert boards.run_seed(tmp_path / "other") != seed
+    assert boards.run_seed(tmp_path, 7) == boards.run_seed(tmp_path) == 7
+
+
+def test_results_with_other_policies_or_motions_than_those_of_the_board_are_rejected(tmp_path, monkeypatch):
+    board = boards.commit(tmp_path, "1", ["fl"])
+    suite = Suite(
+        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=3),), best_known=False
+    )
+    records = [record(cell) for cell in suite_cells(suite, {PLANAR: ("fl",)}, board=board).values()]
+    monkeypatch.setattr(suites, "SUITES", {"s": suite})
+    results = Results(suite="s", command="", records=records, board=board)
+    results.check_board()
+    easy = replace(records[0], cell=replace(records[0].cell, trajectory={"name": "loop-planar", "seed": 12345}))
+    with pytest.raises(ValueError, match="are not those of board"):
+        replace(results, records=[easy, *records[1:]]).check_board()
+    with pytest.raises(ValueError, match="are not those of board"):
+        replace(results, records=records[:2]).check_board()
+    more = boards.commit(tmp_path / "more", "1", ["fl", "robust"])
+    with pytest.raises(ValueError, match="differ in robust"):
+        replace(results, board=more).check_board()
+
+
+# --- fresh draws ------------------------------------------------------------------------------------------------------
+
+
+def record(cell, payload=1.0, **result):
+    made = {"payload": payload, "assured": True, **result}
+    return Record(cell=cell, source="a", versions={}, result=made, seconds=0.0)
+
+
+def cell(**more):
+    usual = {"env_id": PLANAR, "trajectory": {"name": "circle-planar"}, "policy": "fl", "uncertainty": "table6"}
+    return PolicyCell(**(usual | {"draws": 512} | more))
+
+
+def rates(*values):
+    return [Confirmation(cell=cell(), payload=1.0, success_rate=value) for value in values]
+
+
+def test_promises_hold_for_18_of_20_cells_and_none_far_below():
+    assert broken(rates(*[0.96] * 18, 0.94, 0.931)) == ""
+    assert "only 17 of 20" in broken(rates(*[0.96] * 17, 0.94, 0.94, 0.94))
+    assert "more than 2% below" in broken(rates(*[0.99] * 19, 0.929))
+
+
+def test_fresh_draws_tell_a_kept_promise_from_a_broken_one():
+    kept, too_much = record(cell(), 0.3), record(cell(policy="fl-tuned"), 2.1)
+    others = [
+        record(cell(uncertainty=None, draws=1), assured=None),
+        record(cell(policy="robust"), None),
+        record(cell(seed=1), 9.9, assured=False),
+    ]
+    found = confirm([kept, too_much, *others], local(1), cells=20, draws=60, seed=5, say=print)
+    by_policy = {one.cell.policy: one for one in found}
+    assert set(by_policy) == {"fl", "fl-tuned"}
+    assert by_policy["fl"].success_rate == 1.0
+    assert by_policy["fl-tuned"].success_rate < 0.5
+    assert "2.100 kg in at least 95% of all draws" in str(by_policy["fl-tuned"])
+    with pytest.raises(ValueError, match="no payload under uncertainty"):
+        list(confirm(others, local(1), cells=20, draws=60, seed=5, say=print))
+
+
+def test_seed_of_the_confirmation_chooses_the_cells():
+    records = [record(cell(seed=number)) for number in range(30)]
+
+    def chosen(seed):
+        def backend(jobs, say, returned):
+            yield from ((key, 1.0) for key in jobs)
+
+        return [one.cell.seed for one in confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)]
+
+    assert len(set(chosen(1))) == 20
+    assert chosen(1) == chosen(1) != chosen(2)
+
+
+def test_run_file_is_json(tmp_path):
+    seed = boards.run_seed(tmp_path)
+    assert json.loads((tmp_path / boards.RUN).read_text(encoding="utf-8")) == {"seed": seed}
+    (tmp_path / boards.RUN).write_text("{", encoding="utf-8")
+    with pytest.raises(ValueError, match="missing or damaged"):
+        boards.run_seed(tmp_path)

@@ -1,0 +1,216 @@
+"""Policies in processes of their own: equal actions, fresh processes, deadlines, and no process left behind."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from cablebot_gym.policies import IsolatedPolicy, PolicyError, load_policy
+from cablebot_gym.policies.protocol import checked_actions, reset_policy
+from cablebot_gym.robots import SPATIAL
+
+MODULE = """
+import json, os, subprocess, sys, tempfile, threading, time
+from pathlib import Path
+import numpy as np
+
+weight = float(Path("weight.txt").read_text()) if Path("weight.txt").exists() else 0.0
+calls = []
+
+class Policy:
+    stochastic, fallbacks = True, 3
+    def __init__(self, robot): self.cables = robot.cables
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        calls.append(None)
+        return np.full((len(observation), self.cables), self.value(observation, state)), (state or 0) + 1
+
+class counts(Policy):
+    def value(self, observation, state): return 10 * len(calls) + (state or 0) + weight
+
+class leaves(Policy):
+    def value(self, observation, state):
+        for session in (False, True):
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=session)
+            with open("pids", "a") as file:
+                print(child.pid, os.getpid(), tempfile.gettempdir(), file=file)
+        return 0.0
+
+class hangs(Policy):
+    def value(self, observation, state):
+        Path("pids").write_text(f"{os.getpid()} {os.getppid()} {tempfile.gettempdir()}")
+        while True: pass
+
+class lists(Policy):
+    def reset(self, tasks):
+        Path("seen").write_text(json.dumps([dict(os.environ), sys.argv, sorted(vars(tasks[0])), os.getcwd()]))
+
+def missing(robot): return Path("missing").read_text()
+"""
+
+
+@pytest.fixture
+def spec(tmp_path, monkeypatch):
+    """Name of a policy of a module in the working directory, which is found as on the command line."""
+    (tmp_path / "mine.py").write_text(MODULE, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    yield lambda name: f"mine:{name}"
+    sys.modules.pop("mine", None)
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = gym.make_vec("CableBot-Spatial-v0", num_envs=5).unwrapped
+    env.reset(seed=0, options={"payload": np.linspace(0, 4, 5)})
+    return env
+
+
+def alive(pid):
+    """Whether a process runs; a zombie does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def ends(pid, seconds=5.0):
+    """Whether a process ends in time."""
+    limit = time.monotonic() + seconds
+    while alive(pid) and time.monotonic() < limit:
+        time.sleep(0.02)
+    return not alive(pid)
+
+
+def test_isolated_policy_acts_like_the_same_policy_in_this_process():
+    """``adaptive`` has a state, which stays in the process."""
+    env = gym.make_vec("CableBot-Spatial-v0", num_envs=3).unwrapped
+    own = load_policy("adaptive", SPATIAL)
+    with IsolatedPolicy("adaptive", SPATIAL) as isolated:
+        for _ in range(2):
+            observation, _ = env.reset(seed=0, options={"payload": np.array([0.0, 2.0, 4.0])})
+            for policy in (own, isolated):
+                reset_policy(policy, "mine", lambda: env.tasks)
+            states, start = [None, None], np.ones(3, np.bool_)
+            for _ in range(20):
+                actions = [None, None]
+                for index, policy in enumerate((own, isolated)):
+                    actions[index], states[index] = policy.predict(observation, states[index], start)
+                np.testing.assert_array_equal(*actions)
+                observation, _, start, _, _ = env.step(actions[0])
+        assert isolated.predict(observation[0], None, start[:1])[0].shape == (6,)
+        assert (isolated.unsaturated_actions, isolated.stochastic, isolated.fallbacks) == (False, False, None)
+        assert (isolated.name, isolated.spec) == ("adaptive", "adaptive")
+
+
+def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
+    Path("weight.txt").write_text("0.5", encoding="ascii")
+    observation = np.zeros((5, 3))
+    with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
+        assert (policy.stochastic, policy.fallbacks) == (True, 0.0)
+        for _ in range(2):
+            policy.reset(env.tasks)
+            action, state = policy.predict(observation)
+            assert set(action.flat) == {10.5}
+            assert policy.predict(observation, state)[0][0, 0] == 21.5
+            assert policy.predict(observation, None)[0][0, 0] == 30.5
+        assert policy.fallbacks == 3
+
+
+def test_process_gets_tasks_and_few_environment_variables(spec, env, monkeypatch):
+    monkeypatch.setenv("MY_SECRET_SEED", "7")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    with IsolatedPolicy(spec("lists"), SPATIAL) as policy:
+        policy.reset(env.tasks)
+    variables, arguments, task, folder = json.loads(Path("seen").read_text(encoding="utf-8"))
+    assert "MY_SECRET_SEED" not in variables
+    assert variables["OMP_NUM_THREADS"] == "1"
+    assert arguments == ["-c"]
+    assert folder == os.getcwd()
+    assert not Path(variables["TMPDIR"]).exists()
+    assert not any("seed" in name or name == "payload" for name in task)
+
+
+def test_policy_that_cannot_be_loaded_gives_the_usual_error(spec):
+    for name, message in (
+        ("lqr", "unknown policy 'lqr'; choose one of"),
+        (spec("missing"), r"policy 'mine:missing': the factory raised FileNotFoundError.*\(mine.py, line"),
+        (spec("nothing"), "has no attribute 'nothing'"),
+        ("none.zip", "policy file 'none.zip' does not exist"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            IsolatedPolicy(name, SPATIAL)
+    with pytest.raises(ValueError, match="deadline must"):
+        IsolatedPolicy("fl", SPATIAL, deadline=0)
+
+
+def test_tasks_that_cannot_be_pickled_are_rejected():
+    with (
+        IsolatedPolicy("fl", SPATIAL) as policy,
+        pytest.raises(ValueError, match="cannot be passed to another process"),
+    ):
+        policy.reset((lambda: None,))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
+@pytest.mark.parametrize("how", ["close", "collection"])
+def test_processes_that_a_policy_starts_end_with_it(spec, how):
+    policy = IsolatedPolicy(spec("leaves"), SPATIAL)
+    policy.predict(np.zeros((1, 3)))
+    lines = [line.split() for line in Path("pids").read_text(encoding="ascii").splitlines()]
+    pids, folder = {int(pid) for line in lines for pid in line[:2]}, Path(lines[0][2])
+    assert len(pids) == 3
+    assert all(alive(pid) for pid in pids)
+    assert folder.is_dir()
+    if how == "close":
+        policy.close()
+    del policy
+    gc.collect()
+    assert not any(alive(pid) for pid in pids)
+    assert not folder.exists()
+
+
+def checked(policy, observation):
+    start, payloads = np.ones(len(observation), np.bool_), np.zeros(len(observation))
+    return checked_actions(policy, "mine", observation, None, start, cables=6, payloads=payloads, time=0.0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
+def test_policy_that_hangs_is_ended_at_its_deadline(spec):
+    policy = IsolatedPolicy(spec("hangs"), SPATIAL, deadline=0.2)
+    started = time.monotonic()
+    message = r"policy 'mine', at t = 0.000 s .*: it did not answer within 2 s, the deadline of loading, reset\(\) and"
+    with pytest.raises(PolicyError, match=message):
+        checked(policy, np.zeros((1, 3)))
+    assert time.monotonic() - started < 10
+    assert not alive(int(Path("pids").read_text(encoding="ascii").split()[0]))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda sent: sent.name)
+def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
+    code = "import sys; sys.path[:0] = ['']; import numpy as np\n" + (
+        "from cablebot_gym.policies import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
+        "IsolatedPolicy('mine:hangs', SPATIAL).predict(np.zeros((1, 3)))"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 60
+    while not Path("pids").exists() or not Path("pids").read_text(encoding="ascii"):
+        assert time.monotonic() < limit
+        assert parent.poll() is None
+        time.sleep(0.05)
+    pid, seen, folder = Path("pids").read_text(encoding="ascii").split()
+    assert int(seen) == parent.pid
+    parent.send_signal(sent)
+    parent.wait(30)
+    assert ends(int(pid))
+    assert not Path(folder).exists()
