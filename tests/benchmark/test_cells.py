@@ -109,7 +109,8 @@ def test_draws_and_probability_reach_the_evaluation():
 
 
 @pytest.mark.slow
-def test_late_actions_lower_the_payload_of_a_slow_policy(module):
+def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
+    monkeypatch.setattr("cablebot_gym.evaluation.evaluator.SEARCH_DRAWS", 1)  # each episode takes its time
     module("toy_slow.py", SLEEPS)
     slow = changed(policy="toy_slow:make", resolution=1.0, trajectory={"name": "circle-planar", "dwell": 0.0})
     in_time, late = (compute(one).result for one in (slow, dataclasses.replace(slow, real_time=True, draws=59)))

@@ -166,7 +166,7 @@ def test_table_sorts_and_filters(opened):
     assert policies(page) == ["best known payload", "fl", "adaptive", "nobody</script>"]
     fraction = page.locator("#leaderboard-table th", has_text="fraction")
     fraction.locator("button").click()
-    assert policies(page) == ["adaptive", "fl", "best known payload", "nobody</script>"]  # without a fraction: last
+    assert policies(page) == ["nobody</script>", "adaptive", "fl", "best known payload"]  # an error counts as zero
     assert fraction.get_attribute("aria-sort") == "ascending"
     page.select_option("#filter-condition", "payload known, table6, 512 draws")
     assert policies(page) == ["fl"]
