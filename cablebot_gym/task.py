@@ -102,6 +102,10 @@ REST_TOLERANCE = 1e-9
 """Largest velocity [m/s, rad/s] and acceleration [m/s², rad/s²] of a motion at rest."""
 
 
+LARGEST_START_OFFSET = 0.05
+"""Largest distance of the start pose from the reference [m], half the default termination radius of the environments."""
+
+
 def at_rest(reference: Reference) -> bool:
     """Whether the velocity and the acceleration of a motion are zero at an instant."""
     return all(np.max(np.abs(rate)) <= REST_TOLERANCE for rate in (reference.velocity, reference.acceleration))
@@ -111,13 +115,14 @@ def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) 
     """Start pose of the episodes of a motion, for every payload, shape (n,).
 
     It is the first pose of the motion. For a spatial robot and a motion that starts at rest it is lower (larger z) by
-    half the position bound: the cables of the lower platform are steeper, so its motors hold more payload at rest. The
-    paper's circle as printed accelerates from time 0 and is started on the reference.
+    half the position bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so
+    its motors hold more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
+    reference.
     """
     start = trajectory(0.0)
     pose = np.array(start.position, float)
     if not robot.planar and at_rest(start):
-        pose[2] += error_bounds.position / 2
+        pose[2] += min(error_bounds.position / 2, LARGEST_START_OFFSET)
     return pose
 
 

@@ -262,7 +262,7 @@ class BetweenDwells:
     :class:`PaperCircle` does, the jump occurs at time ``dwell``.
 
     Raises:
-        ValueError: if ``motion`` is not a :class:`Trajectory` or ``dwell`` is negative.
+        ValueError: if ``motion`` is not a :class:`Trajectory` or has dwells already, or if ``dwell`` is negative.
     """
 
     motion: Trajectory
@@ -273,6 +273,8 @@ class BetweenDwells:
     def __post_init__(self) -> None:
         if not isinstance(self.motion, Trajectory) or isinstance(self.motion, type):
             raise ValueError(f"motion must be a Trajectory, not {self.motion!r}")
+        if isinstance(self.motion, BetweenDwells):
+            raise ValueError("motion has dwells already: change their length with dataclasses.replace(motion, dwell=…)")
         number("dwell", self.dwell, least=0, unit="s")
 
     @property

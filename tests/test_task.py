@@ -70,7 +70,7 @@ def task(robot: Robot, trajectory: Any, position: float = 0.01) -> Task:
     )
 
 
-@pytest.mark.parametrize("position", [0.01, 0.03])
+@pytest.mark.parametrize("position", [0.01, 0.3])
 @pytest.mark.parametrize(
     ("robot", "trajectory", "at_rest", "lowered"),
     [
@@ -84,13 +84,13 @@ def task(robot: Robot, trajectory: Any, position: float = 0.01) -> Task:
         (PLANAR, "paper-planar", False, False),
     ],
 )
-def test_spatial_robots_start_half_the_bound_below_a_motion_that_starts_at_rest(
+def test_spatial_robots_start_half_the_bound_or_50_mm_below_a_motion_that_starts_at_rest(
     robot, trajectory, at_rest, lowered, position
 ):
     one = task(robot, trajectory, position)
     expected = one.trajectory(0.0).position.copy()
     if lowered:
-        expected[2] += position / 2
+        expected[2] += min(position / 2, 0.05)
     np.testing.assert_array_equal(one.start_pose, expected)
     assert one.starts_at_rest == at_rest
 

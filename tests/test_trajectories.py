@@ -290,6 +290,7 @@ def test_wrong_request_raises(trajectory: Any, coordinates: int, message: str) -
         (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
         (Lemniscate, {"amplitude": (0.1, 0.0), "center": (0, 0)}, "amplitude must be finite and greater than 0"),
         (BetweenDwells, {"motion": "circle-planar"}, "motion must be a Trajectory, not 'circle-planar'"),
+        (BetweenDwells, {"motion": find_trajectory("loop-planar", 2)}, "motion has dwells already"),
     ],
 )
 def test_unphysical_field_raises(make: Any, fields: dict[str, Any], message: str) -> None:

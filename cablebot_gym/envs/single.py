@@ -117,9 +117,9 @@ class CableBotEnv(gym.Env[Array, Array]):
     An episode starts at time 0 with the velocity of the reference. The start pose is the same for all payloads:
 
     * Planar robots start at the first pose of the reference.
-    * Spatial robots start lower (larger z) than this pose by half the position error bound, if the motion starts at
-      rest: there the cables are steeper, and the motors hold more payload at rest. `paper-spatial`, the circle as
-      printed, accelerates from time 0 and starts on the reference.
+    * Spatial robots start lower (larger z) than this pose by half the position error bound, at most 50 mm, if the
+      motion starts at rest: there the cables are steeper, and the motors hold more payload at rest. `paper-spatial`,
+      the circle as printed, accelerates from time 0 and starts on the reference.
     * `initial_error` sets the difference between start pose and reference pose; 0 starts on the reference.
 
     `info["torques"]` after a reset are the torques that hold the true robot at rest at the start pose (planar: with a

@@ -16,6 +16,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
@@ -193,6 +194,8 @@ def _interrupts_deferred() -> Iterator[None]:
     if handler is not None:  # runs in this thread even if another thread receives the signal
         signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
     masks = hasattr(signal, "pthread_sigmask")  # child processes inherit the mask
+    if masks:
+        resource_tracker.ensure_running()  # its start removes the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
     try:
         yield
