@@ -14,6 +14,7 @@ from cablebot_gym.evaluation.constraints import Judge
 from cablebot_gym.physics import kernel
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.trajectories import held_out_seeds
 
 ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
 IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
@@ -289,12 +290,12 @@ def test_return_orders_success_before_failure():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", [None, {"seed": 1001}, {"seed": 1002}], ids=["circle", "loop-1001", "loop-1002"])
+@pytest.mark.parametrize("motion", [None, *held_out_seeds(2)], ids=["circle", "loop 1", "loop 2"])
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_return_orders_success_before_failure_for_all_classical_policies(env_id, motion):
     """On the default motion and on held-out loops, for payloads from none to more than any policy carries."""
     kind = "planar" if "Planar" in env_id else "spatial"
-    trajectory = f"circle-{kind}" if motion is None else {"name": f"loop-{kind}", **motion}
+    trajectory = f"circle-{kind}" if motion is None else {"name": f"loop-{kind}", "seed": motion}
     entries = policy_entries().values()
     policies = [entry.name for entry in entries if entry.kind == "classical" and env_id in entry.env_ids]
     assert len(policies) >= 3
