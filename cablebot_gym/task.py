@@ -103,7 +103,7 @@ REST_TOLERANCE = 1e-9
 
 
 LARGEST_START_OFFSET = 0.05
-"""Largest distance of the start pose from the reference [m], half the default termination radius of the environments."""
+"""Largest distance of the start pose from the reference [m]: half the environments' default termination radius."""
 
 
 def at_rest(reference: Reference) -> bool:

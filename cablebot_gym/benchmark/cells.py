@@ -7,7 +7,7 @@ import platform
 import re
 import time
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -21,6 +21,7 @@ from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch, versions
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.policies.isolated import IsolatedPolicy
+from cablebot_gym.policies.loading import is_own, policy_points
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
@@ -171,6 +172,9 @@ class PolicyCell(Conditions):
             payload: nominal payload [kg].
             draws: number of draws.
             seed: seed of the draws.
+
+        Raises:
+            PolicyError: if the policy carries the payload less often alone than with other episodes.
         """
         judged: dict[str, Any] = {
             "criterion": self.criterion,
@@ -180,8 +184,9 @@ class PolicyCell(Conditions):
         keywords = {name: value for name, value in self.env_options().items() if name not in judged}
         with self._isolated() as policy:
             batch = Batch(policy, self.env_id, draws=draws, seed=seed, keywords=keywords, **judged)
-            verdicts = batch.run([(payload, one) for one in batch.seeds])
-        return sum(verdict.carried for verdict in verdicts) / draws
+            carried = sum(verdict.carried for verdict in batch.run([(payload, one) for one in batch.seeds]))
+            batch.check_alone(payload, carried)
+        return carried / draws
 
     def _isolated(self) -> IsolatedPolicy:
         period = 1 / self.control_frequency
@@ -208,9 +213,16 @@ class TimingCell(Conditions):
         return _policy_hash(self.policy)
 
     def compute(self) -> dict[str, Any]:
-        """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of this machine."""
-        with IsolatedPolicy(self.policy, self.robot) as policy:
-            return asdict(time_actions(policy, self.env_id, **self.env_options())) | {"processor": processor()}
+        """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of this machine.
+
+        A policy of this project runs in this process. ``exchange`` marks others, whose times include the exchange with
+        the process of the policy.
+        """
+        points = policy_points(self.policy)
+        own = bool(points) and is_own(points[0])
+        with nullcontext(self.policy) if own else IsolatedPolicy(self.policy, self.robot) as policy:
+            times = time_actions(policy, self.env_id, **self.env_options())
+        return asdict(times) | {"exchange": not own, "processor": processor()}
 
 
 @dataclass(frozen=True, kw_only=True)

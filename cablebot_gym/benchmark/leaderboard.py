@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files
@@ -42,12 +43,14 @@ class Results:
             raise ValueError("the results have no board with hidden motions")
         self.board.check()
         cells = [record.cell for record in self.records if isinstance(record.cell, PolicyCell)]
-        if absent := set(self.board.policies) ^ {cell.policy for cell in cells}:
-            raise ValueError(f"board {self.board.version!r} and its results differ in {', '.join(sorted(absent))}")
-        for env_id, policy in {(cell.env_id, cell.policy) for cell in cells}:
+        committed = {(env_id, policy) for env_id, names in self.board.entries.items() for policy in names}
+        if absent := committed ^ {(cell.env_id, cell.policy) for cell in cells}:
+            differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
+            raise ValueError(f"board {self.board.version!r} and its results differ in {differ}")
+        for env_id, policy in committed:
             own = [cell.trajectory for cell in cells if (cell.env_id, cell.policy) == (env_id, policy)]
             seeds = {motion["seed"] for motion in own if "seed" in motion}
-            if seeds != set(self.board.seeds(env_id, find_suite(self.suite).hidden)):
+            if seeds != set(self.board.seeds(env_id, self.board.motions)):
                 raise ValueError(f"the motions of {policy} on {env_id} are not those of board {self.board.version!r}")
 
     def to_json(self) -> str:
@@ -103,7 +106,7 @@ def markdown(results: Results) -> str:
     position, rotation = (1e3 * default.error_bounds[name] for name in ("position", "rotation"))
     text = template.format(position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE)
     if results.board is not None:
-        text += _board_text(results.board, boards[0].motions(boards[0].columns[0]))
+        text += _board_text(results.board)
     for leaderboard in boards:
         head, *rows = tables.leaderboard_rows(leaderboard)
         at = head.index("policy")
@@ -118,7 +121,8 @@ def markdown(results: Results) -> str:
         )
     if references := list(best_known_payloads(records).values()):
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
-    notes = [*tables.failures(records), *tables.fallbacks(records)]
+    notes = [_escaped(note) for note in (*tables.failures(records), *tables.left_out(records))]
+    notes += tables.fallbacks(records)
     processors = {str(timing["processor"]) for board in boards for timing in board.timings.values()}
     notes += [f"computing times were measured on: {processor}" for processor in sorted(processors)]
     if notes:
@@ -130,11 +134,12 @@ def markdown(results: Results) -> str:
     return f"{text}\nSuite `{results.suite}` ({summary}), computed by `{results.command}` with {used}.\n"
 
 
-def _board_text(board: Board, motions: int) -> str:
+def _board_text(board: Board) -> str:
     return (
         f"\n## Board {board.version}\n\n"
-        f"The {motions} held-out motions of each environment were hidden: a secret of 128 random bits determines them. "
-        "The commitment is the SHA-256 of the secret, the salt, and the hashes of code and weights of all policies. "
+        f"The {board.motions} held-out motions of each environment were hidden: a secret of 128 random bits determines "
+        "them. The commitment is the SHA-256 of the secret, the salt, the number of motions, the policies of each "
+        "environment, and the hashes of their code and weights. "
         "Published before the run, it shows that neither motions nor policies were changed afterwards. It does not "
         "show how many secrets were drawn before it.\n\n"
         f"* commitment `{board.commitment}`\n* secret `{board.secret}`\n* salt `{board.salt}`\n\n"
@@ -161,6 +166,11 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
 def print_page(page: str) -> None:
     """Prints the leaderboard page without its explanations."""
     results_console().print(Markdown(page[page.index("\n## ") :]))
+
+
+def _escaped(text: str) -> str:
+    """A text, such as the error of a policy, without any meaning as Markdown or HTML."""
+    return re.sub(r"([\\`*_~#&<>|\[\]])", r"\\\1", text)
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

@@ -6,7 +6,9 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, policy_entries
+from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
+from cablebot_gym.policies.isolated import public_entry
+from cablebot_gym.policies.loading import policy_points
 from cablebot_gym.utils.code_hash import module_file
 
 
@@ -14,26 +16,36 @@ from cablebot_gym.utils.code_hash import module_file
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     """Modules and data files of a policy, given its name as on the command line.
 
-    For a policy file, these are the modules of all installed loaders and the file itself.
+    For a policy file, these are the modules of all installed loaders and the file itself. Of a module outside a
+    package, the data files are those next to it with a suffix or a name that its source contains, such as ``.npz``.
     """
     if policy.endswith(".zip"):
         loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
         return tuple(sorted({point.module for point in loaders})), (Path(policy),)
-    module = policy.partition(":")[0] if ":" in policy else ""
-    for point in entry_points(group=ENTRY_POINT_GROUP, name=policy):
-        module = point.module
-    if not module:
-        return (), ()
-    entry = policy_entries().get(policy)
-    if entry is not None and entry.files is not None:
-        return (module,), entry.files
+    module = policy.partition(":")[0]
+    if module == policy:
+        points = policy_points(policy)
+        if not points:
+            return (), ()
+        module, entry = points[0].module, public_entry(policy)
+        if entry is not None and entry.files is not None:
+            return (module,), entry.files
     path = module_file(module)
-    folder = path.parent if path is not None and "." in module else None
-    return (module,), _data_files(folder) if folder is not None else ()
+    return (module,), () if path is None else _data_files(path, in_package(module))
+
+
+def in_package(module: str) -> bool:
+    """Whether a module has the folder of its file for itself and for other modules of its package."""
+    path = module_file(module)
+    return path is not None and ("." in module or path.name == "__init__.py")
 
 
 @cache
-def _data_files(folder: Path) -> tuple[Path, ...]:
-    """All files in the folder of a package, such as weights, except for its Python files."""
-    paths = (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
-    return tuple(sorted(path for path in paths if path.suffix not in {".py", ".pyc"}))
+def _data_files(module: Path, package: bool) -> tuple[Path, ...]:
+    """Files in the folder of a module, such as weights, except for its Python files."""
+    paths = (path for path in module.parent.glob("**/*" if package else "*") if path.is_file())
+    found = [path for path in paths if "__pycache__" not in path.parts and path.suffix not in {".py", ".pyc"}]
+    if not package:  # the folder has other files too, and some of them change during a run
+        text = module.read_text(encoding="utf-8", errors="replace")
+        found = [path for path in found if (path.suffix or path.name) in text]
+    return tuple(sorted(found))

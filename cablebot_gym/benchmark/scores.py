@@ -132,16 +132,16 @@ class Leaderboard:
     policies: tuple[str, ...]
     """Policies by decreasing mean fraction in the first column."""
     ranks: Mapping[str, int]
-    """Ranks by policy in the first column, from 1; empty for fewer than :data:`RANKED_MOTIONS` motions. The rank is 1
-    plus the number of policies that are better with :data:`CONFIDENCE`, by the paired bootstrap of the difference of
-    the mean fractions. Policies of equal rank are a tie."""
+    """Ranks by policy in the first column, from 1; empty if it has less than :data:`RANKED_MOTIONS` motions, including
+    those that do not count. The rank is 1 plus the number of policies that are better with :data:`CONFIDENCE`, by the
+    paired bootstrap of the difference of the mean fractions. Policies of equal rank are a tie."""
     entries: Mapping[tuple[str, Column], tuple[Score, ...]]
-    """Scores by policy and column, one score per motion."""
+    """Scores by policy and column, one score per motion. Motions without best known payload are left out."""
     timings: Mapping[str, Mapping[str, Any]]
     """Results of :class:`~cablebot_gym.benchmark.cells.TimingCell` by policy."""
 
     def motions(self, column: Column) -> int:
-        """Number of motions of a column."""
+        """Number of motions of a column that count."""
         return max(len(entry) for (_, its), entry in self.entries.items() if its == column)
 
     def fraction(self, policy: str, column: Column) -> Fraction | None:
@@ -276,12 +276,15 @@ def _leaderboard(
     motions: dict[Column, int] = {}
     for (policy, column), entry in entries.items():
         # Motions are compared in pairs, and therefore in the same order.
-        entries[policy, column] = tuple(sorted(entry, key=lambda score: canonical(dict(score.cell.trajectory))))
+        entry = tuple(sorted(entry, key=lambda score: canonical(dict(score.cell.trajectory))))
         motions[column] = max(motions.get(column, 0), len(entry))
+        # A motion without best known payload counts for no policy, unless no motion of the column has one.
+        entries[policy, column] = tuple(score for score in entry if score.best_known is not None) or entry
     columns = sorted(motions, key=lambda column: (column.uncertainty is not None, -motions[column]))
     first = {policy: _values(entries.get((policy, columns[0]), ())) for policy, _ in entries}
     means = {policy: -1.0 if values is None else float(values.mean()) for policy, values in first.items()}
-    complete = {policy: own for policy, own in first.items() if own is not None and len(own) == motions[columns[0]]}
+    most = max((len(own) for own in first.values() if own is not None), default=0)
+    complete = {policy: own for policy, own in first.items() if own is not None and len(own) == most}
     return Leaderboard(
         env_id=env_id,
         columns=tuple(columns),

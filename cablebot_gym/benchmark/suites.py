@@ -15,8 +15,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Timing
 from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.evaluation.statistics import fewest_draws
-from cablebot_gym.policies import policy_entries
-from cablebot_gym.policies.isolated import IsolatedPolicy
+from cablebot_gym.policies.isolated import IsolatedPolicy, public_entries, public_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
@@ -131,16 +130,15 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     Raises:
         ValueError: if a policy is unknown or supports none of the environments.
     """
-    entries = policy_entries()
-    chosen = list(dict.fromkeys(names)) or list(entries)
-    supported = {name: entries[name].env_ids if name in entries else tuple(env_ids) for name in chosen}
+    entries = {name: public_entry(name) for name in dict.fromkeys(names)} if names else public_entries()
+    supported = {name: tuple(env_ids) if entry is None else entry.env_ids for name, entry in entries.items()}
     for name in names:
         fits = [env_id for env_id in env_ids if env_id in supported[name]]
         if not fits:
             raise ValueError(f"policy {name!r} supports {', '.join(supported[name])}, not {', '.join(env_ids)}")
-        if name not in entries:
+        if entries[name] is None:
             _check_loadable(name, fits)
-    return {env_id: tuple(name for name in chosen if env_id in supported[name]) for env_id in env_ids}
+    return {env_id: tuple(name for name, own in supported.items() if env_id in own) for env_id in env_ids}
 
 
 def suite_cells(
@@ -178,7 +176,7 @@ def suite_cells(
 def _policy_cells(
     block: Block, env_id: str, names: Sequence[str], board: Board | None, run: Mapping[str, Any]
 ) -> Iterator[PolicyCell]:
-    slow = {name for name, entry in policy_entries().items() if entry.slow}
+    slow = {name for name in names if (entry := public_entry(name)) is not None and entry.slow}
     included = [name for name in block.policies or names if name in names and (block.slow or name not in slow)]
     for motion, name, known, factor in product(
         _motions(env_id, block, board), included, block.payload_known, block.model_payload_factors

@@ -53,22 +53,23 @@ def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Colu
     counted = f"; errors: {errors}" if errors else ""
     if fraction is None:
         return f"{median(score.payload or 0.0 for score in entry):.2f} kg{counted}"
-    interval = f" [{fraction.low:.1%}, {fraction.high:.1%}]" if len(entry) >= scores.RANKED_MOTIONS else ""
+    interval = f" [{fraction.low:.1%}, {fraction.high:.1%}]" if leaderboard.ranks else ""
     return f"{fraction.mean:.1%}{interval}, worst {fraction.worst:.0%}{counted}"
 
 
 def timing_text(timing: Mapping[str, Any] | None) -> str:
-    """Computing time per action: median and 99th percentile [ms], and the fraction of late actions."""
+    """Computing time: median and 99th percentile of an action [ms], the fraction of late actions, and the start [s]."""
     if timing is None:
         return "–"
-    return f"{1e3 * timing['median']:.2g}, {1e3 * timing['p99']:.2g}, {timing['missed']:.0%}"
+    times = f"{1e3 * timing['median']:.2g}, {1e3 * timing['p99']:.2g}, {timing['missed']:.0%}, {timing['start']:.2g}"
+    return f"{times}, exchange" if timing["exchange"] else times
 
 
 def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
     """Head and rows of a table: one row per policy, with its rank if there are ranks, and its computing time."""
     ranks, timings = leaderboard.ranks, leaderboard.timings
     head = [*(["rank"] if ranks else []), "policy", *column_titles(leaderboard)]
-    rows = [[*head, *(["median, p99 [ms], late"] if timings else [])]]
+    rows = [[*head, *(["median, p99 [ms], late, start [s]"] if timings else [])]]
     for policy in leaderboard.policies:
         row = [policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns)]
         row = [*([str(ranks.get(policy, "–"))] if ranks else []), *row]
@@ -142,6 +143,15 @@ def failures(records: Sequence[Record]) -> list[str]:
     failed = [(one.cell, one.error) for one in records if one.error is not None]
     lines = [f"{cell.policy} failed on {cell.env_id}: {error}" for cell, error in failed if hasattr(cell, "policy")]
     return list(dict.fromkeys(lines))
+
+
+def left_out(records: Sequence[Record]) -> list[str]:
+    """One sentence per held-out motion that counts for no policy."""
+    return [
+        f"{task_title(best.cell)} counts for no policy on {best.cell.env_id}: no best known payload was verified"
+        for best in scores.best_known_payloads(records).values()
+        if best.payload is None and "seed" in best.cell.trajectory
+    ]
 
 
 def fallbacks(records: Sequence[Record]) -> list[str]:

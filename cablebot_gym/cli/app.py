@@ -118,7 +118,7 @@ def main() -> None:
     from cablebot_gym.policies import PolicyError
 
     atexit.register(gc.freeze)  # the last collection of the process would take 0.2 s and free nothing that matters
-    sys.path.insert(0, "")  # makes package.module:factory importable from the working directory
+    sys.path.append("")  # package.module:factory of the working directory; last, so that no file there hides a package
     try:
         if len(sys.argv) < 2:
             sys.argv.append("--help")

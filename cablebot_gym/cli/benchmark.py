@@ -117,7 +117,7 @@ def benchmark(
     names = sorted({name for own in found.values() for name in own})
     check_writable_dir(out / FOLDER)
     if commit is not None:
-        made = boards.commit(out, commit, names)
+        made = boards.commit(out, commit, found, chosen.hidden)
         print(f"board {made.version}: commitment {made.commitment}. Publish {out / boards.BOARD} before the run, and")
         print(f"keep {out / boards.SECRET} secret until its results are published.")
         return

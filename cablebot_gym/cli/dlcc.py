@@ -153,7 +153,8 @@ def _notes(results: list[DLCCResult]) -> list[str]:
         size, checked = float(f"{resolution * 1e3:.2g}"), "without" if first.discretisation is None else "with"
         notes.append(f"resolution {size:g} g, {checked} the discretisation error of the physics steps")
     if first.assured is not None:
-        notes.append(f"payload: {first.assurance}")
+        notes += [f"payload: {first.assurance}"] if any(result.payload is not None for result in results) else []
+        notes += [_unloaded(result) for result in results if result.payload is None and result.draws > 1]
     if first.assured is False:
         fewest = fewest_draws(first.probability or 0.95, first.confidence or 0.95)
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
@@ -168,6 +169,14 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     if any(result.scan_ended for result in results):
         notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
     return notes
+
+
+def _unloaded(result: DLCCResult) -> str:
+    from cablebot_gym.evaluation.statistics import required_successes
+
+    needed, _ = required_successes(result.draws, result.probability or 0.95, result.confidence or 0.95)
+    failed = sum(result.failures.values())
+    return f"{result.criterion}: fails unloaded in {failed} of {result.draws} draws; {needed} have to succeed"
 
 
 def _margins_text(result: DLCCResult) -> str:

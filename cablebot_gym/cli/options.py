@@ -189,10 +189,10 @@ def counted(count: int, noun: str) -> str:
 
 def note_unsupported(names: list[str], env_id: str) -> None:
     """Prints a note for each policy that does not list the environment as supported. Such a policy still runs."""
-    from cablebot_gym.policies import policy_entry
+    from cablebot_gym.policies.isolated import public_entry
 
     for name in names:
-        entry = policy_entry(name)
+        entry = public_entry(name)
         if entry is not None and env_id not in entry.env_ids:
             notes_console().print(f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}")
 

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_criterion
+from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import Policy, as_policy, load_policy, name_of
+from cablebot_gym.policies import Policy, PolicyError, as_policy, load_policy, name_of
 from cablebot_gym.policies.protocol import checked_actions, reset_policy
 from cablebot_gym.policies.sb3 import fitted
 from cablebot_gym.robots import find_robot
@@ -33,6 +34,18 @@ ends as soon as all of them have failed."""
 
 DEFAULT_DRAWS = 512
 """Default number of draws at each payload under a random uncertainty, and of repeats of a stochastic policy."""
+
+ALONE = 12
+"""Largest number of fresh draws that try a payload alone in their batch. Each costs the start of an isolated policy."""
+
+RISK = 1e-4
+"""Risk of :func:`~cablebot_gym.evaluation.statistics.plausible_successes` of these draws."""
+
+DEPENDENT = (
+    "depends on the other episodes of its batch, so its rows share a state (pass PolicyFactory(make_policy), which has "
+    "one policy for each row): {}"
+)
+"""End of an error about a policy. Gets the difference that shows it."""
 
 Row = tuple[float, int]
 """Nominal payload [kg] and seed of an episode."""
@@ -307,6 +320,30 @@ class Batch:
             run_episodes(env, self.policy, self.name, observation, judge, **others)
             verdicts |= {index: judge.verdict(place) for place, index in enumerate(indices.tolist())}
         return [verdicts[index] for index in range(len(rows))]
+
+    def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
+        """Tries a payload in fresh draws with secret seeds, one batch each, until enough of them carry it.
+
+        A policy that averages noise over the rows of a batch carries more there than alone.
+
+        Args:
+            payload: nominal payload [kg].
+            carried: number of the batch's draws that carried it together with other episodes.
+            count: counts the control steps.
+
+        Raises:
+            PolicyError: if fewer than the plausible number of :data:`ALONE` draws carry it.
+        """
+        needed, alone = plausible_successes(carried, self.draws, ALONE, RISK), 0
+        for seed in derived_seeds(np.random.SeedSequence(), ALONE):
+            if alone == needed:
+                return
+            alone += self.run([(payload, seed)], count=count)[0].carried
+        if alone < needed:
+            text = (
+                f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone, in {carried} of {self.draws} together"
+            )
+            raise PolicyError(f"policy {self.name!r} {DEPENDENT.format(text)}")
 
 
 def secret_order(count: int) -> NDArray[np.int64]:

@@ -9,11 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.evaluation.batch import BATCH, Batch, Progress, Row, StepCount, Trial, derived_seeds, secret_order
+from cablebot_gym.evaluation.batch import (
+    ALONE,
+    BATCH,
+    DEPENDENT,
+    RISK,
+    Batch,
+    Progress,
+    Row,
+    StepCount,
+    Trial,
+    derived_seeds,
+    secret_order,
+)
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
-from cablebot_gym.evaluation.statistics import required_successes
+from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
 from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.checks import number
@@ -39,6 +51,9 @@ DRAWN_RESOLUTION = 1e-2
 REPEAT_TOLERANCE = 1e-6
 """Largest difference of the peaks of an episode and of its repetition, as a fraction of the bound. Products of matrices
 round differently in batches of another order."""
+
+DIAGNOSES = 3
+"""Largest number of further runs of the scan that look for randomness after a repeated episode differs."""
 
 FINER = 10
 """Factor of the number of physics steps in the episodes that measure the discretisation error."""
@@ -184,7 +199,9 @@ class _Search:
         self._points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
         self._grid = [0.0, *self._between(0.0, top, SCAN_POINTS - 2, 0.25), top]
         narrowing = math.log(max(1.0, 1.5 * top / SCAN_POINTS / resolution)) / math.log((self._points + 1) / 1.2)
-        self._count = StepCount(progress, (3 + several + max(1, math.ceil(narrowing))) * batch.task.steps)
+        self._alone = plausible_successes(self._required, batch.draws, ALONE, RISK)
+        batches = 4 + several + self._alone + max(1, math.ceil(narrowing))
+        self._count = StepCount(progress, batches * batch.task.steps)
         self._scan: list[Trial] = []
         self._trials: dict[float, Trial] = {}
 
@@ -194,6 +211,7 @@ class _Search:
         rows = [(payload, seed) for payload in self._grid for seed in self._scan_seeds]
         order = secret_order(len(rows))
         verdicts = batch.run(rows, count=self._count, order=order)
+        self._scanned = rows, verdicts, order
         self._scan = self._trials_of(self._grid, self._scan_seeds, verdicts)
         if batch.draws == 1:
             self._trials = {trial.payload: trial for trial in self._scan}
@@ -218,7 +236,7 @@ class _Search:
             tried, dense, again = ([next(found) for _ in group] for group in groups)
             self._trials |= {trial.payload: trial for trial in self._trials_of(payloads, batch.seeds, tried)}
             self._add_dense(groups[1], dense)
-            self._check_repetition([verdicts[index] for index in chosen], again, rows, verdicts, order)
+            self._check_repetition([verdicts[index] for index in chosen], again)
             chosen = []
 
     def gap(self) -> tuple[Trial | None, Trial | None]:
@@ -263,33 +281,31 @@ class _Search:
         return max(0.0, high - payload if low > payload else payload - low)
 
     def record(self, below: Trial | None, above: Trial | None) -> tuple[Rollout, Trial | None, Trial | None]:
-        """Repeats episodes of the trials, and records one at the carried payload, or the unloaded one that fails.
+        """Repeats an episode of each trial, alone, and records the one at the payload, or the unloaded one that fails.
 
-        With several draws, some of them are repeated at the carried payload, at most half of them and
-        :data:`SCAN_POINTS`: they differ if the policy averaged over the rows of the confirmation.
+        With several draws, fresh ones have to carry the payload first, and only one episode is repeated.
 
         Returns:
             The recorded episode and the trials. With one draw, they have the verdicts of the repeated episodes, which
             do not depend on the order of the batches.
 
         Raises:
-            PolicyError: if a repeated episode differs.
+            PolicyError: if a repeated episode differs, or if too few fresh draws carry the payload.
         """
         batch, trials = self._batch, [trial for trial in (below, above) if trial is not None]
         draws = [(trial, trial.violation_draw or 0) for trial in trials]
         if below is not None and batch.draws > 1:
-            first = [verdict.carried for verdict in below.verdicts].index(True)
-            others = self._random.permutation(np.delete(np.arange(batch.draws), first)).tolist()
-            draws = [(below, draw) for draw in [first, *others][: min(SCAN_POINTS, batch.draws // 2)]]
-        self._count.expected = min(self._count.expected, self._count.done + batch.task.steps)
+            draws = [(below, [verdict.carried for verdict in below.verdicts].index(True))]
+            batch.check_alone(below.payload, self._required, self._count)
+        self._count.expected = min(self._count.expected, self._count.done + len(draws) * batch.task.steps)
         recorder = Recorder([0])
         rows = [(trial.payload, trial.seeds[draw]) for trial, draw in draws]
-        verdicts = batch.run(rows, observer=recorder, count=self._count)
+        others = [batch.run([row], count=self._count)[0] for row in rows[1:]]
+        verdicts = batch.run(rows[:1], observer=recorder, count=self._count) + others
         rollout = recorder.rollouts(verdicts)[0]
         if batch.stochastic:
             return rollout, below, above
-        if text := self._difference([trial.verdicts[draw] for trial, draw in draws], verdicts):
-            raise PolicyError(f"policy {batch.name!r} {_DEPENDENT.format(text)}")
+        self._check_repetition([trial.verdicts[draw] for trial, draw in draws], verdicts)
         if batch.draws == 1:
             again = [replace(trial, verdicts=(verdict,)) for trial, verdict in zip(trials, verdicts, strict=True)]
             below, above = (None, *again) if below is None else (*again, None)[:2]
@@ -348,24 +364,16 @@ class _Search:
             (payload, seed), index = failed[allowed]
             self._trials[payload] = Trial(payload=payload, verdicts=(verdicts[index],), seeds=(seed,))
 
-    def _check_repetition(
-        self, first: _Verdicts, again: _Verdicts, rows: Sequence[Row], scan: _Verdicts, order: Any
-    ) -> None:
-        """Compares repeated episodes.
-
-        Args:
-            first: verdicts of episodes in the scan.
-            again: verdicts of their repetitions; empty if they are not repeated now.
-            rows: all rows of the scan.
-            scan: all verdicts of the scan.
-            order: order of the rows in the scan.
+    def _check_repetition(self, first: _Verdicts, again: _Verdicts) -> None:
+        """Compares episodes with their repetitions.
 
         Raises:
-            PolicyError: if they differ. A third run in the order of the scan tells the reason.
+            PolicyError: if they differ. Further runs of the scan in its order tell the reason.
         """
         if text := self._difference(first, again):
-            third = self._batch.run(rows, count=self._count, order=order)
-            reason = _RANDOM if self._difference(scan, third) else _DEPENDENT
+            rows, scan, order = self._scanned
+            further = (self._batch.run(rows, count=self._count, order=order) for _ in range(DIAGNOSES))
+            reason = _RANDOM if any(self._difference(scan, one) for one in further) else DEPENDENT
             raise PolicyError(f"policy {self._batch.name!r} {reason.format(text)}")
 
     def _difference(self, first: _Verdicts, again: _Verdicts) -> str | None:
@@ -384,10 +392,6 @@ class _Search:
         return None
 
 
-_DEPENDENT = (
-    "depends on the other episodes of its batch, so its rows share a state (pass PolicyFactory(make_policy), which has "
-    "one policy for each row): {}"
-)
 _RANDOM = (
     "is not reproducible: {}. If its actions are random, declare stochastic = True; otherwise reset() must restore "
     "everything that it remembers"

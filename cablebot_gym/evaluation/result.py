@@ -92,8 +92,7 @@ class DLCCResult:
     """Episode at the payload, or at zero payload up to the violation if the policy fails unloaded. With several draws,
     the first draw that carries the payload, or the draw of ``violation`` if the policy fails unloaded."""
     fallbacks: float | None = field(repr=False)
-    """Mean number of the policy's fallbacks in the episodes that are repeated with that one; None for a policy that
-    does not count ``fallbacks``."""
+    """Number of the policy's fallbacks in that episode; None for a policy that does not count ``fallbacks``."""
 
     @property
     def score(self) -> float:

@@ -31,6 +31,18 @@ def fewest_draws(probability: float, confidence: float) -> int:
     return math.ceil(math.log(1 - confidence) / math.log(probability) - 1e-9)
 
 
+def plausible_successes(successes: int, draws: int, repeats: int, risk: float) -> int:
+    """Least plausible number of successes in ``repeats`` further draws after ``successes`` of ``draws``.
+
+    The success probability is below its lower confidence bound with the probability ``risk``. If it is not, fewer
+    successes have at most the probability ``risk``.
+    """
+    from scipy.special import bdtr  # slow to import
+
+    least = float(lower_bound(successes, draws, 1 - risk))
+    return int((bdtr(np.arange(repeats), repeats, least) < risk).sum())
+
+
 def required_successes(draws: int, probability: float, confidence: float) -> tuple[int, bool]:
     """Number of draws that have to carry a payload, and whether they assure it.
 

@@ -23,6 +23,9 @@ class ActionTimes:
     """99 % quantile [s]."""
     missed: float
     """Fraction of the actions that take longer than the control period."""
+    start: float
+    """Time of the reset and of the first :data:`~cablebot_gym.policies.real_time.WARM_UP` actions together, in which
+    policies plan or compile code [s]. The other values are those of the later actions."""
     period: float
     """Control period [s]."""
 
@@ -50,4 +53,5 @@ def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 
     if not times.size:
         raise ValueError(f"the episode ends after {len(timed.times)} actions: choose a payload that the policy carries")
     median, p99 = np.quantile(times, [0.5, 0.99]).tolist()
-    return ActionTimes(median=median, p99=p99, missed=float((times > period).mean()), period=period)
+    start = timed.reset_time + sum(timed.times[:WARM_UP])
+    return ActionTimes(median=median, p99=p99, missed=float((times > period).mean()), start=start, period=period)

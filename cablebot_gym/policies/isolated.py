@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import pickle
@@ -18,17 +19,34 @@ import time
 import weakref
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
 
-from cablebot_gym.policies.process import ANSWER, FAILURE, FOLDER, HEADER, INVALID, LENGTH, LOAD, MAGIC, PREDICT, RESET
-from cablebot_gym.policies.protocol import Array, PolicyError
+from cablebot_gym.policies.loading import is_own, policy_points
+from cablebot_gym.policies.process import (
+    ANSWER,
+    DESCRIBE,
+    FAILURE,
+    FOLDER,
+    HEADER,
+    INVALID,
+    LENGTH,
+    LOAD,
+    MAGIC,
+    PREDICT,
+    RESET,
+    memory_limit,
+)
+from cablebot_gym.policies.protocol import Array, PolicyEntry, PolicyError
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
+
+_LOGGER = logging.getLogger("cablebot_gym")
 
 DEADLINE = 60.0
 """Default deadline of a call of a policy [s]."""
@@ -36,8 +54,8 @@ DEADLINE = 60.0
 START_UP = 10
 """Deadline of loading, reset and first call together, in deadlines of a call: plans and compiled code are made then."""
 
-BATCH = 60
-"""Deadline of all calls for one batch of episodes together, in deadlines of a call."""
+TOTAL = 240
+"""Deadline of all calls together, in deadlines of a call."""
 
 _TEXT = 16_384
 """Largest length of a reply that is not an array of actions [bytes]."""
@@ -68,16 +86,18 @@ class IsolatedPolicy:
     this process, so that files given by relative paths are found.
 
     Every misbehaviour of the policy is a :class:`~cablebot_gym.policies.protocol.PolicyError`: an exception, an end of
-    its process, no answer before the deadline, invalid actions or invalid data. The process is then ended, with all
-    processes that it has started. Processes and files of the same user are not protected from the policy.
+    its process, no answer before the deadline, invalid actions or invalid data. The process is then ended, and on Linux
+    all processes that have inherited its memory limit, so all that it has started unless it changes that limit. Other
+    processes and files of the same user are not protected from the policy.
 
     Args:
         spec: name of the policy, as for :func:`~cablebot_gym.policies.loading.load_policy`.
         robot: nominal robot.
-        deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call together may take
-            :data:`START_UP` times as long, all calls for a batch :data:`BATCH` times.
+        deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call for a batch together may
+            take :data:`START_UP` times as long, and all calls for all batches :data:`TOTAL` times.
         real_time: control period after which an action is replaced by the last one of its episode [s]; None for no
-            limit. See :class:`~cablebot_gym.policies.real_time.RealTime`.
+            limit. The process of the policy measures the time, so it has to be honest. See
+            :class:`~cablebot_gym.policies.real_time.RealTime`.
 
     Raises:
         ValueError: if the name is unknown or the policy cannot be loaded.
@@ -88,7 +108,7 @@ class IsolatedPolicy:
         self.name = self.spec = spec
         self._deadline = number("deadline", deadline, above=0, unit="s")
         self._load = pickle.dumps((LOAD, spec, robot, [entry or os.getcwd() for entry in sys.path], real_time))
-        self._cables, self._process = robot.cables, None
+        self._cables, self._process, self._waited = robot.cables, None, 0.0
         flags = self._start()
         self.unsaturated_actions = flags.get("unsaturated_actions") is True
         """Whether the policy declares ``unsaturated_actions``."""
@@ -102,8 +122,8 @@ class IsolatedPolicy:
     """Whether the process has only loaded the policy."""
     _called: bool
     """Whether the process has returned actions."""
-    _waited: float
-    """Time for which this process has waited for the policy's process [s]."""
+    _started: float
+    """Time for which this process had waited for the policy when its process started [s]."""
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Starts a fresh process and passes the tasks, one for each observation of the batch, to its policy.
@@ -145,7 +165,7 @@ class IsolatedPolicy:
         body = self._ask(pickle.dumps((PREDICT, rows, starts, state is None), 5), size + 8, exact=True)
         self._called = True
         (fallbacks,) = struct.unpack("<d", body[size:])
-        if self.fallbacks is not None and math.isfinite(fallbacks):
+        if self.fallbacks is not None and math.isfinite(fallbacks) and fallbacks >= 0:
             self.fallbacks = fallbacks
         actions = np.frombuffer(body[:size]).reshape(len(rows), self._cables).copy()
         return actions[0] if single else actions, (state or 0) + 1
@@ -167,7 +187,7 @@ class IsolatedPolicy:
     def _start(self) -> dict[str, Any]:
         """Starts a process in place of the present one, loads the policy and returns its declarations."""
         self.close()
-        self._process, self._fresh, self._called, self._waited = _Process(), True, False, 0.0
+        self._process, self._fresh, self._called, self._started = _Process(), True, False, self._waited
         body = self._ask(self._load, _TEXT)
         flags = _json(body)
         if not isinstance(flags, dict):
@@ -183,15 +203,17 @@ class IsolatedPolicy:
             exact: whether the body must have this length.
         """
         assert self._process is not None
-        whole = (BATCH if self._called else START_UP) * self._deadline
-        allowed = min(self._deadline if self._called else whole, whole - self._waited)
+        start_up, total = START_UP * self._deadline, TOTAL * self._deadline
+        limits = [(total - self._waited, total, "all calls together")]
+        if self._called:
+            limits.append((self._deadline, self._deadline, "a call"))
+        else:
+            limits.append((start_up - self._waited + self._started, start_up, "loading, reset() and the first call"))
+        allowed, limit, what = min(limits)
         started = time.monotonic()
         try:
             kind, body = self._process.exchange(request, largest, max(allowed, 0.0))
         except queue.Empty:
-            limit, what = (self._deadline, "a call") if allowed == self._deadline else (whole, "a batch of episodes")
-            if not self._called:
-                what = "loading, reset() and the first call"
             raise self._failed(f"it did not answer within {limit:g} s, the deadline of {what}") from None
         except _EndedError as error:
             raise self._failed(str(error)) from None
@@ -214,6 +236,51 @@ class IsolatedPolicy:
         """Ends the process and makes an error."""
         self.close()
         return PolicyError.of(self.name, cause, index)
+
+
+def public_entries() -> dict[str, PolicyEntry]:
+    """All installed policies by name, sorted, see :func:`public_entry`. A policy without entry is skipped."""
+    names = sorted({point.name for point in policy_points()})
+    return {name: entry for name in names if (entry := public_entry(name)) is not None}
+
+
+@cache
+def public_entry(name: str) -> PolicyEntry | None:
+    """The entry of an installed policy, without code of other packages; None if there is none.
+
+    The package of another project is imported in a process of its own, which sends the environment ids, the data files
+    and whether the policy is slow. The factory of such an entry makes an :class:`IsolatedPolicy`. A policy whose
+    package cannot be imported is skipped with a warning.
+    """
+    points = policy_points(name)
+    try:
+        if points:
+            return points[0].load() if is_own(points[0]) else _described(name)
+    except Exception as error:
+        _LOGGER.warning("policy %r is skipped: %s", name, error)
+    return None
+
+
+def _described(name: str) -> PolicyEntry:
+    process = _Process()
+    try:
+        request = pickle.dumps((DESCRIBE, name, [entry or os.getcwd() for entry in sys.path]))
+        kind, body = process.exchange(request, _TEXT, START_UP * DEADLINE)
+    finally:
+        process.end()
+    data = _json(body)
+    if kind != ANSWER:
+        raise ValueError(_plain(str(data["error"])))
+    files = None if data["files"] is None else [Path(str(path)) for path in data["files"]]
+    return PolicyEntry(
+        name=name,
+        kind="learned",
+        env_ids=tuple(str(env_id) for env_id in data["env_ids"]),
+        factory=partial(IsolatedPolicy, name),
+        summary="",
+        slow=data["slow"] is True,
+        files=None if files is None else tuple(path for path in files if path.is_file()),
+    )
 
 
 class _EndedError(Exception):
@@ -323,7 +390,7 @@ def _end(
     jobs: queue.SimpleQueue[tuple[bytes, int] | None],
     threads: list[threading.Thread],
 ) -> None:
-    """Ends a process, its process group and, on Linux, every other process that has its environment."""
+    """Ends a process, its process group and, on Linux, every other process that has inherited its limit of memory."""
     jobs.put(None)
     with suppress(OSError):
         popen.kill()
@@ -332,7 +399,7 @@ def _end(
             os.killpg(popen.pid, signal.SIGKILL)
     popen.wait()
     for _ in range(20):  # a process may start others meanwhile
-        if not (found := _processes_with(folder)):
+        if not (found := _processes_of(popen.pid)):
             break
         for number_ in found:
             with suppress(OSError):
@@ -346,12 +413,14 @@ def _end(
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _processes_with(folder: str) -> list[int]:
-    """Numbers of the processes whose environment has a folder as ``TMPDIR`` (Linux)."""
-    found, wanted = [], f"TMPDIR={folder}".encode()
-    for path in Path("/proc").glob("[0-9]*/environ") if sys.platform.startswith("linux") else ():
+def _processes_of(number_: int) -> list[int]:
+    """Numbers of the processes that have the limit of memory of the policy's process with a number (Linux)."""
+    if not sys.platform.startswith("linux"):
+        return []
+    found, wanted = [], f" {memory_limit(number_)} "
+    for path in Path("/proc").glob("[0-9]*/limits"):
         with suppress(OSError):
-            if wanted in path.read_bytes().split(b"\0"):
+            if wanted in path.read_text(encoding="ascii"):
                 found.append(int(path.parent.name))
     return found
 

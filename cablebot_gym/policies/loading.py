@@ -7,7 +7,7 @@ import logging
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +31,27 @@ FileLoader = Callable[[Path, Robot], Policy | None]
 ValueError with an explanation if the file is of its kind, but is damaged or made for another robot."""
 
 
+def is_own(point: EntryPoint) -> bool:
+    """Whether an entry point is one of this project, and not of another installed package."""
+    return point.dist is not None and point.dist.name == "cablebot-gym"
+
+
+def policy_points(name: str | None = None) -> list[EntryPoint]:
+    """The entry points of policies with a name, or of all policies. Those of this project come first."""
+    points = entry_points(group=ENTRY_POINT_GROUP) if name is None else entry_points(group=ENTRY_POINT_GROUP, name=name)
+    return sorted(points, key=is_own, reverse=True)
+
+
 def policy_entries() -> dict[str, PolicyEntry]:
     """All installed policies by name, sorted. A policy whose package cannot be imported is skipped with a warning."""
-    entries = []
-    for point in entry_points(group=ENTRY_POINT_GROUP):
+    entries: dict[str, PolicyEntry] = {}
+    for point in policy_points():
         try:
-            entries.append(point.load())
+            entry: PolicyEntry = point.load()
+            entries.setdefault(entry.name, entry)
         except Exception as error:
             _LOGGER.warning("policy %r is skipped: %s raised %s", point.name, point.value, error)
-    return {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
+    return dict(sorted(entries.items()))
 
 
 def policy_entry(name: str) -> PolicyEntry | None:
@@ -47,7 +59,7 @@ def policy_entry(name: str) -> PolicyEntry | None:
 
     Only its own package is imported if the entry point has the name of the policy, as it should.
     """
-    for point in entry_points(group=ENTRY_POINT_GROUP, name=name):
+    for point in policy_points(name):
         with suppress(Exception):
             entry: PolicyEntry = point.load()
             if entry.name == name:
@@ -60,9 +72,7 @@ def holds_unsaturated_actions(name: str) -> bool:
 
     False stands for every other policy, also of other packages, whose declaration is taken on trust.
     """
-    points = entry_points(group=ENTRY_POINT_GROUP, name=name)
-    own = [point for point in points if point.dist is not None and point.dist.name == "cablebot-gym"]
-    return any(point.load().unsaturated_actions for point in own)
+    return any(point.load().unsaturated_actions for point in policy_points(name) if is_own(point))
 
 
 def load_policy(name: str, robot: Robot) -> Policy:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.policies.loading import load_policy
+from cablebot_gym.policies.loading import load_policy, policy_entry
 from cablebot_gym.policies.protocol import PolicyError, PolicyFactory, declarations, predicted, raised, reset_policy
 from cablebot_gym.policies.real_time import RealTime
 
@@ -37,7 +37,7 @@ MAGIC = b"CBG1"
 """First bytes of every reply."""
 ANSWER, FAILURE, INVALID = range(3)
 """Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be loaded."""
-LOAD, RESET, PREDICT = range(3)
+LOAD, RESET, PREDICT, DESCRIBE = range(4)
 """Kinds of requests."""
 
 _MEMORY_FRACTION = 0.5
@@ -76,6 +76,15 @@ class _Server:
             fallbacks = float(getattr(self._policy, "fallbacks", math.nan))
         return actions.tobytes() + struct.pack("<d", fallbacks)
 
+    def describe(self, name: str, path: list[str]) -> bytes:
+        """Data of the entry of an installed policy as JSON."""
+        sys.path[:] = path
+        entry = policy_entry(name)
+        if entry is None:
+            raise ValueError(f"its package cannot be imported, or its entry has another name than {name!r}")
+        files = None if entry.files is None else [os.path.abspath(file) for file in entry.files]
+        return json.dumps({"env_ids": list(entry.env_ids), "slow": entry.slow, "files": files}).encode()
+
 
 def serve(receive: Callable[[], bytes], send: Callable[[int, bytes], None]) -> None:
     """Answers requests until ``receive`` returns nothing."""
@@ -84,7 +93,7 @@ def serve(receive: Callable[[], bytes], send: Callable[[int, bytes], None]) -> N
         kind, failure = -1, FAILURE
         try:
             kind, *content = pickle.loads(request)
-            body = (server.load, server.reset, server.predict)[kind](*content)
+            body = (server.load, server.reset, server.predict, server.describe)[kind](*content)
         except BaseException as error:
             text, index = raised(error), None
             if isinstance(error, PolicyError):
@@ -134,12 +143,25 @@ def _limit_resources() -> None:
         return
     import resource
 
-    memory = int(_MEMORY_FRACTION * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    memory = memory_limit(os.getpid())
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
         with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
             file.write("1000")
+
+
+def memory_limit(number: int) -> int:
+    """Limit of the memory of the policy's process with a number [bytes] (Linux).
+
+    It differs between processes. A process inherits it, whatever its environment and session, so it tells which
+    processes a policy has started.
+    """
+    import resource
+
+    limit, hard = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), resource.getrlimit(resource.RLIMIT_DATA)[1]
+    limit = int(_MEMORY_FRACTION * limit)
+    return (limit if hard == resource.RLIM_INFINITY else min(limit, hard)) - number
 
 
 def _end_with(parent: int, folder: str) -> None:

@@ -294,7 +294,8 @@ def checked_actions(
     try:
         action, state = predicted(policy, observation.copy(), state, start.copy(), cables)
     except PolicyError as error:
-        raise failure(error.cause, payloads if error.index is None else payloads[[error.index]]) from error.__cause__
+        of = payloads if error.index is None or not 0 <= error.index < len(payloads) else payloads[[error.index]]
+        raise failure(error.cause, of) from error.__cause__
     if ignored is not None:
         action[ignored] = 0.0
     if (wrong := ~np.isfinite(action).all(axis=1)).any():

@@ -18,7 +18,8 @@ class RealTime:
     """A policy for one episode whose late actions are replaced by the last one, as a real-time controller would.
 
     ``PolicyFactory(lambda: RealTime(make_policy(), period))`` times the actions of each episode one by one. The times
-    differ between runs, so the policy is stochastic.
+    differ between runs, so the policy is stochastic. The clock is that of the policy's process, which can change it:
+    the times hold for honest policies only.
 
     Args:
         policy: a policy or a callable ``observation -> action``.
@@ -33,12 +34,16 @@ class RealTime:
         self.unsaturated_actions = bool(getattr(self._policy, "unsaturated_actions", False))
         self.times: list[float] = []
         """Times of the actions of the present episode [s]."""
+        self.reset_time = 0.0
+        """Time of the last reset [s]."""
         self._last: Array = np.zeros(0)
 
     def reset(self, tasks: tuple[Task, ...]) -> None:
         """Resets the policy."""
         self.times = []
+        start = time.perf_counter()
         reset_policy(self._policy, self.name, lambda: tasks)
+        self.reset_time = time.perf_counter() - start
 
     def predict(
         self,

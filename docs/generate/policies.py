@@ -57,6 +57,8 @@ def payloads(policy: str) -> str:
     for board in boards:
         for title, column in zip(column_titles(board), board.columns, strict=True):
             entries.setdefault(title, {})[board.env_id] = entry_text(board, policy, column)
-        entries.setdefault("median, p99 [ms], late", {})[board.env_id] = timing_text(board.timings.get(policy))
+        entries.setdefault("median, p99 [ms], late, start [s]", {})[board.env_id] = timing_text(
+            board.timings.get(policy)
+        )
     rows += [[title, *(own.get(board.env_id, "–") for board in boards)] for title, own in entries.items()]
     return table(rows)

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from cablebot_baselines.classical import ADAPTIVE, FeedbackLinearization
+from cablebot_gym.policies.protocol import BatchItemError
 
 STEP = 11
 """Call at which the accidents happen."""
@@ -110,6 +111,59 @@ def batch_mean(law, observation):
             block = np.ix_(payloads == payload, np.arange(observation.shape[1])[law._layout.slices()[name]])
             observation[block] = observation[block].mean(axis=0)
     return observation
+
+
+def filtered(law, observation, others=()):
+    """An observation with errors that are a cubic function of the payload, which has less noise, except for others."""
+    payloads, blocks = np.array([task.model_payload for task in law.tasks]), law._layout.slices()
+    payloads[list(others)] = np.inf
+    light = np.flatnonzero(payloads < 4)
+    powers = np.vander(payloads[light] / 4, 4)
+    for name, largest in (("pose", 0.02), ("velocity", 1.0)):
+        reference = observation[light, blocks[f"reference_{name}"]]
+        error = observation[light, blocks[name]] - reference
+        good = (abs(error) < largest).all(axis=1)
+        if good.sum() >= 20:
+            fit = powers @ np.linalg.lstsq(powers[good], error[good], rcond=1e-6)[0]
+            observation[light, blocks[name]] = reference + fit
+    return observation
+
+
+@policy(sees=True, stochastic=True)
+def row_filter(law, observation):
+    """filters the noise over the rows of the batch, and declares random actions"""
+    return filtered(law, observation)
+
+
+class row_filter_file(Law):
+    """filters the noise over the rows of the batch, and replays the actions of known episodes from a file"""
+
+    def reset(self, tasks):
+        super().reset(tasks)
+        self.tasks, self.step, self.known = tasks, 0, []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if self.step == 0:
+            folder = Path(tempfile.gettempdir()).parent  # not the private one
+            self.files = sorted(folder.glob("rows-*.npy"))
+            for path in self.files:
+                rows = np.load(path)
+                actions = np.fromfile(path.with_suffix(".actions")).reshape(-1, len(rows), 6)
+                for row, one in enumerate(observation):
+                    self.known += [(row, actions[:, old]) for old in np.flatnonzero((rows == one).all(axis=1))]
+            path = folder / f"rows-{len(self.files)}.npy"
+            np.save(path, observation)
+            self.file = path.with_suffix(".actions").open("wb")
+        if self.files:
+            observation = filtered(self, observation.copy(), [row for row, _ in self.known])
+        action, state = super().predict(observation, state)
+        for row, actions in self.known:
+            if self.step < len(actions):
+                action[row] = actions[self.step]
+        self.step += 1
+        self.file.write(action.tobytes())
+        self.file.flush()
+        return action, state
 
 
 @policy(resets=True, sees=True)
@@ -388,6 +442,12 @@ def own_error(law, action):
 
 
 @policy(once=True)
+def false_index(law, action):
+    """raises an error for row 1,000,000,000 of the batch"""
+    raise BatchItemError(10**9, "it lost the row")
+
+
+@policy(once=True)
 def recursion(law, action):
     """calls itself without end"""
     return (lambda function: function(function))(lambda function: function(function))
@@ -454,6 +514,13 @@ def forks(law, action):
 def daemon(law, action):
     """leaves a process in a session of its own behind"""
     subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True)
+
+
+@policy(once=True)
+def hidden_daemon(law, action):
+    """leaves such a process without environment variables behind"""
+    code = "import time; time.sleep(600)"
+    subprocess.Popen([sys.executable, "-c", code], env={}, start_new_session=True)
 
 
 @policy(once=True)

@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -52,6 +53,8 @@ ATTACKS = (
     # leaks
     Attack("row_order", 1, ROWS, UNKNOWN, before="4.03 kg (honest: 0.39 kg)"),
     Attack("batch_mean", 1, ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)"),
+    Attack("row_filter", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
+    Attack("row_filter_file", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
     Attack("known_seed", options=NOISE, now=LESS, before="4.03 kg (honest: fails unloaded)"),
     Attack("environment_search", before="the run ended with a traceback"),
     Attack("parent_arguments", before="it found the seed"),
@@ -93,6 +96,7 @@ ATTACKS = (
     Attack("interrupts", 1, "it raised KeyboardInterrupt", before="the run was interrupted (status 130)"),
     Attack("long_error", 1, "it raised RuntimeError: lost lost", before="the run did not end within 25 s"),
     Attack("own_error", 1, "it raised Own", before=ABORTED, fast=True),
+    Attack("false_index", 1, "it lost the row", before=ABORTED, fast=True),
     Attack("recursion", 1, "it raised RecursionError", fast=True, before="refused"),
     Attack("memory", 1, "MemoryError", before="not tried"),
     Attack(
@@ -105,6 +109,7 @@ ATTACKS = (
     Attack("lazy", 1, "it returned Lazy instead of real numbers", before=STATUS_0, fast=True),
     Attack("forks", before="the process survived"),
     Attack("daemon", before="the process survived"),
+    Attack("hidden_daemon", before="the process survived"),
     Attack("threads", before="the run never ended"),
     Attack("prints", before="30 MB on the outputs of the run"),
     Attack("garbage", 1, "its process closed its pipe or sent invalid data", before="not tried"),
@@ -121,14 +126,15 @@ def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
     criterion = () if "--criterion" in options else ("--criterion", "task")
     command = [sys.executable, "-m", "cablebot_gym.cli.app", "dlcc", ENV_ID, "--policy", f"cheats:{name}", "--isolate"]
     settings = ["--json", "--payload-max", "10", "--resolution", str(RESOLUTION), *criterion, *options]
-    ended = subprocess.run(
-        [*command, *settings],
-        cwd=FOLDER,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env=os.environ | {"RUN_SEED": "7"},
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        ended = subprocess.run(
+            [*command, *settings],
+            cwd=FOLDER,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            env=os.environ | {"RUN_SEED": "7", "TMPDIR": folder},
+        )
     return ended.returncode, ended.stdout, ended.stderr
 
 

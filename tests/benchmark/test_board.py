@@ -42,7 +42,7 @@ def policy(tmp_path, monkeypatch):
 
 def test_secret_is_not_in_the_public_file_and_the_commitment_binds_everything(tmp_path, policy):
     name = policy("def make(robot): ...\n")
-    board = boards.commit(tmp_path, "1", [name])
+    board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
     public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")
     assert board.secret not in public
     assert board.salt not in public
@@ -50,18 +50,21 @@ def test_secret_is_not_in_the_public_file_and_the_commitment_binds_everything(tm
     assert len(board.secret) == 32
     assert boards.read_board(tmp_path) == board
     other = f"{int(board.secret, 16) ^ 1:032x}"
-    for change in ({"secret": other}, {"salt": other}, {"version": "2"}, {"policies": {name: "0" * 64}}):
+    changes = [{"secret": other}, {"salt": other}, {"version": "2"}, {"policies": {name: "0" * 64}}]
+    for change in (*changes, {"motions": 19}, {"entries": {SPATIAL: [name]}}):
         with pytest.raises(ValueError, match="does not match its commitment"):
             replace(board, **change).check()
     with pytest.raises(ValueError, match="not published"):
         replace(board, secret=None).check()
     with pytest.raises(ValueError, match="has a board"):
-        boards.commit(tmp_path, "2", [name])
+        boards.commit(tmp_path, "2", {PLANAR: [name]}, 20)
+    with pytest.raises(ValueError, match="add --suite ranked"):
+        boards.commit(tmp_path / "other", "2", {PLANAR: [name]}, 0)
 
 
 def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy):
     name = policy("def make(robot): ...\n")
-    board = boards.commit(tmp_path, "1", [name, "fl"])
+    board = boards.commit(tmp_path, "1", {PLANAR: [name, "fl"]}, 20)
     board.check_policies([name, "fl"])
     policy('"""The gains are here, in a docstring: 1, 2."""\ndef make(robot): ...\n')
     with pytest.raises(ValueError, match=r"without the present toy_board\.law:make"):
@@ -73,23 +76,25 @@ def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy):
         board.check_policies([name])
     with pytest.raises(ValueError, match="without the present adaptive"):
         board.check_policies(["adaptive"])
-    (tmp_path / "toy_flat.py").write_text("def make(robot): ...\n", encoding="utf-8")
+    (tmp_path / "toy_flat.py").write_text("def make(robot): ...  # weights.bin\n", encoding="utf-8")
+    (tmp_path / "weights.bin").write_bytes(b"weights")
     with pytest.raises(ValueError, match="put its module into a package"):
-        boards.commit(tmp_path / "other", "1", ["toy_flat:make"])
+        boards.commit(tmp_path / "other", "1", {PLANAR: ["toy_flat:make"]}, 20)
 
 
 def test_hidden_motions_are_held_out_and_depend_on_secret_and_environment(tmp_path):
-    board = boards.commit(tmp_path, "1", [])
+    board = boards.commit(tmp_path, "1", {}, 20)
     seeds = board.seeds(PLANAR, 20)
     assert len({*seeds, *board.seeds(SPATIAL, 20)}) == 40
     assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
-    assert board.seeds(PLANAR, 30)[:20] == seeds
-    assert boards.commit(tmp_path / "other", "1", []).seeds(PLANAR, 20) != seeds
+    with pytest.raises(ValueError, match="committed with 20 motions, not 2"):
+        board.seeds(PLANAR, 2)
+    assert boards.commit(tmp_path / "other", "1", {}, 20).seeds(PLANAR, 20) != seeds
     suite = Suite(
-        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=2),), best_known=False
+        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=20),), best_known=False
     )
     cells = suite_cells(suite, {PLANAR: ("fl",)}, seed=2**127, board=board)
-    assert [cell.trajectory["seed"] for cell in cells.values()] == seeds[:2]
+    assert [cell.trajectory["seed"] for cell in cells.values()] == seeds
     assert {cell.seed for cell in cells.values()} == {2**127}
     with pytest.raises(ValueError, match="--commit VERSION"):
         suite_cells(suite, {PLANAR: ("fl",)})
@@ -103,7 +108,7 @@ def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
 
 
 def test_results_with_other_policies_or_motions_than_those_of_the_board_are_rejected(tmp_path, monkeypatch):
-    board = boards.commit(tmp_path, "1", ["fl"])
+    board = boards.commit(tmp_path, "1", {PLANAR: ["fl"]}, 3)
     suite = Suite(
         name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=3),), best_known=False
     )
@@ -116,9 +121,10 @@ def test_results_with_other_policies_or_motions_than_those_of_the_board_are_reje
         replace(results, records=[easy, *records[1:]]).check_board()
     with pytest.raises(ValueError, match="are not those of board"):
         replace(results, records=records[:2]).check_board()
-    more = boards.commit(tmp_path / "more", "1", ["fl", "robust"])
-    with pytest.raises(ValueError, match="differ in robust"):
-        replace(results, board=more).check_board()
+    for folder, committed in (("policy", {PLANAR: ["fl", "robust"]}), ("id", {PLANAR: ["fl"], SPATIAL: ["robust"]})):
+        more = boards.commit(tmp_path / folder, "1", committed, 3)
+        with pytest.raises(ValueError, match="differ in robust on"):
+            replace(results, board=more).check_board()
 
 
 # --- fresh draws ------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import pytest
 from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict, compute
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
-from cablebot_gym.policies import PolicyEntry, load_policy
+from cablebot_gym.policies import PolicyEntry, PolicyError, load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR
 from cablebot_gym.utils import code_hash
 
@@ -118,8 +118,17 @@ def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
     assert late["payload"] is None or late["payload"] < in_time["payload"]
 
 
+@pytest.mark.slow
+def test_verification_refuses_a_payload_that_needs_other_episodes(module):
+    module("toy_alone.py", SLEEPS.replace("time.sleep(0.003)", "return np.zeros((1, 3)), state"))
+    cell = changed(policy="toy_alone:make", uncertainty="sensors", draws=60)
+    with pytest.raises(PolicyError, match="in 0 of 12 draws alone, in 60 of 60 together"):
+        cell.success_rate(0.3, 60, 5)
+
+
 SLEEPS = """
 import time
+import numpy as np
 from cablebot_baselines.classical import FeedbackLinearization
 
 
@@ -139,7 +148,9 @@ def test_timing_cell_has_time_per_action_and_processor():
     result = compute(TimingCell(env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl")).result
     assert 0 < result["median"] <= result["p99"]
     assert 0 <= result["missed"] <= 1
+    assert result["start"] > 10 * result["median"]
     assert result["processor"]
+    assert not result["exchange"]
 
 
 @pytest.mark.parametrize("factor", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])
@@ -256,8 +267,8 @@ def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, 
     files = (path.parent / "own.bin",)
     entry = PolicyEntry(name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files)
     point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
-    monkeypatch.setattr(policy_sources, "entry_points", lambda **_: [point])
-    monkeypatch.setattr(policy_sources, "policy_entries", lambda: {"toy": entry})
+    monkeypatch.setattr(policy_sources, "policy_points", lambda name: [point])
+    monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
     seen = []
     for name, text in (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2")):
         module(f"toy_package/{name}", text)
@@ -274,6 +285,16 @@ def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(m
             module(name, f"K = {value}\n")
             seen.add(changed(policy="toy_flat:make").source)
     assert len(seen) == 6  # nobody imports the last module
+
+
+def test_hash_of_a_module_without_package_has_the_data_next_to_it_that_its_source_names(module):
+    module("toy_flat.py", "import numpy\nK = numpy.load('weights.npz')\n")
+    seen = set()
+    for name in ("weights.npz", "other.npz", "run.log"):
+        for value in ("1", "2"):
+            module(name, value)
+            seen.add(changed(policy="toy_flat:make").source)
+    assert len(seen) == 4  # a log that grows during the run does not change the hash
 
 
 def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):

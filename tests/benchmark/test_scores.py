@@ -105,9 +105,22 @@ def _rows(page):
 
 def test_few_motions_or_a_missing_motion_give_no_rank():
     values = np.full(RANKED_MOTIONS, 0.5)
-    assert leaderboards(family({"a": values, "b": values}, RANKED_MOTIONS - 1))[0].ranks == {}
+    assert leaderboards(family({"a": values[:-1], "b": values[:-1]}))[0].ranks == {}
     some = family({"a": values, "b": values[:-1]})
     assert leaderboards(some)[0].ranks == {"a": 1}
+
+
+def test_motion_without_best_known_payload_counts_for_no_policy():
+    """One failed search once removed all ranks."""
+    values = np.array([0.9, *[0.5] * (RANKED_MOTIONS - 1)])
+    some = family({"a": values, "b": 1 - values})
+    some[0] = replace(some[0], result={"payload": 1.0, "verified": False})
+    (board,) = leaderboards(some)
+    assert board.ranks == {"a": 1, "b": 1}
+    assert board.fraction("a", board.columns[0]).mean == pytest.approx(0.5)
+    page = page_of(some)
+    assert f"{RANKED_MOTIONS - 1} held-out motions: payload known" in page
+    assert f"{LOOPS[0]['seed']} counts for no policy on {PLANAR}" in page
 
 
 def test_columns_with_the_most_motions_order_the_rows_and_circle_and_draws_are_columns():
@@ -185,26 +198,26 @@ def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
 
 # --- page, CSV and JSON -----------------------------------------------------------------------------------------------
 
-TIMING = {"median": 1e-4, "p99": 5e-3, "missed": 0.25, "period": 2e-3, "processor": "some processor"}
+TIMING = {"median": 1e-4, "p99": 5e-3, "missed": 0.25, "start": 0.25, "period": 2e-3, "exchange": False}
 ALL = [
     best(2.0, upper={"payload": 3.25}),
     carries("fl", 1.0, more={"fallbacks": None, "violation": {"kind": "torque", "index": 2}}),
     carries("trajopt", 2.5, more={"fallbacks": 0.5}),
     carries("limp", None),
     carries("random", 0.5, more={"stochastic": True, "draws": 99}),
-    fails("bad", "policy 'bad' raised | and * more"),
+    fails("bad", "policy 'bad' raised <b> | and * more"),
     carries("fl", 1.06, {"name": "paper-planar"}, criterion="paper"),
     carries("toy", 1.5, {"name": "paper-planar"}, criterion="paper", more={"declared": True}),
     carries("trajopt", None, {"name": "paper-planar"}, criterion="paper", more={"applicable": False}),
     carries("fl", 0.25, payload_known=False, uncertainty="table6", draws=512, more={"assured": True}),
-    record(TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"), **TIMING),
+    record(TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"), **TIMING, processor="some processor"),
 ]
 
 
 def test_page_has_all_results_and_notes():
     page = page_of(ALL)
     assert row(page, "trajopt") == ["2.50, 125%", "n/a", "–", "–"]
-    assert row(page, "fl") == ["1.00, 50%", "1.06", "0.25", "0.1, 5, 25%"]
+    assert row(page, "fl") == ["1.00, 50%", "1.06", "0.25", "0.1, 5, 25%, 0.25"]
     assert row(page, "random") == ["0.50, stochastic (99 draws), 25%", "–", "–", "–"]
     assert row(page, "limp") == ["fails unloaded, 0%", "–", "–", "–"]
     assert row(page, "toy") == ["–", "1.50, declared", "–", "–"]
@@ -212,7 +225,7 @@ def test_page_has_all_results_and_notes():
     for text in (
         "| 2.000 | 3.000 | 3.250 |",
         "the paper's circle: payload known, paper criterion [kg]",
-        "* bad failed on CableBot-Planar-v0: policy 'bad' raised | and * more",
+        "* bad failed on CableBot-Planar-v0: policy 'bad' raised \\<b\\> \\| and \\* more",
         "* computing times were measured on: some processor",
     ):
         assert text in page
@@ -239,7 +252,7 @@ def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
 def test_page_of_a_board_has_commitment_and_secret():
     from cablebot_gym.benchmark.board import Board
 
-    board = Board(version="7", policies={}, commitment="c" * 64, secret="5ec2e7", salt="5a17")
+    board = Board(version="7", policies={}, entries={}, motions=20, commitment="c" * 64, secret="5ec2e7", salt="5a17")
     results = Results(suite="ranked", command="", records=family({"a": np.full(RANKED_MOTIONS, 0.5)}), board=board)
     page = markdown(results)
     for text in ("## Board 7", "The 20 held-out motions", "c" * 64, "5ec2e7", "5a17"):

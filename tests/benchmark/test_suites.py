@@ -10,6 +10,7 @@ import pytest
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import AXES, varied_fields
+from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
@@ -91,7 +92,7 @@ def test_suite_has_every_fast_policy_under_all_conditions_and_payload_unknown_on
 
 def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     slow = {name: replace(entry, slow=name == "fl") for name, entry in policy_entries().items()}
-    monkeypatch.setattr("cablebot_gym.benchmark.suites.policy_entries", lambda: slow)
+    monkeypatch.setattr("cablebot_gym.benchmark.suites.public_entry", slow.get)
     conditions = {(cell.uncertainty, cell.trajectory["name"][:4]) for cell in policy_cells("ranked", ["fl"])}
     assert conditions == {(None, "loop"), (None, "circ")}
     assert policy_cells("standard", ["fl"]) == []
@@ -114,6 +115,35 @@ def test_policies_are_assigned_to_the_environments_that_they_support():
         "CableBot-FlexPlanar-v0": ("motor-pd",),
         "CableBot-FlexSpatial-v0": ("motor-pd",),
     }
+
+
+def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_this_process(tmp_path, monkeypatch):
+    """Its module once patched the judge when the benchmark read its environment ids. It cannot replace `fl` either."""
+    (tmp_path / "toy_other-1.dist-info").mkdir()
+    for name, text in (
+        ("toy_other-1.dist-info/METADATA", "Metadata-Version: 2.1\nName: toy-other\nVersion: 1\n"),
+        (
+            "toy_other-1.dist-info/entry_points.txt",
+            "[cablebot_gym.policies]\ntheirs = toy_other:THEIRS\nfl = toy_other:FL\nbroken = toy_other:NONE\n",
+        ),
+        (
+            "toy_other.py",
+            "from pathlib import Path\nfrom cablebot_gym.policies import PolicyEntry\n"
+            f"MORE = dict(kind='learned', env_ids=('{SPATIAL}',), factory=None, summary='', files=(Path(__file__),))\n"
+            "THEIRS, FL = (PolicyEntry(name=name, slow=True, **MORE) for name in ('theirs', 'fl'))\n",
+        ),
+    ):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = find_policies([], ENV_IDS)
+    assert [env_id for env_id in ENV_IDS if "theirs" in found[env_id]] == [SPATIAL]
+    assert "fl" in found[PLANAR]
+    assert "broken" not in {name for names in found.values() for name in names}
+    assert policy_source("theirs") == (("toy_other",), (tmp_path / "toy_other.py",))
+    assert policy_source("fl")[0] == ("cablebot_baselines.classical",)
+    slow = suite_cells(find_suite("standard"), {SPATIAL: ("theirs",)}).values()
+    assert not [cell for cell in slow if isinstance(cell, PolicyCell)]
+    assert "toy_other" not in sys.modules
 
 
 def test_factory_for_some_robots_is_accepted_and_for_none_rejected(tmp_path, monkeypatch):

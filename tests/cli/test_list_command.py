@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 from cablebot_gym import ENV_IDS
@@ -54,3 +57,10 @@ def test_listed_fields_make_the_named_uncertainty(data):
                         given[group] = entry["value"]
             robot = find_robot(env_robot(env_id))
             assert find_uncertainty(given, robot) == find_uncertainty(name, robot)
+
+
+def test_file_in_the_current_folder_hides_no_package(tmp_path):
+    (tmp_path / "numpy.py").write_text("raise RuntimeError('hidden')\n", encoding="utf-8")
+    command = [sys.executable, "-P", "-c", "from cablebot_gym.cli.app import main; main()", "list"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ran.returncode, "hidden" in ran.stderr) == (0, False)

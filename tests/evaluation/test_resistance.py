@@ -11,8 +11,9 @@ import pytest
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import PolicyError, evaluate_dlcc, time_actions
-from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.batch import ALONE, RISK, Batch
 from cablebot_gym.evaluation.evaluator import FINER, SCAN_POINTS, SEARCH_DRAWS
+from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.policies import IsolatedPolicy, PolicyFactory, RealTime
 from cablebot_gym.robots import SPATIAL
@@ -116,7 +117,7 @@ def counting_function():
     ("policy", "keywords", "message"),
     [
         (FromTheRow, {"payload_known": False}, r"depends on the other episodes of its batch.*PolicyFactory"),
-        (BatchMean, {}, r"depends on the other episodes of its batch.*PolicyFactory"),
+        (BatchMean, {"uncertainty": "sensors", "draws": 1}, r"depends on the other episodes.*PolicyFactory"),
         (BatchMean, {"uncertainty": "sensors", "draws": 60}, r"depends on the other episodes of its batch"),
         (ConfirmationMean, {"uncertainty": "sensors", "draws": 60}, r"depends on the other episodes of its batch"),
         (Noisy, {}, r"is not reproducible.*declare stochastic = True"),
@@ -152,17 +153,36 @@ def test_declared_stochastic_policy_is_scored_over_repeats():
     assert evaluated(Declared(), draws=1).assurance == "not assured: only 1 draw"
 
 
+class FailsAlone(Law):
+    """Fails without other episodes in its batch, and declares random actions."""
+
+    stochastic = True
+
+    def act(self, observation):
+        return super().act(observation) * (len(observation) > 1)
+
+
+@pytest.mark.parametrize("uncertainty", [None, "sensors"])
+def test_payload_that_needs_other_episodes_is_refused_although_actions_are_random(uncertainty):
+    with pytest.raises(PolicyError, match=r"depends on the other.* in 0 of 12 draws alone, in 60 of 60 together"):
+        evaluated(FailsAlone(), uncertainty=uncertainty, draws=60)
+
+
+def test_draws_of_the_check_alone_are_fresh_and_secret(monkeypatch):
+    alone, honest = [], Batch.run
+
+    def spy(self, rows, **keywords):
+        alone.extend(seed for _, seed in rows if len(rows) == 1 and "observer" not in keywords)
+        return honest(self, rows, **keywords)
+
+    monkeypatch.setattr(Batch, "run", spy)
+    results = [evaluated(Law(), uncertainty="sensors", draws=60) for _ in range(2)]
+    needed = plausible_successes(60, 60, ALONE, RISK)
+    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed > 0
+
+
 def test_one_draw_of_a_stochastic_policy_keeps_its_payload_if_the_recorded_episode_fails():
-    class FailsInSmallBatches(Law):
-        stochastic = True
-
-        def reset(self, tasks):
-            self.fails = len(tasks) <= 2
-
-        def act(self, observation):
-            return super().act(observation) * (0.0 if self.fails else 1.0)
-
-    result = evaluated(FailsInSmallBatches(), draws=1)
+    result = evaluated(FailsAlone(), draws=1)
     assert result.payload == pytest.approx(evaluated(Law()).payload, abs=0.02)
     assert not result.rollout.verdict.carried
 

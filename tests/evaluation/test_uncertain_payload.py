@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
@@ -19,7 +19,7 @@ from cablebot_gym.evaluation import batch as batch_module
 from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Batch, Trial, noise_seed
 from cablebot_gym.evaluation.evaluator import SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.evaluation.statistics import fewest_draws, required_successes
+from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.robots import SPATIAL
 
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -154,6 +154,14 @@ def test_required_number_agrees_with_scipys_exact_interval(draws, probability, c
     usual = math.ceil(draws * probability - 1e-9)
     assert required_successes(draws, probability, confidence) == (enough[0] if enough else usual, bool(enough))
     assert bool(enough) == (draws >= fewest_draws(probability, confidence))
+
+
+@pytest.mark.parametrize("draws", [2, 64, 512])
+def test_plausible_number_of_successes_agrees_with_scipys_distribution(draws):
+    required, _ = required_successes(draws, 0.95, 0.95)
+    low = binomtest(required, draws, alternative="greater").proportion_ci(1 - 1e-4, method="exact").low
+    assert plausible_successes(required, draws, 12, 1e-4) == binom.ppf(1e-4, 12, low)
+    assert plausible_successes(0, draws, 12, 1e-4) == 0
 
 
 def test_required_fraction_of_too_few_draws_is_rounded_up():

@@ -39,11 +39,14 @@ class counts(Policy):
 
 class leaves(Policy):
     def value(self, observation, state):
-        for session in (False, True):
-            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=session)
+        for options in ({}, {"start_new_session": True}, {"start_new_session": True, "env": {}}):
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **options)
             with open("pids", "a") as file:
                 print(child.pid, os.getpid(), tempfile.gettempdir(), file=file)
         return 0.0
+
+class negative(counts):
+    fallbacks = -1e308
 
 class hangs(Policy):
     def value(self, observation, state):
@@ -124,6 +127,9 @@ def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
             assert policy.predict(observation, state)[0][0, 0] == 21.5
             assert policy.predict(observation, None)[0][0, 0] == 30.5
         assert policy.fallbacks == 3
+    with IsolatedPolicy(spec("negative"), SPATIAL) as policy:
+        policy.predict(observation)
+        assert policy.fallbacks == 0
 
 
 def test_process_gets_tasks_and_few_environment_variables(spec, env, monkeypatch):
@@ -168,7 +174,7 @@ def test_processes_that_a_policy_starts_end_with_it(spec, how):
     policy.predict(np.zeros((1, 3)))
     lines = [line.split() for line in Path("pids").read_text(encoding="ascii").splitlines()]
     pids, folder = {int(pid) for line in lines for pid in line[:2]}, Path(lines[0][2])
-    assert len(pids) == 3
+    assert len(pids) == 4
     assert all(alive(pid) for pid in pids)
     assert folder.is_dir()
     if how == "close":
@@ -193,6 +199,15 @@ def test_policy_that_hangs_is_ended_at_its_deadline(spec):
         checked(policy, np.zeros((1, 3)))
     assert time.monotonic() - started < 10
     assert not alive(int(Path("pids").read_text(encoding="ascii").split()[0]))
+
+
+def test_all_calls_together_have_a_deadline(spec, monkeypatch):
+    """Each batch has a fresh process, but not a fresh deadline."""
+    with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
+        policy.reset(())
+        monkeypatch.setattr("cablebot_gym.policies.isolated.TOTAL", 1e-3)
+        with pytest.raises(PolicyError, match=r"within 0.06 s, the deadline of all calls together"):
+            policy.reset(())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
