@@ -16,7 +16,7 @@ from oracles.plants import UNEQUAL, each_of
 from scipy.optimize import linprog
 
 from cablebot_gym.kinematics import structure_jacobian
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, ROBOTS, RPM, SPATIAL, Motors, Robot, Transmission, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, ROBOTS, RPM, SPATIAL, Robot, Transmission, find_robot
 
 NAN, INF = math.nan, math.inf
 WALLED = PLANAR.replace(name="walled", workspace=((-0.3, 0.3), (-0.2, 0.4)))
@@ -224,18 +224,6 @@ def test_wrong_data_raise(change, message):
         Robot.from_dict(data)
     with pytest.raises(ValueError, match="robot needs the key 'home_pose'"):
         Robot.from_dict({key: value for key, value in PLANAR.to_dict().items() if key != "home_pose"})
-
-
-def test_copy_has_its_own_arrays():
-    before = SPATIAL.base, SPATIAL.pulley_radius, SPATIAL.speed_slope
-    changed = SPATIAL.replace(
-        base_anchors=tuple((2 * x, 2 * y, z) for x, y, z in SPATIAL.base_anchors),
-        transmission=Transmission(pulley_radius=0.1, pulley_inertia=1e-3),
-        motors=Motors(stall_torque=3.0, free_speed=2.0),
-    )
-    after = changed.base, changed.pulley_radius, changed.speed_slope
-    assert not any(np.array_equal(old, new) for old, new in zip(before, after, strict=True))
-    np.testing.assert_array_equal(changed.speed_slope, np.full(6, 1.5))
 
 
 def used(robot):

@@ -314,15 +314,6 @@ def test_hardware_varies_every_part_of_the_robot(robot):
 
 
 @rigid_and_flexible
-def test_sensors_have_the_documented_noise(robot):
-    found = find_uncertainty("sensors", robot)
-    assert found == Uncertainty(sensors=found.sensors)
-    lengths, angles, m = (2, 0, 0) if robot.planar else (3, 3, robot.cables)
-    expected = [1e-4] * lengths + [2e-4] * angles + [2e-3] * lengths + [4e-3] * angles + [1e-3] * m + [1e-2] * m
-    assert found.sensors.deviations(robot).tolist() == expected
-
-
-@rigid_and_flexible
 def test_joined_names_are_both_in_any_order(robot):
     both = find_uncertainty("table6+sensors", robot)
     assert both == find_uncertainty("sensors+table6+none", robot)

@@ -53,17 +53,6 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
     assert ends > 2 * count
 
 
-def test_actions_under_way_are_in_the_observation_for_delays_of_up_to_three_periods():
-    env = gym.make(PLANAR_ID, uncertainty={"delay": LAST_ACTIONS}).unwrapped
-    observation, _ = env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    for step in range(12):
-        under_way = env.layout.split(observation)["last_actions"].reshape(LAST_ACTIONS, 3)
-        observation, _, _, _, info = env.step(rng.uniform(-1, 1, 3))
-        if step >= LAST_ACTIONS:
-            np.testing.assert_array_equal(info["commanded_action"], under_way[-1])
-
-
 def test_slack_time_is_the_timer_of_the_termination():
     env = gym.make(PLANAR_ID, slack_time=0.02, termination_radius=1.0).unwrapped
     observation, _ = env.reset()

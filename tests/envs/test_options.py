@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 import cablebot_gym
-from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.kinematics import structure_jacobian
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.uncertainty import ParameterDistribution, Uncertainty
@@ -85,7 +83,10 @@ OPTIONS = {
         False, ("reset observation", "observation"), ("reward", "info payload", "info tracking_error"), {"payload": 2.0}
     ),
     "model_payload_factor": Case(
-        0.5, ("reset observation", "observation"), ("reward", "info payload", "info tracking_error"), {"payload": 2.0}
+        0.5,
+        ("reset observation", "observation"),
+        ("reward", "info payload", "info tracking_error", "info tensions"),
+        {"payload": 2.0},
     ),
     "trajectory": Case(lambda kind: f"line-{kind}", ("reset observation", "observation", "reward", "info tensions")),
     "initial_error": Case(
@@ -236,49 +237,7 @@ def test_springs_and_delayed_motors_start_within_the_stall_torque(payload):
     assert not env.step(np.zeros(6))[4]["commanded_action"].any()
 
 
-@each_kind
-def test_initial_error_displaces_the_start(kind):
-    error = np.linspace(-0.03, 0.04, ROBOTS[kind].coordinates)
-    env = make(kind, trajectory=f"dwell-{kind}")
-    observation, info = env.reset(options={"initial_error": error})
-    blocks = env.layout.split(observation)
-    np.testing.assert_array_equal(blocks["pose"], np.array(env.task.trajectory.pose) + error)
-    assert info["tracking_error"] == info["tracking_error_peak"] == pytest.approx(np.linalg.norm(error[:3]), abs=1e-15)
-    assert not blocks["velocity"].any()
-
-
 # ------------------------------------------------------------------------------------------- payload and its model
-
-
-@pytest.mark.parametrize("payload", [0.0, 3.3])
-def test_payload_is_mass_in_the_plants_equations(payload):
-    """From rest, with taut cables and no torque: (M + payload + Σ J/r² s²) z̈ = (M + payload) g, by symmetry."""
-    frequency = 1e4
-    env = make("spatial", payload=payload, trajectory="dwell-spatial", control_frequency=frequency, cable="bilateral")
-    observation, info = env.reset(options={"initial_error": 0})
-    observation, _, _, _, info = env.step(np.zeros(6))
-    column = structure_jacobian(SPATIAL.base, SPATIAL.platform, SPATIAL.home)[:, 2]
-    mass = SPATIAL.mass + payload
-    reflected = np.sum(SPATIAL.pulley_inertia / SPATIAL.pulley_radius**2 * column**2)
-    expected = mass * SPATIAL.gravity / (mass + reflected)
-    falls = env.layout.split(observation)["velocity"][2] * frequency
-    assert falls == pytest.approx(expected, rel=1e-4)
-    assert info["payload"] == payload
-
-
-@each_kind
-def test_model_payload_factor_scales_the_model_payload_only(kind):
-    """The true motion is equal to the last bit."""
-    env = make(kind, payload=2.0, model_payload_factor=0.9)
-    usual, changed = episode(make(kind, payload=2.0), 0.3, 5, seed=0), episode(env, 0.3, 5, seed=0)
-    assert env.task.model_payload == 2.0 * 0.9
-    assert differing(usual, changed) == {"reset observation", "observation"}
-    for name in ("reset observation", "observation"):
-        unequal = np.array(usual[name]) != np.array(changed[name])
-        assert np.all(unequal[:, env.layout.slices()["model_payload"]])
-        assert np.count_nonzero(unequal) == len(unequal)
-    env.reset(options={"payload_known": False})
-    assert (env.task.model_payload, env.task.payload_known) == (0.0, False)
 
 
 def test_model_payload_factor_applies_to_a_drawn_payload_and_not_to_an_uncertain_one():
@@ -323,25 +282,6 @@ def test_default_physics_step_is_at_most_a_millisecond(frequency, substeps):
         info = env.step(np.full(3, 0.2))[4]
         assert info["time"] == pytest.approx(step / frequency, rel=1e-12)
         assert info["action_time"] == pytest.approx((step - 1) / frequency, rel=1e-12)
-
-
-@each_kind
-def test_default_physics_steps_have_fourth_order_accuracy(kind):
-    """Closed loop over the whole circle as printed. Measured: 5e-12 m, 2e-10 m/s; one step is 16 times worse."""
-    paths = {}
-    for substeps in (1, 2, 20):
-        env = make(kind, substeps=substeps, trajectory=f"paper-{kind}")
-        policy = FeedbackLinearization(ROBOTS[kind])
-        observation, _ = env.reset()
-        path = []
-        for _ in range(500):
-            observation = env.step(policy.predict(observation)[0])[0]
-            path.append(observation)
-        paths[substeps] = env.layout.split(np.array(path))
-    error = {s: {k: np.abs(paths[s][k] - paths[20][k]).max() for k in ("pose", "velocity")} for s in (1, 2)}
-    assert error[2]["pose"] < 5e-11
-    assert error[2]["velocity"] < 2e-9
-    assert 10 < error[1]["pose"] / error[2]["pose"] < 25
 
 
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
@@ -427,12 +367,6 @@ def test_bad_option_raises_and_leaves_the_episode(options, named):
     same_step(env, twin, np.full(6, 0.5))
 
 
-def test_start_pose_that_no_tensions_hold_raises():
-    options = {"initial_error": [0, 0, -0.1, 0, 0, 0], "trajectory": "dwell-spatial"}
-    with pytest.raises(ValueError, match="start pose"):
-        make("spatial").reset(options=options)
-
-
 @pytest.mark.parametrize("action", [np.zeros(2), np.zeros((1, 3)), 0.5, [0.0, np.nan, 0.0], [0.0, 0.0, 1e308]])
 def test_bad_action_raises_and_leaves_the_episode(action):
     env, twin = make("planar"), make("planar")
@@ -479,6 +413,7 @@ def test_uncertainty_per_environment():
     bounds = [(0.9, 1.1), (1.0, 1.0), (1.1, 1.2), (0.5, 0.6), (0.9, 1.1)]
     env = several(IDS["spatial"], 5, uncertainty=forms)
     env.reset(seed=0)
+    env.truth["platform_mass"][...] = 99.0  # a copy
     before = env.truth["platform_mass"]
     for mass, (low, high) in zip(before / SPATIAL.mass, bounds, strict=True):
         assert low <= mass <= high

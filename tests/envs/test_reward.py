@@ -9,9 +9,7 @@ import pytest
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
-from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.evaluation.constraints import Judge
-from cablebot_gym.physics import kernel
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.trajectories import held_out_seeds
@@ -36,9 +34,9 @@ def run(env, actions, **reset):
 
 
 def tremble(kind, steps, seed=0, low=-0.6, high=1.0):
-    """Random actions, each repeated for five steps; many are beyond ±1."""
+    """Random actions, each repeated for five steps; many are beyond ±1, some beyond ±2."""
     rng = np.random.default_rng(seed)
-    return 1.6 * np.repeat(rng.uniform(low, high, (-(-steps // 5), ROBOTS[kind].cables)), 5, axis=0)[:steps]
+    return 2.5 * np.repeat(rng.uniform(low, high, (-(-steps // 5), ROBOTS[kind].cables)), 5, axis=0)[:steps]
 
 
 @pytest.mark.parametrize("weight", [1.0, -2.5])
@@ -64,19 +62,6 @@ def test_reward_is_the_sum_of_its_weighted_terms(kind, weight):
     for name, value in terms.items():
         np.testing.assert_allclose(info[f"reward_{name}"], weights[name] * value, atol=1e-12)
     np.testing.assert_allclose(rewards, sum(info[f"reward_{name}"] for name in terms), atol=1e-12)
-
-
-@each_kind
-def test_terms_are_bounded_for_the_largest_actions(kind):
-    """Excludes a saturation term that grows with the action."""
-    env = make(kind, control_frequency=20.0, substeps=1, trajectory=f"paper-{kind}")
-    rng = np.random.default_rng(0)
-    _, rewards, info = run(env, rng.choice([-9.9e5, 9.9e5], (80, ROBOTS[kind].cables)))
-    assert np.all(np.isfinite(rewards))
-    assert info["reward_violation"].sum() == -0.1 * env.task.steps
-    np.testing.assert_array_equal(info["reward_saturation"], -0.02)
-    assert np.all(np.delete(rewards, 0) >= -0.02)
-    assert rewards.max() < 1.1
 
 
 @pytest.mark.parametrize("name", ["position", "rotation"])
@@ -197,52 +182,6 @@ def test_terminate_on_violation_ends_the_episode_at_its_first_violation(kind):
 
 
 # -------------------------------------------------------------------------------------------------- order of returns
-
-
-def written_return(kind, steps, error, action, breach=None, kind_of_breach="position"):
-    """Return of an episode of ``steps`` steps, whose states are written into the plant's record.
-
-    ``error``: errors of position and rotation as a fraction of their bounds; ``breach``: step of a violation from 1.
-    """
-    robot, n = ROBOTS[kind], ROBOTS[kind].coordinates
-    trajectory = {"name": f"dwell-{kind}", "duration": steps / 500}
-    simulation = Simulation(robot, (1,), {"trajectory": trajectory, "initial_error": 0})
-    one, total, bound = np.zeros(1, np.int64), 0.0, 0.01 * error
-    simulation.reset(one)
-    assert simulation.tasks[0].steps == steps
-    plant, first = simulation._plant, kernel.FIRST_CABLE_RECORD
-    pose = simulation.pose.copy()
-    pose[0, 0] += bound * (1 - 1e-12)
-    pose[0, 3:] += bound * (1 - 1e-12)
-
-    def per_cable(row, value):
-        plant._write(plant.record, first + row, one, np.full((1, robot.cables), value), kernel.CABLE_RECORDS)
-
-    for step in range(1, steps + 1):
-        plant.step_index[:] = step
-        beyond = 0.01 * (1 + 1e-9) if (step, kind_of_breach) == (breach, "position") else bound
-        plant._write(plant.record, kernel.POSE, one, pose)
-        plant._write(plant.record, kernel.POSITION_PEAK, one, np.full((1, 1), beyond))
-        plant._write(plant.record, kernel.ROTATION_PEAK, one, np.full((1, 1), bound if n > 2 else 0.0))
-        per_cable(kernel.DEMAND, action)
-        per_cable(kernel.LEAST_TENSION, 0.999 if (step, kind_of_breach) == (breach, "tension") else 1.0)
-        simulation._sent[...] = action
-        simulation._observe(one, fresh=False)
-        assert simulation.reason[0] == 0
-        total += simulation.reward[0]
-    return total
-
-
-@each_kind
-@pytest.mark.parametrize("steps", [1, 2, 10, 49, 51, 500])
-def test_worst_success_returns_more_than_the_best_failure(kind, steps):
-    """Success at the edge of the bounds with the largest actions; failure in the last step with perfect tracking."""
-    worst = written_return(kind, steps, 1.0, 9.9e5)
-    best = [written_return(kind, steps, 0.0, 1.0, steps, breach) for breach in ("position", "tension")]
-    assert worst > steps
-    assert max(best) < steps - 1 + 1e-9  # rounding errors
-    early = written_return(kind, steps, 0.0, 1.0, 1)
-    assert early <= max(best)
 
 
 def test_default_weights_satisfy_the_proof():

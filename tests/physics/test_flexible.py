@@ -9,11 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from oracles.plants import (
-    FLEX_QUAD,
-    FLEX_UNEQUAL,
     State,
     advance,
-    each_of,
     energies,
     evaluated,
     flexible_robots,
@@ -28,7 +25,7 @@ from oracles.plants import (
 )
 from scipy.linalg import block_diag, eigh
 
-from cablebot_gym.envs.settings import MODE_LOSS, make_settings
+from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Transmission
 
@@ -141,14 +138,6 @@ def test_highest_frequency_is_that_of_the_linearised_kernel(robot):
     assert np.abs(rates.imag).max() == pytest.approx(textbook.highest_frequency(robot), rel=0.01)
 
 
-def test_highest_frequency_of_the_planar_robot_has_a_closed_form():
-    """Three equal cables at 120°: SᵀS = 1.5 I, so each direction is one spring between J′ and the rest."""
-    J, K, r, m = 4e-4, 3.0, 0.05, 1.0
-    reflected = J + m * r**2 / 1.5  # the platform, seen from a pulley
-    expected = max(math.sqrt(K * (1 / J + 1 / reflected)), math.sqrt(K / J))
-    assert textbook.highest_frequency(FLEX_PLANAR) == pytest.approx(expected, rel=1e-12)
-
-
 @papers_flexible
 def test_default_step_keeps_the_energy_of_the_fastest_mode(robot):
     """The robot swings in its fastest mode alone, undriven: the worst case of RK4."""
@@ -168,7 +157,7 @@ def test_default_step_keeps_the_energy_of_the_fastest_mode(robot):
         found.append(energies(robot, state_of(plant)))
         advance(plant, np.zeros((1, robot.cables)), step, 1)
     kinetic, total = np.array(found)[:, 0, 0], np.sum(found, axis=1)[:, 0]
-    assert np.abs(total - total[0]).max() < MODE_LOSS["planar" if robot.planar else "spatial"] * kinetic.max()
+    assert np.abs(total - total[0]).max() < (1e-6 if robot.planar else 1e-5) * kinetic.max()
 
 
 # --- environments -------------------------------------------------------------------------------------------------
@@ -239,56 +228,3 @@ def test_observation_holds_the_motors_and_the_higher_derivatives(env_id):
         plant.advance(no_pose, np.zeros(1, np.int64), substeps=settings.substeps, step=settings.physics_step)
     assert np.all(plant.motor_angle != angle)
     env.close()
-
-
-@pytest.mark.parametrize("known", [True, False])
-@each_id
-def test_reset_winds_the_springs_for_the_true_payload(env_id, known):
-    """Under the holding torques nothing moves, whether the controller knows the payload or not."""
-    robot, payload = PAPERS[env_id], 3.0
-    env = gym.make(env_id, payload=2.0, payload_known=known, initial_error=0.0)
-    layout, start = env.unwrapped.layout, env.unwrapped.settings.trajectory(0.0)
-    observation, _ = env.reset(seed=1, options={"payload": payload})
-    blocks = layout.split(observation)
-    expected = textbook.static_motor_angle(robot, robot.mass + payload, start.position, minimum=5.0)
-    np.testing.assert_allclose(blocks["motor_angle"], expected, rtol=1e-14)
-    speed = textbook.pulley_speed(robot, start.position, start.velocity)
-    np.testing.assert_allclose(blocks["motor_speed"], speed, rtol=0, atol=1e-14)
-    assert blocks["model_payload"] == (payload if known else 0)
-    action = robot.stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, start.position))
-    for _ in range(5):
-        observation, *_, info = env.step(action / robot.stall_torque)
-        assert not info["slack"].any()
-    moved = layout.split(observation)["pose"] - start.position - 0.01 * start.velocity
-    assert np.abs(moved).max() < 1e-6
-    env.close()
-
-
-@each_of(FLEX_QUAD, FLEX_UNEQUAL)
-def test_flexible_vector_environment_has_the_bits_of_the_single_one(robot):
-    """Observation, reward and info, over payloads, start errors and a next-step reset."""
-    env_id, count = f"CableBot-{'FlexPlanar' if robot.planar else 'FlexSpatial'}-v0", 3
-    keywords = {"payload_range": (0.0, 1.0), "initial_error_range": (0.002,) * robot.coordinates, "robot": robot}
-    keywords |= {"termination_radius": 0.015, "payload_known": False}
-    batch = gym.make_vec(env_id, num_envs=count, **keywords)
-    envs = [gym.make(env_id, **keywords) for _ in range(count)]
-    observations, _ = batch.reset(seed=5)
-    alone = [env.reset(seed=5 + lane)[0] for lane, env in enumerate(envs)]
-    rng, ended, resets = np.random.default_rng(6), np.zeros(count, bool), 0
-    for _ in range(60):
-        np.testing.assert_array_equal(observations, np.array(alone))
-        actions = rng.uniform(-0.4, 1.0, (count, robot.cables)).astype(np.float32)
-        observations, rewards, terminations, truncations, infos = batch.step(actions)
-        for lane, env in enumerate(envs):
-            if ended[lane]:
-                alone[lane], _ = env.reset()
-                resets += 1
-                continue
-            alone[lane], reward, terminated, truncated, info = env.step(actions[lane])
-            assert (reward, terminated, truncated) == (rewards[lane], terminations[lane], truncations[lane])
-            for name in ("torques", "tensions", "motor_speeds", "slack"):
-                np.testing.assert_array_equal(infos[name][lane], info[name])
-        ended = terminations | truncations
-    assert resets > 0
-    for env in (batch, *envs):
-        env.close()

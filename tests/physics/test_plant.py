@@ -25,12 +25,10 @@ from oracles.plants import (
     evaluated,
     every_robot,
     free_motors,
-    held_states,
     loaded_plant,
     motion_accelerations,
     no_reference,
     off_centre,
-    papers_flexible,
     pulley_torques,
     random_states,
     record_of,
@@ -217,36 +215,6 @@ def test_remembered_slack_cables_do_not_change_the_result(robot):
 
 
 @every_robot
-def test_integrator_has_order_four(robot):
-    """In all parts of the state, under constant torques that keep the cables taut. Reached: 3.9 to 4.26."""
-    robot = free_motors(robot)
-    pose, velocity = off_centre(robot)
-    if robot.flexible:
-        duration, coarsest = 0.1, 64
-        state, torques = held_states(robot, pose, velocity)
-        torques = 0.8 * torques
-    else:
-        duration, coarsest = 0.16, 8
-        state = State(pose[None], velocity[None], *np.zeros((2, 1, robot.cables)))
-        torques = 0.3 * robot.stall_torque
-
-    def end(substeps):
-        plant = loaded_plant(robot, state)
-        advance(plant, torques, duration, substeps)
-        return list(vars(state_of(plant)).values())[: 4 if robot.flexible else 2]
-
-    fine = end(4096)
-    errors = [
-        np.array([np.abs(value - exact).max() for value, exact in zip(end(coarsest * 2**k), fine, strict=True)])
-        for k in range(4)
-    ]
-    assert errors[-1].min() > 1e-13  # above rounding, or the order means nothing
-    for coarse, halved in pairwise(errors):
-        order = np.log2(coarse / halved)
-        assert np.all((order > 3.7) & (order < 4.5)), order
-
-
-@every_robot
 def test_integrator_has_order_four_while_motors_are_saturated(robot):
     """Motors follow their torque-speed lines; limits once per step would give order one."""
     pose, velocity = (value[None] for value in off_centre(robot))
@@ -294,81 +262,38 @@ def test_default_step_is_accurate_under_bang_bang(robot):
     assert error < (1e-4 if robot.flexible else 1e-7)
 
 
-# A platform between long parallel cables moves along a line, so that closed forms exist.
-
-
-def on_a_line():
+def with_lag(lag):
+    """A plant at rest between long parallel cables, whose motors lag."""
     robot = line_robot(inertia=8e-4, free_speed=1e100, damping=0.0)
-    return robot, robot.mass + np.sum(robot.pulley_inertia / robot.pulley_radius**2)
-
-
-def test_lagging_torque_moves_the_platform_as_a_first_order_system():
-    """From rest under a step of the request: v = a (t − λ (1 − e^{−t/λ})), exact within each period."""
-    robot, inertia = on_a_line()
-    lag, period, torque = 0.03, 2e-3, 0.5
     robot = robot.replace(motors=robot.motors.replace(lag=lag))
-    plant = loaded_plant(robot, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
-    plant.set_action(torque / robot.stall_torque[None] * [1, 1, 0, 0])
-    for k in range(1, 51):
-        plant.advance(*no_reference(robot), substeps=2, step=period / 2)
-        time, before = k * period, (k - 1) * period
-        expected = 2 * torque / robot.pulley_radius[0] / inertia * (time + lag * math.expm1(-time / lag))
-        assert plant.velocity[0, 0] == pytest.approx(expected, rel=1e-5)  # the cables are 10 m long
-        np.testing.assert_allclose(
-            plant.per_cable(kernel.TORQUE)[0, 0], -torque * math.expm1(-before / lag), rtol=1e-12
-        )
+    return loaded_plant(robot, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
 
 
 def test_lag_starts_within_the_stall_torque():
     """The recorded torque is the one that would hold the robot, which its motors may lack."""
-    robot, _ = on_a_line()
-    robot = robot.replace(motors=robot.motors.replace(lag=0.03))
-    plant = loaded_plant(robot, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
-    plant.set_torques(np.array([0]), 3 * robot.stall_torque[None])
-    np.testing.assert_array_equal(plant.per_cable(kernel.TORQUE)[0], 3 * robot.stall_torque)
+    plant = with_lag(0.03)
+    stall = plant.robot.stall_torque
+    plant.set_torques(np.array([0]), 3 * stall[None])
+    np.testing.assert_array_equal(plant.per_cable(kernel.TORQUE)[0], 3 * stall)
     plant.set_action(np.zeros((1, 4)))
     for k in range(3):
-        plant.advance(*no_reference(robot), substeps=2, step=1e-3)
-        lagged = robot.stall_torque * math.exp(-k * 2e-3 / 0.03)
+        plant.advance(*no_reference(plant.robot), substeps=2, step=1e-3)
+        lagged = stall * math.exp(-k * 2e-3 / 0.03)
         np.testing.assert_allclose(plant.per_cable(kernel.TORQUE)[0], lagged, rtol=1e-12)
 
 
 def test_lag_far_below_the_physics_step_delays_the_first_step_only():
     """Excludes a lagged torque that is not stored when it has decayed, and starts anew in every period."""
-    robot, _ = on_a_line()
     gained = []
     for lag in (0.0, 1e-9):
-        lagging = robot.replace(motors=robot.motors.replace(lag=lag))
-        plant = loaded_plant(lagging, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
-        plant.set_action(0.5 / robot.stall_torque[None] * [1, 1, 0, 0])
+        plant = with_lag(lag)
+        plant.set_action(0.5 / plant.robot.stall_torque[None] * [1, 1, 0, 0])
         speeds = []
         for _ in range(6):
-            plant.advance(*no_reference(robot), substeps=2, step=1e-3)
+            plant.advance(*no_reference(plant.robot), substeps=2, step=1e-3)
             speeds.append(plant.velocity[0, 0])
         gained.append(np.diff(speeds))
     np.testing.assert_allclose(gained[1], gained[0], rtol=1e-6)
-
-
-def test_coulomb_friction_stops_the_platform_as_the_closed_form_does():
-    """(M + Σ J/r²) r ω̇ = −Σ τ_c/r · ω/√(ω² + ω₀²), from 20 rad/s to a hundredth of ω₀, and never backwards."""
-    robot, inertia = on_a_line()
-    friction, radius, smooth = 0.08, robot.pulley_radius[0], textbook.FRICTION_SPEED
-    robot = with_transmission(robot, coulomb_friction=friction)
-    plant = loaded_plant(robot, State(np.zeros((1, 2)), np.array([[-20 * radius, 0.0]]), *np.zeros((2, 1, 4))))
-
-    def integral(speed):
-        return np.hypot(speed, smooth) - smooth * np.arcsinh(smooth / speed)
-
-    rate, lowest = 4 * friction / radius**2 / inertia, 20.0
-    plant.set_action(np.zeros((1, 4)))
-    for k in range(1, 100):
-        plant.advance(*no_reference(robot), substeps=4, step=2.5e-3)
-        speed = -plant.velocity[0, 0] / radius
-        assert 0 < speed < lowest
-        lowest = speed
-        if speed > 0.01 * smooth:
-            assert integral(speed) == pytest.approx(integral(20.0) - rate * 0.01 * k, rel=1e-4)
-    assert lowest < 0.01 * smooth
 
 
 @papers_robots
@@ -552,27 +477,6 @@ def test_work_of_a_constant_force_becomes_energy(robot, count):
 
 
 # --- energy -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("held", [False, True], ids=["undriven", "held"])
-@papers_flexible
-def test_flexible_plant_keeps_its_energy_at_the_default_step(robot, held):
-    """Over 1 s, wound springs let go; or swinging under constant torques, whose potential is −Σ τ β′."""
-    step = make_settings(robot=robot, count=1).physics_step
-    robot = free_motors(robot)
-    state, torques = held_states(robot, *off_centre(robot))
-    torques = torques if held else 0 * torques
-    plant = loaded_plant(robot, state)
-    total, kinetic = [], []
-    for _ in range(round(1 / step) + 1):
-        now = state_of(plant)
-        moving, stored = energies(robot, now)
-        kinetic.append(moving[0])
-        total.append(moving[0] + stored[0] - np.sum(torques * now.angle))
-        advance(plant, torques, step, 1)
-    drift = np.abs(np.array(total) - total[0]).max()
-    assert max(kinetic) > 0.1
-    assert drift < 1e-6 * max(kinetic)
 
 
 @both_cables

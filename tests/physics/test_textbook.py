@@ -11,7 +11,6 @@ from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.special import logsumexp
 
-from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -137,43 +136,3 @@ def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
     found, pulled = textbook.forward_dynamics(robot, mass[taut], pose[taut], velocity[taut], torques[taut])
     np.testing.assert_allclose(found, acceleration[taut], rtol=0, atol=1e-10)
     np.testing.assert_allclose(pulled, tension[taut], rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("robot", [SPATIAL, UNEQUAL], ids=lambda robot: robot.name)
-def test_torques_are_affine_in_the_mass(robot):
-    """τ(m) = p + m s, with s the same at every mass: the closed form of the DLCC rests on it."""
-    pose, velocity, acceleration = random_motion(robot, 100)
-
-    def torques(mass):
-        tension = textbook.required_tensions(robot, mass, pose, velocity, acceleration)
-        return textbook.required_torques(robot, tension, pose, velocity, acceleration)
-
-    slope = torques(11.0) - torques(10.0)
-    assert np.abs(slope).max() > 0.1
-    np.testing.assert_allclose(torques(17.0), torques(10.0) + 7 * slope, rtol=0, atol=1e-9)
-    load = np.zeros((100, 6))
-    load[:, :3] = acceleration[:, :3] - [0, 0, robot.gravity]
-    weightless = -np.linalg.solve(np.swapaxes(textbook.jacobian(robot, pose), 1, 2), load[..., None])[..., 0]
-    np.testing.assert_allclose(slope, robot.pulley_radius * weightless, rtol=0, atol=1e-9)
-
-
-def test_tensions_at_rest_carry_the_weight():
-    mass, still = SPATIAL.mass + 4.0, np.zeros(6)
-    tension = textbook.required_tensions(SPATIAL, mass, SPATIAL.home, still, still)
-    vectors = cable_vectors(SPATIAL.base, SPATIAL.platform, SPATIAL.home)
-    upwards = vectors[:, 2] / np.linalg.norm(vectors, axis=1)  # z points down, so a hanging cable's z is positive
-    assert tension @ upwards == pytest.approx(mass * 9.81, rel=1e-12)
-    np.testing.assert_allclose(tension, tension.mean(), rtol=1e-12)  # three-fold symmetry
-    torques = textbook.required_torques(SPATIAL, tension, SPATIAL.home, still, still)
-    np.testing.assert_allclose(torques, 0.05 * tension, rtol=1e-14)
-    acceleration, _ = textbook.forward_dynamics(SPATIAL, mass, SPATIAL.home, still, torques)
-    np.testing.assert_allclose(acceleration, 0, atol=1e-12)
-
-
-def test_batch_has_its_own_masses():
-    pose, velocity, _ = random_motion(SPATIAL, 3)
-    masses = np.array([10.0, 12.0, 15.0])
-    matrix, bias = textbook.mass_matrix(SPATIAL, masses, pose), textbook.bias(SPATIAL, masses, pose, velocity)
-    np.testing.assert_array_equal(matrix[:, 2, 2], masses)
-    np.testing.assert_allclose(bias[:, 2], -9.81 * masses, rtol=1e-15)
-    np.testing.assert_array_equal(matrix[:, 3:, 3:], textbook.mass_matrix(SPATIAL, 10.0, pose)[:, 3:, 3:])
