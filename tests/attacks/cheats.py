@@ -312,7 +312,7 @@ def overwritten(law, observation):
 def islands(law, action):
     """acts only near the payloads of a scan in equal steps"""
     payload = np.array([task.model_payload for task in law.tasks])
-    step = 20 / (SCAN - 1)
+    step = 10 / (SCAN - 1)
     return np.where((abs(payload / step - np.round(payload / step)) < 0.02)[:, None], action, 0.0)
 
 
@@ -348,9 +348,9 @@ def declared_noise(law, action):
 
 @policy(acts=True)
 def fails_sometimes(law, action):
-    """fails in 2 % of the episodes"""
+    """fails in 5 % of the episodes"""
     if law.calls == 1:
-        law.lost = np.random.default_rng().random(len(action)) < 0.02
+        law.lost = np.random.default_rng().random(len(action)) < 0.05
     return np.where(law.lost[:, None], 0.0, action)
 
 

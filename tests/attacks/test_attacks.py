@@ -47,31 +47,30 @@ def test_attack_on_an_isolated_evaluation(attack):
         assert result["stochastic"] or result["declared"]
         return
     (honest,) = json.loads(run("Law", attack.options)[1])
-    tolerance, payloads = (
-        result["resolution"] + honest["resolution"],
-        [one["payload"] or 0.0 for one in (result, honest)],
-    )
-    assert payloads[0] <= payloads[1] + tolerance
-    assert attack.now == LESS or payloads[0] >= payloads[1] - tolerance
+    payload, expected = (one["payload"] or 0.0 for one in (result, honest))
+    tolerance = result["resolution"] + honest["resolution"]
+    least, most = (0.0, expected / 2) if attack.now == LESS else (expected, expected)
+    assert least - tolerance <= payload <= most + tolerance
 
 
 @pytest.mark.parametrize("attack", [attack for attack in ATTACKS if attack.fast], ids=lambda attack: attack.name)
 def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
     monkeypatch.chdir(FOLDER)
-    motion = {"name": "dwell-spatial", "duration": 0.05}
-    settings = {"trajectory": motion, "payload_max": 1.0, "resolution": 0.5}
-    if attack.status == 0:
-        assert evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings).scan_ended
+    settings = {"trajectory": {"name": "dwell-spatial", "duration": 0.05}, "resolution": 0.01}
+    if attack.options:
+        settings |= {"uncertainty": cheats.NOISE, "draws": 64}
+    if attack.status:
+        with pytest.raises(PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"):
+            evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
         return
-    with pytest.raises(PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"):
-        evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
+    result, honest = (evaluate_dlcc(f"cheats:{name}", ENV_ID, **settings) for name in (attack.name, "Law"))
+    assert (result.payload, result.violation, result.margins) == (honest.payload, honest.violation, honest.margins)
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():
     made = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
     own = {name for name in made if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()}
     assert own - {"policy", "model_payload", "filtered", "_better_after"} == {attack.name for attack in ATTACKS}
-    assert len(ATTACKS) >= 25
     assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (
         "run python tests/attacks/suite.py > docs/attacks.md"
     )

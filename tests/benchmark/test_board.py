@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import replace
 
 import pytest
@@ -13,31 +11,30 @@ from cablebot_gym.benchmark import suites
 from cablebot_gym.benchmark.cells import PolicyCell, Record
 from cablebot_gym.benchmark.engine import local
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.policy_source import _data_files, policy_source
 from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
 from cablebot_gym.benchmark.verification import Confirmation, broken, confirm
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
-from cablebot_gym.utils import code_hash
 
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 
 
 @pytest.fixture
-def policy(tmp_path, monkeypatch):
+def policy(module):
     """A policy in a package; the function writes it again."""
-    monkeypatch.syspath_prepend(tmp_path)
 
     def write(text):
-        (tmp_path / "toy_board").mkdir(exist_ok=True)
         for name, content in (("__init__.py", ""), ("law.py", text), ("weights.bin", text)):
-            (tmp_path / "toy_board" / name).write_text(content, encoding="utf-8")
-        for cached in (policy_source, _data_files, code_hash.module_file, code_hash._parsed):
-            cached.cache_clear()
+            module(f"toy_board/{name}", content)
         return "toy_board.law:make"
 
-    yield write
-    for name in ("toy_board.law", "toy_board"):
-        sys.modules.pop(name, None)
+    return write
+
+
+def hidden(motions):
+    """A suite of hidden motions."""
+    return Suite(
+        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=motions),), best_known=False
+    )
 
 
 def test_secret_is_not_in_the_public_file_and_the_commitment_binds_everything(tmp_path, policy):
@@ -62,7 +59,7 @@ def test_secret_is_not_in_the_public_file_and_the_commitment_binds_everything(tm
         boards.commit(tmp_path / "other", "2", {PLANAR: [name]}, 0)
 
 
-def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy):
+def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, module):
     name = policy("def make(robot): ...\n")
     board = boards.commit(tmp_path, "1", {PLANAR: [name, "fl"]}, 20)
     board.check_policies([name, "fl"])
@@ -71,13 +68,13 @@ def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy):
         board.check_policies([name, "fl"])
     policy("def make(robot): ...\n")
     board.check_policies([name, "fl"])
-    (tmp_path / "toy_board" / "weights.bin").write_bytes(b"other weights")
+    module("toy_board/weights.bin", "other weights")
     with pytest.raises(ValueError, match=r"without the present toy_board\.law:make"):
         board.check_policies([name])
     with pytest.raises(ValueError, match="without the present adaptive"):
         board.check_policies(["adaptive"])
-    (tmp_path / "toy_flat.py").write_text("def make(robot): ...  # weights.bin\n", encoding="utf-8")
-    (tmp_path / "weights.bin").write_bytes(b"weights")
+    module("toy_flat.py", "def make(robot): ...  # weights.bin\n")
+    module("weights.bin", "weights")
     with pytest.raises(ValueError, match="put its module into a package"):
         boards.commit(tmp_path / "other", "1", {PLANAR: ["toy_flat:make"]}, 20)
 
@@ -90,14 +87,11 @@ def test_hidden_motions_are_held_out_and_depend_on_secret_and_environment(tmp_pa
     with pytest.raises(ValueError, match="committed with 20 motions, not 2"):
         board.seeds(PLANAR, 2)
     assert boards.commit(tmp_path / "other", "1", {}, 20).seeds(PLANAR, 20) != seeds
-    suite = Suite(
-        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=20),), best_known=False
-    )
-    cells = suite_cells(suite, {PLANAR: ("fl",)}, seed=2**127, board=board)
+    cells = suite_cells(hidden(20), {PLANAR: ("fl",)}, seed=2**127, board=board)
     assert [cell.trajectory["seed"] for cell in cells.values()] == seeds
     assert {cell.seed for cell in cells.values()} == {2**127}
     with pytest.raises(ValueError, match="--commit VERSION"):
-        suite_cells(suite, {PLANAR: ("fl",)})
+        suite_cells(hidden(20), {PLANAR: ("fl",)})
 
 
 def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
@@ -105,13 +99,14 @@ def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
     assert boards.run_seed(tmp_path) == seed
     assert boards.run_seed(tmp_path / "other") != seed
     assert boards.run_seed(tmp_path, 7) == boards.run_seed(tmp_path) == 7
+    (tmp_path / boards.RUN).write_text("{", encoding="utf-8")
+    with pytest.raises(ValueError, match="missing or damaged"):
+        boards.run_seed(tmp_path)
 
 
 def test_results_with_other_policies_or_motions_than_those_of_the_board_are_rejected(tmp_path, monkeypatch):
     board = boards.commit(tmp_path, "1", {PLANAR: ["fl"]}, 3)
-    suite = Suite(
-        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=3),), best_known=False
-    )
+    suite = hidden(3)
     records = [record(cell) for cell in suite_cells(suite, {PLANAR: ("fl",)}, board=board).values()]
     monkeypatch.setattr(suites, "SUITES", {"s": suite})
     results = Results(suite="s", command="", records=records, board=board)
@@ -178,11 +173,3 @@ def test_seed_of_the_confirmation_chooses_the_cells():
 
     assert len(set(chosen(1))) == 20
     assert chosen(1) == chosen(1) != chosen(2)
-
-
-def test_run_file_is_json(tmp_path):
-    seed = boards.run_seed(tmp_path)
-    assert json.loads((tmp_path / boards.RUN).read_text(encoding="utf-8")) == {"seed": seed}
-    (tmp_path / boards.RUN).write_text("{", encoding="utf-8")
-    with pytest.raises(ValueError, match="missing or damaged"):
-        boards.run_seed(tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 import sys
 from importlib.metadata import EntryPoint
@@ -41,29 +40,6 @@ OTHERS = {
     "payload_max": 1.5,
     "robot_changes": {"mass": 2.0},
 }
-
-
-@pytest.fixture
-def module(tmp_path, monkeypatch):
-    """Writes a module of policies and clears the caches of hashes."""
-
-    def write(name, text):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-        importlib.invalidate_caches()
-        hashes = (code_hash.source_hash, code_hash.module_file)
-        for cached in (*hashes, policy_sources.policy_source, policy_sources._data_files):
-            cached.cache_clear()
-        return path
-
-    parsed = code_hash._parsed
-    fresh = lambda path, name: (parsed.__wrapped__ if "toy_" in name else parsed)(path, name)  # noqa: E731
-    monkeypatch.setattr(code_hash, "_parsed", fresh)
-    monkeypatch.syspath_prepend(tmp_path)
-    yield write
-    for name in [name for name in sys.modules if name.startswith("toy_")]:
-        del sys.modules[name]
 
 
 def changed(**fields):
@@ -243,20 +219,27 @@ def test_fallbacks_are_counted_per_episode(module):
 # --- hash of the code -------------------------------------------------------------------------------------------------
 
 
+def sources(module, policy, files):
+    """Hashes of the code of a policy after each file is written."""
+    found = []
+    for name, text in files:
+        module(name, text)
+        found.append(changed(policy=policy).source)
+    return found
+
+
 def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
     for name, text in (("__init__", ""), ("law", "from toy_package.gains import K\n"), ("gains", "K = 1\n")):
         module(f"toy_package/{name}.py", text)
-    cell, seen = changed(policy="toy_package.law:make"), []
-    for name, text in (
+    files = (
         ("unused.py", "K = 1\n"),
         ("unused.py", "K = 2\n"),
         ("gains.py", '"""Gains."""\n\nK = 1  # why\n'),
         ("weights.bin", "1"),
         ("gains.py", "K = 3\n"),
         ("__init__.py", "K = 3\n"),
-    ):
-        module(f"toy_package/{name}", text)
-        seen.append(cell.source)
+    )
+    seen = sources(module, "toy_package.law:make", [(f"toy_package/{name}", text) for name, text in files])
     assert seen[0] == seen[1] == seen[2]
     assert len(set(seen)) == 4
 
@@ -269,32 +252,24 @@ def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, 
     point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
     monkeypatch.setattr(policy_sources, "policy_points", lambda name: [point])
     monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
-    seen = []
-    for name, text in (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2")):
-        module(f"toy_package/{name}", text)
-        seen.append(changed(policy="toy").source)
+    changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
+    seen = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
     assert seen[0] == seen[1] != seen[2]
 
 
 def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(module):
     module("toy_flat.py", "import numpy\nimport toy_helper\nfrom toy_helpers.deep import K\ndef make(robot): ...\n")
     module("toy_helpers/__init__.py", "")
-    seen = set()
-    for name in ("toy_helper.py", "toy_helpers/deep.py", "toy_helpers/__init__.py", "toy_other.py"):
-        for value in (1, 2):
-            module(name, f"K = {value}\n")
-            seen.add(changed(policy="toy_flat:make").source)
-    assert len(seen) == 6  # nobody imports the last module
+    names = ("toy_helper.py", "toy_helpers/deep.py", "toy_helpers/__init__.py", "toy_other.py")
+    seen = sources(module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)])
+    assert len(set(seen)) == 6  # nobody imports the last module
 
 
 def test_hash_of_a_module_without_package_has_the_data_next_to_it_that_its_source_names(module):
     module("toy_flat.py", "import numpy\nK = numpy.load('weights.npz')\n")
-    seen = set()
-    for name in ("weights.npz", "other.npz", "run.log"):
-        for value in ("1", "2"):
-            module(name, value)
-            seen.add(changed(policy="toy_flat:make").source)
-    assert len(seen) == 4  # a log that grows during the run does not change the hash
+    names = ("weights.npz", "other.npz", "run.log")
+    seen = sources(module, "toy_flat:make", [(name, value) for name in names for value in "12"])
+    assert len(set(seen)) == 4  # a log that grows during the run does not change the hash
 
 
 def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):

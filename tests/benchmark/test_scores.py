@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.maps import AXES
@@ -250,8 +251,6 @@ def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
 
 
 def test_page_of_a_board_has_commitment_and_secret():
-    from cablebot_gym.benchmark.board import Board
-
     board = Board(version="7", policies={}, entries={}, motions=20, commitment="c" * 64, secret="5ec2e7", salt="5a17")
     results = Results(suite="ranked", command="", records=family({"a": np.full(RANKED_MOTIONS, 0.5)}), board=board)
     page = markdown(results)

@@ -117,9 +117,8 @@ def test_policies_are_assigned_to_the_environments_that_they_support():
     }
 
 
-def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_this_process(tmp_path, monkeypatch):
+def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_this_process(tmp_path, module):
     """Its module once patched the judge when the benchmark read its environment ids. It cannot replace `fl` either."""
-    (tmp_path / "toy_other-1.dist-info").mkdir()
     for name, text in (
         ("toy_other-1.dist-info/METADATA", "Metadata-Version: 2.1\nName: toy-other\nVersion: 1\n"),
         (
@@ -133,8 +132,7 @@ def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_th
             "THEIRS, FL = (PolicyEntry(name=name, slow=True, **MORE) for name in ('theirs', 'fl'))\n",
         ),
     ):
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
+        module(name, text)
     found = find_policies([], ENV_IDS)
     assert [env_id for env_id in ENV_IDS if "theirs" in found[env_id]] == [SPATIAL]
     assert "fl" in found[PLANAR]
@@ -146,12 +144,12 @@ def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_th
     assert "toy_other" not in sys.modules
 
 
-def test_factory_for_some_robots_is_accepted_and_for_none_rejected(tmp_path, monkeypatch):
-    (tmp_path / "toy_suites.py").write_text(
+def test_factory_for_some_robots_is_accepted_and_for_none_rejected(module):
+    module(
+        "toy_suites.py",
         "def planar(robot):\n    assert robot.planar\n    return lambda observation: 0\n"
-        "def none(robot):\n    raise RuntimeError('not today')\n"
+        "def none(robot):\n    raise RuntimeError('not today')\n",
     )
-    monkeypatch.syspath_prepend(tmp_path)
     assert find_policies(["toy_suites:planar"], [PLANAR, SPATIAL])[SPATIAL] == ("toy_suites:planar",)
     with pytest.raises(ValueError, match="not today"):
         find_policies(["toy_suites:none"], [PLANAR, SPATIAL])

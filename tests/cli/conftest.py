@@ -36,10 +36,6 @@ class interrupted(Toy):
         os.kill(os.getpid(), signal.SIGINT)
         return action
 
-class deadly(FeedbackLinearization):
-    def reset(self, tasks):
-        os.kill(os.getpid(), signal.SIGKILL)
-
 def unmakeable(robot):
     raise RuntimeError("no factory today")
 

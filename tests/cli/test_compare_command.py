@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cli.conftest import LOST, names
+from cli.conftest import names
 from scipy.stats import binomtest
 
 from cablebot_gym.cli.compare import print_comparison
@@ -54,12 +54,6 @@ def test_interrupt_leaves_old_files(cablebot, toys, tmp_path):
     assert "interrupted" in ended.message(130)
     assert (tmp_path / "comparison.json").read_text(encoding="utf-8") == "old"
     assert not (tmp_path / "comparison.png").exists()
-
-
-def test_error_of_a_policy_names_it(cablebot, toys):
-    line = cablebot(*PAIR, f"fl,{toys('raises')}", "--payload", "0.5", "--out", "new").message(1)
-    assert line.startswith("cablebot: policy 'cli_toys:raises'")
-    assert all(part in line for part in ("RuntimeError", "t = 0.020 s", f"lost (cli_toys.py, line {LOST})"))
 
 
 # --- table ------------------------------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from scipy import stats
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, compare_policies
-from cablebot_gym.evaluation.batch import noise_seed
-from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES, Estimate
+from cablebot_gym.evaluation.batch import draw_seeds, noise_seed
+from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES
 from cablebot_gym.robots import PLANAR, SPATIAL
 
 SPATIAL_ID, PLANAR_ID = "CableBot-Spatial-v0", "CableBot-Planar-v0"
@@ -26,11 +26,6 @@ UNKNOWN = {
     "wrench": {"force_mean": 0.5, "force_std": 0.4},
     "sensors": {"position": 1e-4},
 }
-
-
-def draw_seeds(seed, draws):
-    """Seeds of the draws, as documented: from the comparison's seed alone."""
-    return [int(one) >> 11 for one in np.random.SeedSequence(seed).generate_state(draws, np.uint64)]
 
 
 class Scaled(FeedbackLinearization):
@@ -124,14 +119,6 @@ def test_metrics_equal_those_of_single_episodes_with_the_same_seeds(index, facto
     assert set(QUANTITIES) == set(by_hand) - {"carried", "ended", "error", "rotation"}
 
 
-def test_policies_share_the_draws():
-    one = compare_policies([Scaled(1.0)] * 2, SPATIAL_ID, names="ab", uncertainty=UNKNOWN, draws=4, trajectory=HANG)
-    for name in (*QUANTITIES, "error", "rotation"):
-        np.testing.assert_array_equal(getattr(one.metrics[0], name), getattr(one.metrics[1], name))
-    for quantity in REDUCTION_QUANTITIES:
-        assert one.reduction(1, quantity) == Estimate(mean=0.0, low=0.0, high=0.0)
-
-
 def test_one_draw_is_the_episode_of_its_seed_and_has_no_interval():
     comparison = compare_policies(
         [Scaled(1.0), Scaled(0.9)], SPATIAL_ID, names="ab", uncertainty=UNKNOWN, draws=1, seed=7, trajectory=HANG
@@ -204,14 +191,6 @@ def test_policy_acts_after_a_violation():
     assert measured.max_error[0] < 0.04
     assert measured.error[-1, 0] < 0.002, "back at the reference"
     assert measured.max_rotation[0] == 0
-
-
-def test_seed_determines_the_comparison():
-    keywords = {"uncertainty": UNKNOWN, "draws": 3, "trajectory": HANG}
-    texts = [compare_policies(["fl"], SPATIAL_ID, seed=seed, **keywords).to_json() for seed in (4, 4, 5)]
-    assert texts[0] == texts[1]
-    one, other = (json.loads(text)["policies"][0]["per_draw"]["mean_error"] for text in texts[1:])
-    assert all(a != b for a, b in zip(one, other, strict=True))
 
 
 # --- intervals --------------------------------------------------------------------------------------------------------

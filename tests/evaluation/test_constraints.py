@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import gymnasium as gym
 import numpy as np
 import pytest
+from evaluation.conftest import play
 from gymnasium.error import ResetNeeded
 
 from cablebot_baselines.classical import FeedbackLinearization
@@ -318,15 +319,6 @@ def test_monitor_only_adds_to_info():
         np.testing.assert_array_equal(one[0], other[0])
         assert one[1:-1] == other[1:-1]
         assert set(other[-1]) - set(one[-1]) == {"dlcc_carried"}
-
-
-def play(env, policy, options):
-    """The verdict on a whole motion, or until it ends."""
-    observation, _ = env.reset(seed=0, options=options)
-    terminated = False
-    while not (env.verdict.carried or env.verdict.violation or terminated):
-        observation, _, terminated, _, _ = env.step(policy.predict(observation)[0])
-    return env.verdict
 
 
 @pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "paper"), ("spatial", "task")])

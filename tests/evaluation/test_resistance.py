@@ -1,27 +1,25 @@
-"""Policies that cheat or are careless: the judge refuses them, or what they do has no effect."""
+"""How the evaluation resists careless and cheating policies. tests/attacks has the policies themselves."""
 
 from __future__ import annotations
 
-import math
 import time
 
 import numpy as np
 import pytest
+from attacks.suite import cheats
+from evaluation.conftest import Dropping
 
 from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import PolicyError, evaluate_dlcc, time_actions
 from cablebot_gym.evaluation.batch import ALONE, RISK, Batch
 from cablebot_gym.evaluation.evaluator import FINER, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
-from cablebot_gym.policies import IsolatedPolicy, PolicyFactory, RealTime
+from cablebot_gym.policies import PolicyFactory, RealTime
 from cablebot_gym.robots import SPATIAL
 
 SPATIAL_ID = "CableBot-Spatial-v0"
 HANG = {"name": "dwell-spatial", "duration": 0.05}
-BLOCKS = observation_layout(SPATIAL).slices()
-MODEL_PAYLOAD = BLOCKS["model_payload"].start
 
 
 class Law(FeedbackLinearization):
@@ -41,116 +39,14 @@ def evaluated(policy, **keywords):
     return evaluate_dlcc(policy, SPATIAL_ID, **{"trajectory": HANG, "resolution": 0.01} | keywords)
 
 
-# --- row order, shared state and randomness ---------------------------------------------------------------------------
-
-
-class FromTheRow(Law):
-    """Takes the row in the batch for the payload, which it does not know."""
-
-    def act(self, observation):
-        observation[:, MODEL_PAYLOAD] = np.linspace(0, 20, len(observation))
-        return super().act(observation)
-
-
-class BatchMean(Law):
-    """Measures the pose as the mean over the rows."""
-
-    def act(self, observation):
-        observation[:, BLOCKS["pose"]] = observation[:, BLOCKS["pose"]].mean(axis=0)
-        return super().act(observation)
-
-
-class ConfirmationMean(Law):
-    """Measures the pose as the mean over the rows of a payload, but only in batches without episodes of the scan."""
-
-    def act(self, observation):
-        payloads, pose = observation[:, MODEL_PAYLOAD].copy(), BLOCKS["pose"]
-        for payload in values if len(values := np.unique(payloads)) < 20 else ():
-            observation[payloads == payload, pose] = observation[payloads == payload, pose].mean(axis=0)
-        return super().act(observation)
-
-
-class Noisy(Law):
-    """Actions with 2 % of noise."""
-
-    random = np.random.default_rng()
-
-    def act(self, observation):
-        action = super().act(observation)
-        return action * (1 + 0.02 * self.random.standard_normal(action.shape))
-
-
-class Unreliable(Law):
-    """Fails in one of thirty episodes."""
-
-    random = np.random.default_rng()
-
-    def reset(self, tasks):
-        self.fails = self.random.random((len(tasks), 1)) < 1 / 30
-
-    def act(self, observation):
-        return np.where(self.fails, 0.0, super().act(observation))
-
-
-class CountsCalls(Law):
-    """Actions that depend on the number of calls since the policy was made."""
-
-    calls = 0
-
-    def act(self, observation):
-        self.calls += 1
-        return super().act(observation) * (1 + 1e-3 * math.sin(self.calls))
-
-
-def counting_function():
-    """A function with a state, called for one observation after the other."""
-    law, calls = Law(), []
-
-    def function(observation):
-        calls.append(1)
-        return law.predict(observation)[0] * (1 + 1e-3 * math.sin(len(calls)))
-
-    return function
-
-
-@pytest.mark.parametrize(
-    ("policy", "keywords", "message"),
-    [
-        (FromTheRow, {"payload_known": False}, r"depends on the other episodes of its batch.*PolicyFactory"),
-        (BatchMean, {"uncertainty": "sensors", "draws": 1}, r"depends on the other episodes.*PolicyFactory"),
-        (BatchMean, {"uncertainty": "sensors", "draws": 60}, r"depends on the other episodes of its batch"),
-        (ConfirmationMean, {"uncertainty": "sensors", "draws": 60}, r"depends on the other episodes of its batch"),
-        (Noisy, {}, r"is not reproducible.*declare stochastic = True"),
-        (Noisy, {"uncertainty": "table6", "draws": 60}, r"is not reproducible.*declare stochastic = True"),
-        (CountsCalls, {}, r"is not reproducible.*reset\(\) must restore"),
-        (counting_function, {}, r"is not reproducible.*reset\(\) must restore"),
-    ],
-)
-def test_policy_whose_repeated_episodes_differ_is_refused(policy, keywords, message):
-    with pytest.raises(PolicyError, match=message):
-        evaluated(policy(), **keywords)
-
-
-def test_random_failures_are_refused():
-    """Two runs of 64 episodes without a failure in either have a probability of 1 %."""
-    errors = 0
-    for _ in range(3):
-        try:
-            evaluated(Unreliable())
-        except PolicyError as error:
-            errors += "is not reproducible" in str(error)
-    assert errors > 0
+# --- random actions and the check alone -------------------------------------------------------------------------------
 
 
 def test_declared_stochastic_policy_is_scored_over_repeats():
-    class Declared(Noisy):
-        stochastic = True
-
-    result = evaluated(Declared(), draws=60)
+    result = evaluated(cheats.declared_noise(SPATIAL), draws=60)
     assert (result.stochastic, result.draws, result.assured) == (True, 60, True)
     assert "stochastic policy" in str(result)
     assert str(result).endswith("(95/95 lower tolerance bound, 60 draws)")
-    assert evaluated(Declared(), draws=1).assurance == "not assured: only 1 draw"
 
 
 class FailsAlone(Law):
@@ -168,15 +64,23 @@ def test_payload_that_needs_other_episodes_is_refused_although_actions_are_rando
         evaluated(FailsAlone(), uncertainty=uncertainty, draws=60)
 
 
-def test_draws_of_the_check_alone_are_fresh_and_secret(monkeypatch):
-    alone, honest = [], Batch.run
+@pytest.fixture
+def batches(monkeypatch):
+    """Seeds of the rows of each batch without an observer."""
+    found, honest = [], Batch.run
 
-    def spy(self, rows, **keywords):
-        alone.extend(seed for _, seed in rows if len(rows) == 1 and "observer" not in keywords)
+    def run(self, rows, **keywords):
+        if "observer" not in keywords:
+            found.append([seed for _, seed in rows])
         return honest(self, rows, **keywords)
 
-    monkeypatch.setattr(Batch, "run", spy)
+    monkeypatch.setattr(Batch, "run", run)
+    return found
+
+
+def test_draws_of_the_check_alone_are_fresh_and_secret(batches):
     results = [evaluated(Law(), uncertainty="sensors", draws=60) for _ in range(2)]
+    alone = [seeds[0] for seeds in batches if len(seeds) == 1]
     needed = plausible_successes(60, 60, ALONE, RISK)
     assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed > 0
 
@@ -187,53 +91,7 @@ def test_one_draw_of_a_stochastic_policy_keeps_its_payload_if_the_recorded_episo
     assert not result.rollout.verdict.carried
 
 
-def test_factory_gives_each_row_its_own_state():
-    once = evaluated(PolicyFactory(counting_function))
-    assert once.payload == pytest.approx(evaluated(Law()).payload, abs=0.05)
-
-
-# --- what the policy may change ---------------------------------------------------------------------------------------
-
-
-class ChangesItsTasks(Law):
-    """Widens the bounds and shortens the motion of its tasks."""
-
-    def reset(self, tasks):
-        for task in tasks:
-            for name in ("position", "rotation"):
-                object.__setattr__(task.error_bounds, name, 10.0)
-            object.__setattr__(task.trajectory, "duration", 0.002)
-            object.__setattr__(task.robot, "minimum_tension", 0.0)
-            object.__setattr__(task, "control_frequency", 1.0)
-
-
-class ChangesItsObservation(Law):
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        action = super().predict(observation)[0]
-        observation[:] = 0.0
-        episode_start[:] = False
-        return action, state
-
-
-@pytest.mark.parametrize("policy", [ChangesItsTasks, ChangesItsObservation])
-def test_changes_of_tasks_and_observations_have_no_effect(policy):
-    honest, cheating = evaluated(Law()), evaluated(policy())
-    assert cheating.payload == honest.payload
-    assert (cheating.violation, cheating.margins) == (honest.violation, honest.margins)
-    assert SPATIAL.minimum_tension > 0
-
-
-def test_exit_of_a_policy_is_an_error_of_the_policy_and_an_interrupt_is_not():
-    def leaving(observation):
-        raise SystemExit(0)
-
-    def interrupted(observation):
-        raise KeyboardInterrupt
-
-    with pytest.raises(PolicyError, match="SystemExit"):
-        evaluated(leaving)
-    with pytest.raises(KeyboardInterrupt):
-        evaluated(interrupted)
+# --- options and declarations -----------------------------------------------------------------------------------------
 
 
 def test_normalised_observations_are_refused():
@@ -246,32 +104,10 @@ def test_unsaturated_actions_of_objects_are_declared_whatever_they_call_themselv
     class Installed(Law):
         name = spec = "fl"
 
-    paper = {"criterion": "paper", "resolution": 1.0}
-    assert [evaluated(law, **paper).declared for law in (Law(), Installed(), "fl")] == [True, True, False]
-    with IsolatedPolicy("fl", SPATIAL) as policy:
-        assert not evaluated(policy, **paper).declared
+    assert evaluated(Installed(), criterion="paper", resolution=1.0).declared
 
 
 # --- islands ----------------------------------------------------------------------------------------------------------
-
-
-class Fails(Law):
-    """FL that drops chosen payloads."""
-
-    def __init__(self, fails):
-        super().__init__()
-        self.fails = fails
-
-    def act(self, observation):
-        return np.where(self.fails(observation[:, MODEL_PAYLOAD])[:, None], 0.0, super().act(observation))
-
-
-EQUIDISTANT = np.linspace(0, 20, SCAN_POINTS)
-
-
-def test_policy_that_carries_an_equidistant_grid_only_has_its_first_island_as_payload():
-    result = evaluated(Fails(lambda payload: np.abs(payload[:, None] - EQUIDISTANT).min(axis=1) > 0.005))
-    assert result.payload < 0.02
 
 
 @pytest.mark.parametrize("uncertainty", [{}, {"uncertainty": "sensors", "draws": 60}])
@@ -283,28 +119,21 @@ def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(unc
         scanned.append(np.unique(payload))
         return payload > 3
 
-    evaluated(Fails(spy), **uncertainty)
+    evaluated(Dropping(spy), **uncertainty)
     grid = scanned[0]
     widest = 2 + int(np.diff(grid[2:9]).argmax())
     low, high = grid[widest] + 1e-3, grid[widest + 1] - 1e-3
     assert high - low > 0.25
-    result = evaluated(Fails(lambda payload: ((payload > low) & (payload < high)) | (payload > 3)), **uncertainty)
+    result = evaluated(Dropping(lambda payload: ((payload > low) & (payload < high)) | (payload > 3)), **uncertainty)
     assert low - 0.011 <= result.payload <= low
     assert result.feasible[0] == (0.0, result.payload)
-
-
-@pytest.mark.parametrize("draws", [1, 60])
-def test_payload_is_below_an_island_of_failures_whatever_the_draws(draws):
-    uncertainty = {"uncertainty": "sensors", "draws": draws}
-    result = evaluated(Fails(lambda payload: (payload > 4) & (payload < 6)), **uncertainty)
-    assert 3.9 <= result.payload <= 4
 
 
 def test_seed_moves_the_payloads_of_the_scan():
     grids = []
     for seed in (0, 0, 1):
         seen = []
-        evaluated(Fails(lambda payload, seen=seen: seen.append(payload) or payload > 9), seed=seed)
+        evaluated(Dropping(lambda payload, seen=seen: seen.append(payload) or payload > 9), seed=seed)
         grids.append(np.sort(seen[0]))
     np.testing.assert_array_equal(grids[0], grids[1])
     assert np.all(grids[0][1:-1] != grids[2][1:-1])
@@ -316,21 +145,14 @@ def test_rows_have_a_secret_order():
     orders = []
     for _ in range(2):
         seen = []
-        evaluated(Fails(lambda payload, seen=seen: seen.append(payload.copy()) or payload > 9))
+        evaluated(Dropping(lambda payload, seen=seen: seen.append(payload.copy()) or payload > 9))
         orders.append(seen[0])
     assert np.any(orders[0] != orders[1])
     np.testing.assert_array_equal(*np.sort(orders))
 
 
-def test_scan_of_several_draws_has_other_draws_than_the_confirmation(monkeypatch):
-    batches, honest = [], Batch.run
-
-    def spy(self, rows, **keywords):
-        batches.append([seed for _, seed in rows])
-        return honest(self, rows, **keywords)
-
-    monkeypatch.setattr(Batch, "run", spy)
-    result = evaluated(Fails(lambda payload: payload > 9), uncertainty="table6", draws=60)
+def test_scan_of_several_draws_has_other_draws_than_the_confirmation(batches):
+    result = evaluated(Dropping(lambda payload: payload > 9), uncertainty="table6", draws=60)
     assert (len(batches[0]), len({*batches[0]})) == (SCAN_POINTS * SEARCH_DRAWS, SEARCH_DRAWS)
     assert len({*result.draw_seeds}) == 60
     assert not {*batches[0]} & {*result.draw_seeds}

@@ -9,6 +9,7 @@ from functools import cache
 import gymnasium as gym
 import numpy as np
 import pytest
+from evaluation.conftest import play
 from scipy.optimize import brentq
 from scipy.stats import binom, binomtest
 
@@ -170,13 +171,6 @@ def test_required_fraction_of_too_few_draws_is_rounded_up():
     assert required_successes(7, 1e-15, 0.95)[0] == 1
 
 
-def test_too_few_draws_are_marked():
-    result = pulled(spread(platform_mass=0.1), draws=4)
-    assert (result.assured, result.assurance) == (False, "not assured: only 4 draws")
-    assert str(result).endswith("(not assured: only 4 draws)")
-    assert pulled(None).assurance == ""
-
-
 # --- single episodes --------------------------------------------------------------------------------------------------
 
 SHORT = {"name": "dwell-spatial", "duration": 0.25}
@@ -213,11 +207,7 @@ def verdicts(payload):
     keywords = {"trajectory": SHORT, "uncertainty": UNKNOWN, "error_bounds": {"position": BOUND}}
     for seed in draw_seeds(5, 6):
         env = DLCCMonitor(gym.make(SPATIAL_ID, payload=payload, **keywords))
-        observation, _ = env.reset(seed=seed, options={"noise_seed": noise_seed(seed, payload)})
-        terminated = False
-        while not (env.verdict.carried or terminated or env.verdict.violation):
-            observation, _, terminated, _, _ = env.step(policy.predict(observation)[0])
-        found.append(env.verdict)
+        found.append(play(env, policy, {"noise_seed": noise_seed(seed, payload)}, seed))
         env.close()
     return found
 
@@ -259,10 +249,7 @@ def test_violation_seed_repeats_the_violation():
     assert max(result.draw_seeds) < 2**53, "every JSON parser reads them exactly"
     env = DLCCMonitor(gym.make(SPATIAL_ID, payload=result.failed_payload, **options))
     noise = noise_seed(result.violation_seed, result.failed_payload)
-    observation, _ = env.reset(seed=result.violation_seed, options={"noise_seed": noise})
-    for _ in range(250):
-        observation, *_ = env.step(law.predict(observation)[0])
-    assert env.verdict.violation == result.violation
+    assert play(env, law, {"noise_seed": noise}, result.violation_seed).violation == result.violation
     recorded = record_rollout(law, SPATIAL_ID, payload=result.failed_payload, seed=result.violation_seed, **options)
     assert recorded.verdict.violation == result.violation
 
@@ -337,7 +324,7 @@ def test_default_number_of_draws_depends_on_randomness(monkeypatch):
         result = evaluate_dlcc("fl", SPATIAL_ID, uncertainty=unknown, **keywords)
         assert result.draws == draws
         assert (result.probability is None) == (result.confidence is None) == (draws == 1)
-        assert (result.success == ()) == (draws == 1)
+        assert (result.success == ()) == (result.assurance == "") == (draws == 1)
 
 
 # --- progress, output and bad input -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Policies in processes of their own: equal actions, fresh processes, deadlines, and no process left behind."""
+"""Policies in processes of their own: fresh processes, deadlines, and no process left. See also tests/attacks."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_gym.policies import IsolatedPolicy, PolicyError, load_policy
-from cablebot_gym.policies.protocol import checked_actions, reset_policy
+from cablebot_gym.policies import IsolatedPolicy, PolicyError
 from cablebot_gym.robots import SPATIAL
 
 MODULE = """
@@ -94,27 +93,6 @@ def ends(pid, seconds=5.0):
     return not alive(pid)
 
 
-def test_isolated_policy_acts_like_the_same_policy_in_this_process():
-    """``adaptive`` has a state, which stays in the process."""
-    env = gym.make_vec("CableBot-Spatial-v0", num_envs=3).unwrapped
-    own = load_policy("adaptive", SPATIAL)
-    with IsolatedPolicy("adaptive", SPATIAL) as isolated:
-        for _ in range(2):
-            observation, _ = env.reset(seed=0, options={"payload": np.array([0.0, 2.0, 4.0])})
-            for policy in (own, isolated):
-                reset_policy(policy, "mine", lambda: env.tasks)
-            states, start = [None, None], np.ones(3, np.bool_)
-            for _ in range(20):
-                actions = [None, None]
-                for index, policy in enumerate((own, isolated)):
-                    actions[index], states[index] = policy.predict(observation, states[index], start)
-                np.testing.assert_array_equal(*actions)
-                observation, _, start, _, _ = env.step(actions[0])
-        assert isolated.predict(observation[0], None, start[:1])[0].shape == (6,)
-        assert (isolated.unsaturated_actions, isolated.stochastic, isolated.fallbacks) == (False, False, None)
-        assert (isolated.name, isolated.spec) == ("adaptive", "adaptive")
-
-
 def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
     Path("weight.txt").write_text("0.5", encoding="ascii")
     observation = np.zeros((5, 3))
@@ -126,6 +104,7 @@ def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
             assert set(action.flat) == {10.5}
             assert policy.predict(observation, state)[0][0, 0] == 21.5
             assert policy.predict(observation, None)[0][0, 0] == 30.5
+        assert policy.predict(observation[0])[0].shape == (6,)
         assert policy.fallbacks == 3
     with IsolatedPolicy(spec("negative"), SPATIAL) as policy:
         policy.predict(observation)
@@ -150,8 +129,6 @@ def test_policy_that_cannot_be_loaded_gives_the_usual_error(spec):
     for name, message in (
         ("lqr", "unknown policy 'lqr'; choose one of"),
         (spec("missing"), r"policy 'mine:missing': the factory raised FileNotFoundError.*\(mine.py, line"),
-        (spec("nothing"), "has no attribute 'nothing'"),
-        ("none.zip", "policy file 'none.zip' does not exist"),
     ):
         with pytest.raises(ValueError, match=message):
             IsolatedPolicy(name, SPATIAL)
@@ -168,8 +145,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
-@pytest.mark.parametrize("how", ["close", "collection"])
-def test_processes_that_a_policy_starts_end_with_it(spec, how):
+def test_processes_that_a_policy_starts_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
     policy.predict(np.zeros((1, 3)))
     lines = [line.split() for line in Path("pids").read_text(encoding="ascii").splitlines()]
@@ -177,28 +153,10 @@ def test_processes_that_a_policy_starts_end_with_it(spec, how):
     assert len(pids) == 4
     assert all(alive(pid) for pid in pids)
     assert folder.is_dir()
-    if how == "close":
-        policy.close()
     del policy
     gc.collect()
     assert not any(alive(pid) for pid in pids)
     assert not folder.exists()
-
-
-def checked(policy, observation):
-    start, payloads = np.ones(len(observation), np.bool_), np.zeros(len(observation))
-    return checked_actions(policy, "mine", observation, None, start, cables=6, payloads=payloads, time=0.0)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
-def test_policy_that_hangs_is_ended_at_its_deadline(spec):
-    policy = IsolatedPolicy(spec("hangs"), SPATIAL, deadline=0.2)
-    started = time.monotonic()
-    message = r"policy 'mine', at t = 0.000 s .*: it did not answer within 2 s, the deadline of loading, reset\(\) and"
-    with pytest.raises(PolicyError, match=message):
-        checked(policy, np.zeros((1, 3)))
-    assert time.monotonic() - started < 10
-    assert not alive(int(Path("pids").read_text(encoding="ascii").split()[0]))
 
 
 def test_all_calls_together_have_a_deadline(spec, monkeypatch):
@@ -211,7 +169,7 @@ def test_all_calls_together_have_a_deadline(spec, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda sent: sent.name)
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)
 def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
     code = "import sys; sys.path[:0] = ['']; import numpy as np\n" + (
         "from cablebot_gym.policies import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
