@@ -47,7 +47,7 @@ def test_dlcc_is_that_of_independent_runs(law: str, env_id: str, known: bool, pa
 
 
 @pytest.mark.parametrize("law", ["motor-pd", "composite-tuned", "adaptive-composite"])
-def test_tensions_do_not_limit_the_dlcc_on_the_default_planar_circle(law: str) -> None:
+def test_position_limits_the_dlcc_on_the_default_planar_circle(law: str) -> None:
     """With allocated tensions of 5 N, the jump of the acceleration took a cable below 1 N, without any payload, too."""
     result = evaluate_dlcc(law, FLEX_PLANAR_ID)
     assert result.payload is not None

@@ -26,7 +26,10 @@ def module(tmp_path, monkeypatch):
         return path
 
     parsed = code_hash._parsed
-    fresh = lambda path, name: (parsed.__wrapped__ if "toy_" in name else parsed)(path, name)  # noqa: E731
+
+    def fresh(path, name):
+        return (parsed.__wrapped__ if "toy_" in name else parsed)(path, name)
+
     monkeypatch.setattr(code_hash, "_parsed", fresh)
     monkeypatch.syspath_prepend(tmp_path)
     yield write

@@ -37,7 +37,7 @@ def hidden(motions):
     )
 
 
-def test_secret_is_not_in_the_public_file_and_the_commitment_binds_everything(tmp_path, policy):
+def test_secret_has_a_file_of_its_own_and_the_commitment_binds_everything(tmp_path, policy):
     name = policy("def make(robot): ...\n")
     board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
     public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")

@@ -183,7 +183,7 @@ def impossible(robot):
 """
 
 
-def test_paper_criterion_excludes_policies_that_clip_and_marks_those_that_only_declare(module):
+def test_paper_criterion_takes_unsaturated_policies_and_marks_those_that_only_declare(module):
     module("toy_policies.py", TOYS)
     paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}}
     result = compute(changed(policy="toy_policies:clips", **paper)).result
@@ -265,7 +265,7 @@ def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(m
     assert len(set(seen)) == 6  # nobody imports the last module
 
 
-def test_hash_of_a_module_without_package_has_the_data_next_to_it_that_its_source_names(module):
+def test_hash_of_a_top_level_module_has_the_data_next_to_it_that_its_source_names(module):
     module("toy_flat.py", "import numpy\nK = numpy.load('weights.npz')\n")
     names = ("weights.npz", "other.npz", "run.log")
     seen = sources(module, "toy_flat:make", [(name, value) for name in names for value in "12"])

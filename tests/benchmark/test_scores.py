@@ -53,12 +53,12 @@ def test_score_is_the_fraction_of_the_best_known_payload_of_the_same_motion_and_
     assert [one.best_known for one in scores(some)] == [2.0, 8.0, 2.0, None, 2.0]
 
 
-def test_error_of_a_policy_counts_as_zero_and_a_lost_computation_does_not():
+def test_error_of_a_policy_counts_as_zero_and_a_lost_computation_is_left_out():
     some = scores([best(2.0), fails("bad"), fails("lost", "no memory", final=False)])
     assert [one.score for one in some] == [0.0, None]
 
 
-def test_paper_criterion_and_uncertainty_have_no_fraction():
+def test_fractions_are_of_the_task_criterion_without_uncertainty():
     some = [best(2.0), carries("fl", 3.0, criterion="paper"), carries("fl", 1.0, uncertainty="table6", draws=512)]
     assert [one.score for one in scores(some)] == [None, None]
 
@@ -104,14 +104,14 @@ def _rows(page):
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in table[: table.index("")]]
 
 
-def test_few_motions_or_a_missing_motion_give_no_rank():
+def test_ranks_need_enough_motions_and_every_motion():
     values = np.full(RANKED_MOTIONS, 0.5)
     assert leaderboards(family({"a": values[:-1], "b": values[:-1]}))[0].ranks == {}
     some = family({"a": values, "b": values[:-1]})
     assert leaderboards(some)[0].ranks == {"a": 1}
 
 
-def test_motion_without_best_known_payload_counts_for_no_policy():
+def test_motion_counts_only_with_a_best_known_payload():
     """One failed search once removed all ranks."""
     values = np.array([0.9, *[0.5] * (RANKED_MOTIONS - 1)])
     some = family({"a": values, "b": 1 - values})
