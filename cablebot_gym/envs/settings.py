@@ -87,7 +87,7 @@ class Settings:
     weights: Array
     """Weights of the reward terms, in the order of ``REWARD_TERMS``."""
     normalised_observation: bool
-    """Whether the observation is that of :meth:`ObservationLayout.normalise`."""
+    """Whether the observation is that of :meth:`~cablebot_gym.envs.observation.ObservationLayout.normalise`."""
 
     @property
     def period(self) -> float:

@@ -171,7 +171,7 @@ class Batch:
         draws: number of episodes at each payload; None for the default.
         seed: seed that alone determines the draws.
         keywords: keywords of the environment without ``normalised_observation``. A Stable-Baselines3 model that reads
-            normalised observations gets them, see :func:`~cablebot_gym.policies.sb3.fitted`.
+            normalised observations gets them.
 
     Raises:
         ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy that does not declare

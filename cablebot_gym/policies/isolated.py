@@ -91,7 +91,7 @@ class IsolatedPolicy:
     processes and files of the same user are not protected from the policy.
 
     Args:
-        spec: name of the policy, as for :func:`~cablebot_gym.policies.loading.load_policy`.
+        spec: name of the policy, as on the command line.
         robot: nominal robot.
         deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call for a batch together may
             take :data:`START_UP` times as long, and all calls for all batches :data:`TOTAL` times.
