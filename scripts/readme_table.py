@@ -35,17 +35,22 @@ def readme_table(results: Results) -> str:
         ]
         rows.append([f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS), *(known or ["–"])])
     text = "The best policy of each kind: mean fraction of the best known payload (payload known, task criterion;\n"
-    text += f"{motion}), and its payload on the paper's circle.\n\n"
+    text += f"{motion}), and its payload on the circle.\n\n"
     return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def _best(board: Leaderboard, kind: str) -> str:
     entries = policy_entries()
-    for policy in board.policies:  # by decreasing fraction
+    own = [policy for policy in board.policies if entries[policy].kind == kind]  # by decreasing fraction
+    for policy in own[:1]:
         fraction = board.fraction(policy, board.columns[0])
-        if entries[policy].kind == kind and fraction is not None and fraction.mean > 0:
+        if fraction is not None and fraction.mean > 0:
             circle = [entry[0] for (name, column), entry in board.entries.items() if name == policy and _circle(column)]
-            return f"`{policy}` {fraction.mean:.0%}" + (f", {circle[0].payload_text} kg" if circle else "")
+            ties = [
+                f"`{one}`" for one in own[1:] if policy in board.ranks and board.ranks.get(one) == board.ranks[policy]
+            ]
+            text = f"`{policy}` {fraction.mean:.0%}" + (f", {circle[0].payload_text} kg" if circle else "")
+            return text + (f" (tied with {', '.join(ties)})" if ties else "")
     return "–"
 
 

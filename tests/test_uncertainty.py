@@ -7,6 +7,8 @@ import itertools
 import json
 import math
 import pickle
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -311,6 +313,15 @@ def test_hardware_varies_every_part_of_the_robot(robot):
     assert found.wrench.random
     assert None not in (found.sensors, found.sensor_bias)
     assert found.delay_range[0] < found.delay_range[1]
+
+
+@each_of(PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)
+def test_manual_names_a_source_or_an_assumption_for_every_part_of_hardware(robot):
+    text = (Path(__file__).parents[1] / "docs" / "uncertainty.md").read_text(encoding="utf-8")
+    rows = text.partition("### Sources of `hardware`")[2].partition("\n## ")[0]
+    named = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\|([^|]*)\|", rows, re.MULTILINE)))
+    found = find_uncertainty("hardware", robot)
+    assert {*found.parameters, "wrench", "sensors", "sensor_bias", "delay"} <= {*named}
 
 
 @rigid_and_flexible

@@ -84,17 +84,24 @@ def _rows(card: Card) -> list[list[str]]:
         summary = card.summary(index)
         rows.append(
             [
-                _title(condition),
+                _title(card, condition),
                 seeds,
                 *_iqm_cells(summary),
                 _kg(card.base_payloads[index]),
                 f"`{card.law}` {_kg(card.law_payloads[index])}",
-                "–" if not card.best_known else f"{summary.iqm / card.best_known:.0%} of {card.best_known:.2f}",
+                _of_best_known(card, condition, summary),
             ]
         )
     time = _time(median(run.wall_s for run in card.seeds)) + ("" if card.dwell else ", not trained for dwell")
     first = [f"`{card.policy}`", short_id(card.env_id), *rows[0], *_held_out_cells(card), time]
     return [first, *(["", "", *row, "", "", ""] for row in rows[1:])]
+
+
+def _of_best_known(card: Card, condition: Condition, summary: Summary) -> str:
+    """No fraction under uncertainty: the best known payload is that of the nominal robot."""
+    if condition.uncertainty or not card.best_known:
+        return "–"
+    return f"{summary.iqm / card.best_known:.0%} of {card.best_known:.2f}"
 
 
 def _iqm_cells(summary: Summary) -> tuple[str, str]:
@@ -127,7 +134,7 @@ def _section(cards: Sequence[Card]) -> str:
         fractions = [np.array(card.payloads(0)) / best for card, best in known]
         low, high = iqm_interval(fractions)
         mean = float(iqm(np.concatenate(fractions)))
-        condition = _title(first.conditions[0])
+        condition = _title(first, first.conditions[0])
         text += (
             f"\nOver its {len(cards)} environments ({condition}), the IQM of the fraction of the best known payload "
         )
@@ -152,7 +159,8 @@ def _details(card: Card) -> str:
         text += "training. Its inputs are the features, normalised with the bundle's `mean` and `scale` and clipped at "
         text += "±10.\n"
     text += f"* Versions: {versions}\n\n"
-    rows = [["seed", "steps", "wall time", "in training", *map(_title, card.conditions), "held-out", ""]]
+    conditions = [_title(card, condition) for condition in card.conditions]
+    rows = [["seed", "steps", "wall time", "in training", *conditions, "held-out", ""]]
     for run in card.seeds:
         numbers = [_kg(run.in_training), *map(_kg, run.payloads), _held_out(card, run)]
         ships = "ships" if run.seed == card.shipped_seed else ""
@@ -174,7 +182,7 @@ def _trained_on(motions: Mapping[str, Any]) -> str:
     return ", ".join([*loops, *(f"`{one}`" for one in named)])
 
 
-def _title(condition: Condition) -> str:
+def _title(card: Card, condition: Condition) -> str:
     return heading(
         Column(
             motion="",
@@ -182,7 +190,7 @@ def _title(condition: Condition) -> str:
             model_payload_factor=1.0,
             uncertainty=condition.uncertainty,
             criterion="task",
-            draws=1,
+            draws=card.draws if condition.uncertainty else 1,
         ),
     )
 

@@ -44,6 +44,7 @@ class Attack:
 
 LESS = "a smaller payload"
 SCORED = "scored, and marked as such"
+PRICED = "payload of the honest policy; the leaderboard has its time"
 ROWS = "depends on the other episodes of its batch"
 REPEATS = "is not reproducible"
 STATUS_0 = "the run ended with status 0 and no result"
@@ -83,7 +84,7 @@ ATTACKS = (
     Attack("declared_noise", now=SCORED, before="4.01 kg"),
     Attack("fails_sometimes", 1, REPEATS, before="3.94 kg (with 2 %)"),
     Attack("first_row", 1, ROWS, before="fails unloaded", fast=True),
-    Attack("slow", before="4.03 kg"),
+    Attack("slow", now=PRICED, before="4.03 kg"),
     # processes
     Attack("hangs", 1, "it did not answer within 2 s, the deadline of a call", DEADLINE, before="the run never ended"),
     Attack("hangs_in_reset", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"),

@@ -13,6 +13,7 @@ import pytest
 from cards.card import Card, read_cards
 from cards.figure import draw_curves
 from cards.making import make_card, with_best_known, with_search_results
+from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
 from scipy.stats import trim_mean
 from shipping import APG_CIRCLE, BEST_KNOWN, PLANAR_ID, save_run, script, ship
@@ -116,6 +117,12 @@ def test_page_and_figure_have_the_numbers_of_the_cards(runs, computed, tmp_path)
     cells, summary = [cell.strip() for cell in row.strip("|").split("|")], card.summary(0)
     payloads = [f"2.33 [{summary.low:.2f}, {summary.high:.2f}]", "2.40", "1.50", "`fl` 1.90"]
     assert cells[4:] == [*payloads, "81% of 2.88", "2 of 4", "40% on 3", "62 s"]
+    unsure = replace(card, conditions=(card.conditions[0], replace(card.conditions[1], uncertainty="table6")))
+    row = next(
+        line for line in card_markdown([unsure]).splitlines() if line.startswith("|  |  | payload unknown, table6")
+    )
+    assert f"{card.draws} draws [kg]" in row
+    assert "%" not in row  # the best known payload is that of the nominal robot
     circle, loop = draw_curves([card, replace(card, policy="apg-loops", motions={"loops": 9})]).axes[:2]
     assert (len(circle.lines), len(loop.lines)) == (5 + 3, 5 + 1)
     assert list(circle.lines[0].get_ydata()) == [2.0]

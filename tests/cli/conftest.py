@@ -13,6 +13,8 @@ from cablebot_gym.cli import app as cli
 TOYS = """
 import os
 import signal
+import sys
+import time
 import numpy as np
 from cablebot_baselines.classical import FeedbackLinearization
 
@@ -26,6 +28,22 @@ class Toy(FeedbackLinearization):
 class raises(Toy):
     def eleventh(self, action):
         raise RuntimeError("lost")
+
+class exits(Toy):
+    def eleventh(self, action):
+        sys.exit(0)
+
+class ends(Toy):
+    def eleventh(self, action):
+        os._exit(0)
+
+class killed(Toy):
+    def eleventh(self, action):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+class hangs(Toy):
+    def eleventh(self, action):
+        time.sleep(60)
 
 class nan(Toy):
     def eleventh(self, action):

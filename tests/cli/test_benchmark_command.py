@@ -13,6 +13,7 @@ from cablebot_gym.benchmark import suites
 from cablebot_gym.benchmark.cells import PolicyCell, compute
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.cli import app as cli
+from cablebot_gym.policies import IsolatedPolicy
 
 PLANAR = "CableBot-Planar-v0"
 CHANGES = {"payload_max": 4.0}
@@ -87,12 +88,25 @@ def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, m
     assert {name: (first.folder / name).read_bytes() for name in before} == before
 
 
-def test_policy_that_raises_costs_its_own_cells_only(benchmark, best, toys):
-    ended = benchmark(policies="cli_toys:raises,fl")
+CAUSES = {
+    "raises": "it raised RuntimeError",
+    "exits": "it raised SystemExit: 0",
+    "ends": "its process ended with exit status 0",
+    "killed": "its process was ended by SIGKILL",
+    "hangs": "it did not answer within 2 s",
+}
+"""Why each toy policy fails."""
+
+
+def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys, monkeypatch):
+    monkeypatch.setitem(IsolatedPolicy.__init__.__kwdefaults__, "deadline", 2.0)
+    ended = benchmark(policies=",".join([*map(toys, CAUSES), "fl"]))
     assert ended.status == 1
-    assert scores(ended)[("cli_toys:raises", True)] == 0.0
-    assert scores(ended)[("fl", True)] > 0.5
-    assert "raised RuntimeError" in ended.out
+    found = scores(ended)
+    for name, cause in CAUSES.items():
+        assert (found[(toys(name), True)], found[(toys(name), False)]) == (0.0, 0.0)
+        assert cause in ended.out
+    assert found[("fl", True)] > 0.5
     assert "failed" in ended.out
 
 
