@@ -234,7 +234,10 @@ def _facts(score: scores.Score) -> list[list[str]]:
     if (violation := limiting_violation(score)) is not None:
         facts.append(["Limiting violation", str(violation)])
     if cell.draws > 1:
-        facts.append(["Draws", f"{cell.draws}; the payload is the 95/95 lower tolerance bound"])
+        bound = "is" if result.get("assured") else "is not assured to be"
+        facts.append(
+            ["Draws", f"{cell.draws}; the payload {bound} the 95/{100 * cell.probability:g} lower tolerance bound"]
+        )
     if result.get("failures"):
         counts = ", ".join(f"{kind}: {count}" for kind, count in result["failures"].items())
         facts.append(["Violations of the draws at a larger payload", counts])
