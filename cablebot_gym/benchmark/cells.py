@@ -245,7 +245,7 @@ class BestKnownCell(Conditions):
         """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able data."""
         from cablebot_gym.bounds.best_known import find_best_known
 
-        return dict(find_best_known(self.env_id, **self.env_options()).to_dict())
+        return dict(find_best_known(self.env_id, **self.env_options() | {"robot": self.robot}).to_dict())
 
 
 Cell = PolicyCell | BestKnownCell | TimingCell

@@ -53,6 +53,14 @@ def test_every_field_changes_the_key_and_survives_json():
     assert [cell_from_dict(json.loads(json.dumps(cell.to_dict()))) for cell in cells] == cells
 
 
+@pytest.mark.slow
+def test_best_known_total_mass_of_a_planar_robot_does_not_depend_on_its_own_mass():
+    heavier = dataclasses.replace(BEST, robot_changes={"mass": 1.5})
+    results = [compute(cell).result for cell in (BEST, heavier)]
+    assert results[0]["total_mass"] == pytest.approx(results[1]["total_mass"], rel=1e-4)
+    assert results[0]["payload"] == pytest.approx(results[1]["payload"] + 0.5, rel=1e-4)
+
+
 UNCERTAIN = {"uncertainty", "draws", "probability"}
 
 

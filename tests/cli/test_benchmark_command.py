@@ -36,7 +36,7 @@ def best(monkeypatch):
     """Stands for the search, which has tests of its own; counts how often it is asked."""
     asked = []
 
-    def find_best_known(env_id, *, trajectory, error_bounds, control_frequency):
+    def find_best_known(env_id, *, robot, trajectory, error_bounds, control_frequency):
         asked.append(trajectory)
         found = {"payload": 2.4, "total_mass": 3.4, "verified": True, "upper": {"payload": 3.3, "total_mass": 4.3}}
         return SimpleNamespace(to_dict=lambda: found)
