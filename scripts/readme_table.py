@@ -49,7 +49,8 @@ def _best(board: Leaderboard, kind: str) -> str:
             ties = [
                 f"`{one}`" for one in own[1:] if policy in board.ranks and board.ranks.get(one) == board.ranks[policy]
             ]
-            text = f"`{policy}` {fraction.mean:.0%}" + (f", {circle[0].payload_text} kg" if circle else "")
+            unit = " kg" if circle and circle[0].payload is not None else ""
+            text = f"`{policy}` {fraction.mean:.0%}" + (f", {circle[0].payload_text}{unit}" if circle else "")
             return text + (f" (tied with {', '.join(ties)})" if ties else "")
     return "–"
 

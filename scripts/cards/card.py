@@ -150,8 +150,8 @@ class Card:
     """Training runs, one for each seed."""
     held_out: tuple[HeldOut, ...]
     """Held-out motions."""
-    dwell: float = 0.0
-    """Shortest dwell at the ends of the training motions [s]; 0 if the policy was not trained for dwell."""
+    dwell: float
+    """Shortest dwell at the ends of the training motions [s]."""
     sb3: bool = False
     """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped too."""
 

@@ -124,7 +124,7 @@ def make_card(
         motions=motions,
         evaluation=records[0]["evaluation"],
         planner_output_used=any(card["planner_output_used"] for card in records),
-        dwell=min(card.get("dwell", 0.0) for card in records),
+        dwell=min(card["dwell"] for card in records),
         conditions=conditions,
         draws=draws,
         probability=probability,
@@ -146,11 +146,8 @@ def make_card(
 def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     """The card with the best known payloads of a leaderboard, from :func:`read_best_known`.
 
-    Held-out motions that are not on the leaderboard keep their best known payload, unless a policy's DLCC is larger. A
-    card whose policy was not trained for dwell stays as it is: its payloads are those of motions without dwells.
+    Held-out motions that are not on the leaderboard keep their best known payload, unless a policy's DLCC is larger.
     """
-    if not card.dwell:
-        return card
     law, env_id = card.law, card.env_id
 
     def best(index: int, motion: HeldOut) -> float | None:

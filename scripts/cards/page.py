@@ -43,8 +43,7 @@ with the median payload in training, so that it is typical and not the luckiest.
   alone are not made for other motions, and only the shipped seed is evaluated.
 * "in training", for policies trained on random loops, is the mean payload on the validation loops. They select the best
   policy of each run and are not used to train the network.
-* "training" is the median wall time of one seed. "not trained for dwell": the weights and all numbers are from before
-  the motions had dwells; they are those of the paper's circle as printed.
+* "training" is the median wall time of one seed.
 
 """
 
@@ -61,12 +60,10 @@ def card_markdown(cards: Sequence[Card]) -> str:
         cards: cards in the order of the page, at least one.
     """
     drawn = ""
-    for card in (one for one in cards if one.dwell):
+    for card in cards:
         if names := list(dict.fromkeys(one.uncertainty for one in card.conditions if one.uncertainty)):
-            drawn = (
-                f". Under {' and '.join(f'`{name}`' for name in names)} they are lower tolerance bounds: with 95%\n  "
-            )
-            drawn += f"confidence, {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
+            drawn = f".\n  Under {', '.join(f'`{name}`' for name in names)} they are lower tolerance bounds: with 95% "
+            drawn += f"confidence,\n  {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
     text = _HEAD.format(drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED)
     text += _table([_COLUMNS, *(row for card in cards for row in _rows(card))], left=3)
     text += "\n![Payload versus wall time during training](learned.png)\n"
@@ -92,7 +89,7 @@ def _rows(card: Card) -> list[list[str]]:
                 _of_best_known(card, condition, summary),
             ]
         )
-    time = _time(median(run.wall_s for run in card.seeds)) + ("" if card.dwell else ", not trained for dwell")
+    time = _time(median(run.wall_s for run in card.seeds))
     first = [f"`{card.policy}`", short_id(card.env_id), *rows[0], *_held_out_cells(card), time]
     return [first, *(["", "", *row, "", "", ""] for row in rows[1:])]
 
@@ -151,8 +148,8 @@ def _details(card: Card) -> str:
     text += f"* Base law: {card.base_text}.\n"
     text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
     text += f"{', '.join(card.features)}.\n"
-    dwell = f"with dwells of at least {card.dwell:g} s" if card.dwell else "not trained for dwell"
-    text += f"* Training motions: {_trained_on(card.motions)}, {dwell}. {planner}\n"
+    text += f"* Training motions: {_trained_on(card.motions)}, with dwells of at least {card.dwell:g} s. "
+    text += f"{planner}\n"
     text += f"* Shipped seed {card.shipped_seed}: `{card.shipped.command}`\n"
     if card.sb3:
         text += f"* `{card.stem}-sb3.zip` contains the same actor as a model of Stable-Baselines3, for further "

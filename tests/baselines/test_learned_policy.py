@@ -12,7 +12,7 @@ import pytest
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import FORMAT, Bundle
-from cablebot_baselines.learned.features import PROGRESS_COUNT, TIME_CONSTANTS
+from cablebot_baselines.learned.features import RBF_COUNT, TIME_CONSTANTS
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.steering import (
@@ -299,10 +299,10 @@ def test_motion_of_a_base_alone_is_the_task_soon():
 
 def test_progress_features_span_the_motion():
     steering = steering_of(features=("rbf_progress",))
-    rows = np.zeros((PROGRESS_COUNT, observation_layout(PLANAR).size))
+    rows = np.zeros((RBF_COUNT, observation_layout(PLANAR).size))
     observation_layout(PLANAR).split(rows)["time_to_go"][::-1, 0] = np.arange(len(rows)) * PERIOD
     _, learner = steer(steering, rows, np.zeros((len(rows), 2)))
-    assert np.argmax(learner, axis=1).tolist() == list(range(PROGRESS_COUNT))
+    assert np.argmax(learner, axis=1).tolist() == list(range(RBF_COUNT))
     np.testing.assert_allclose(np.diagonal(learner), 1.0)
 
 

@@ -15,24 +15,18 @@ from cablebot_gym.utils.checks import choice
 TIME_CONSTANTS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Time constants τ of the decays exp(−t/τ) [s]."""
 
-RBF_COUNT = 60
-"""Number of Gaussian radial basis functions (RBF) of ``rbf_time``, over the first second."""
-
-PROGRESS_COUNT = 96
-"""Number of Gaussian radial basis functions of ``rbf_progress``, over the motion."""
+RBF_COUNT = 96
+"""Number of Gaussian radial basis functions (RBF) of ``rbf_progress``, over the motion."""
 
 
 def _decays(time: Array) -> Array:
     return np.exp(-time / np.array(TIME_CONSTANTS))
 
 
-def _rbf(values: Array, count: int) -> Array:
+def _rbf_progress(time: Array, time_to_go: Array) -> Array:
     """Gaussian radial basis functions over [0, 1]; their standard deviation is the distance of their centres."""
-    return np.exp(-0.5 * (values * (count - 1) - np.arange(count)) ** 2)
-
-
-def _progress(time: Array, time_to_go: Array) -> Array:
-    return time / np.maximum(time + time_to_go, np.finfo(float).tiny)
+    progress = time / np.maximum(time + time_to_go, np.finfo(float).tiny)
+    return np.exp(-0.5 * (progress * (RBF_COUNT - 1) - np.arange(RBF_COUNT)) ** 2)
 
 
 _DERIVED: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]] = {
@@ -41,10 +35,7 @@ _DERIVED: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]]
     "actions": lambda blocks, derived: derived["actions"],
     "error": lambda blocks, derived: derived["error"],
     "time_since_start": lambda blocks, derived: _decays(derived["time_since_start"]),
-    "rbf_time": lambda blocks, derived: _rbf(derived["time_since_start"], RBF_COUNT),
-    "rbf_progress": lambda blocks, derived: _rbf(
-        _progress(derived["time_since_start"], blocks["time_to_go"]), PROGRESS_COUNT
-    ),
+    "rbf_progress": lambda blocks, derived: _rbf_progress(derived["time_since_start"], blocks["time_to_go"]),
     "time_to_go_decays": lambda blocks, derived: _decays(blocks["time_to_go"]),
 }
 """Features that are not blocks of the observation.
@@ -54,7 +45,6 @@ _DERIVED: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]]
 * ``error``: shifted reference minus pose [m, rad].
 * ``time_since_start``, ``time_to_go_decays``: decays with :data:`TIME_CONSTANTS` of the time since the start of the
   episode and of the time to go.
-* ``rbf_time``: Gaussian radial basis functions of the time since the start, over the first second.
 * ``rbf_progress``: Gaussian radial basis functions of the fraction of the motion's duration that has passed.
 """
 
@@ -112,8 +102,7 @@ def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Ar
         "time_to_go": 1,
         "time_since_start": len(TIME_CONSTANTS),
         "time_to_go_decays": len(TIME_CONSTANTS),
-        "rbf_time": RBF_COUNT,
-        "rbf_progress": PROGRESS_COUNT,
+        "rbf_progress": RBF_COUNT,
     }
     vectors = [name for name in observation_layout(robot).slices() if name.startswith(("reference_", "preview_"))]
     if other := [name for name in names if name not in times and name not in vectors]:
