@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import tomllib
+from collections import defaultdict
 from pathlib import Path
 
 from typer.testing import CliRunner
 
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import best_known_payloads
-from cablebot_gym.benchmark.tables import task_title
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.cli.listing import tables
 from generate.pages import RESULTS, Pages, table
@@ -36,14 +36,23 @@ def requirements() -> str:
 
 
 def replays() -> str:
-    """Replays of the best known payloads of the stored leaderboard, with the physics step h and with a tenth of it."""
-    rows = [["environment", "motion", "payload [kg]", "step", "least tension [N]", "errors [mm; mrad]", "violation"]]
-    records = Results.from_json(RESULTS.read_text(encoding="utf-8")).records
-    for best in best_known_payloads(records).values():
-        for step, one in zip(("h", "h/10"), best.result.get("replays", []), strict=False):
-            errors = f"{1e3 * one['position_peak']:.4f}; {1e3 * one['rotation_peak']:.4f}"
-            numbers = [f"{best.result['payload']:.3f}", step, f"{one['least_tension']:.3f}", errors]
-            rows.append([best.cell.env_id, task_title(best.cell), *numbers, one["violation"] or "none"])
+    """Replays of the best known payloads of the stored leaderboard, with the physics step h and with a tenth of it.
+
+    The motions of one kind share a row: their least tension, their largest errors and all their violations.
+    """
+    rows = [["environment", "motions", "payload [kg]", "step", "least tension [N]", "errors [mm; mrad]", "violations"]]
+    kinds = defaultdict(list)
+    for best in best_known_payloads(Results.from_json(RESULTS.read_text(encoding="utf-8")).records).values():
+        kinds[best.cell.env_id, best.cell.trajectory["name"]].append(best.result)
+    for (env_id, motion), results in kinds.items():
+        least, largest = (f"{pick(one['payload'] for one in results):.3f}" for pick in (min, max))
+        payload = least if len(results) == 1 else f"{least} to {largest}"
+        for step, replayed in zip(("h", "h/10"), zip(*(one["replays"] for one in results), strict=True), strict=True):
+            peaks = [1e3 * max(one[name] for one in replayed) for name in ("position_peak", "rotation_peak")]
+            numbers = [payload, step, f"{min(one['least_tension'] for one in replayed):.3f}"]
+            violations = ", ".join(one["violation"] for one in replayed if one["violation"]) or "none"
+            title = f"`{motion}`" if len(results) == 1 else f"{len(results)} of `{motion}`"
+            rows.append([env_id, title, *numbers, f"{peaks[0]:.4f}; {peaks[1]:.4f}", violations])
     return table(rows)
 
 
