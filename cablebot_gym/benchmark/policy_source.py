@@ -10,6 +10,7 @@ from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
 from cablebot_gym.policies.isolated import public_entry
 from cablebot_gym.policies.loading import policy_points
 from cablebot_gym.utils.code_hash import module_file
+from cablebot_gym.utils.imports import split_name
 
 
 @cache
@@ -22,8 +23,9 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     if policy.endswith(".zip"):
         loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
         return tuple(sorted({point.module for point in loaders})), (Path(policy),)
-    module = policy.partition(":")[0]
-    if module == policy:
+    if ":" in policy or policy.endswith(".py"):
+        module, _ = split_name(policy)
+    else:
         points = policy_points(policy)
         if not points:
             return (), ()

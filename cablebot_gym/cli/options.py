@@ -21,7 +21,8 @@ EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all.")
 ]
 _POLICY = typer.Option(
-    "--policy", help="Name of an installed policy, a bundle or SB3 file ending in .zip, or package.module:factory."
+    "--policy",
+    help="Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or file.py:factory.",
 )
 PolicyName = Annotated[str, _POLICY]
 PolicyNameOrNone = Annotated[str | None, _POLICY]

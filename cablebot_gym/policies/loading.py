@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import zipfile
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_
 from cablebot_gym.policies.sb3 import fitted, load_sb3
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.imports import import_object
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -64,7 +64,7 @@ def policy_entry(name: str) -> PolicyEntry | None:
             entry: PolicyEntry = point.load()
             if entry.name == name:
                 return entry
-    return None if name.endswith(".zip") or ":" in name else policy_entries().get(name)
+    return None if name.endswith((".zip", ".py")) or ":" in name else policy_entries().get(name)
 
 
 def holds_unsaturated_actions(name: str) -> bool:
@@ -92,7 +92,7 @@ def load_policy(name: str, robot: Robot) -> Policy:
         return entry.factory(robot)
     if name.endswith(".zip"):
         return _load_file(Path(name), robot)
-    if ":" in name:
+    if ":" in name or name.endswith(".py"):
         factory = _load_factory(name)
         try:
             created = factory(robot)
@@ -109,18 +109,17 @@ def load_policy(name: str, robot: Robot) -> Policy:
 
 
 def _load_factory(name: str) -> Callable[[Robot], Any]:
-    module_name, _, attribute = name.partition(":")
     try:
-        factory = getattr(importlib.import_module(module_name), attribute)
+        factory = import_object(name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:
         reason = error if isinstance(error, Exception) else raised(error)
-        raise _failure(error, name, f"cannot import {attribute!r} of {module_name!r} ({reason})") from error
+        raise _failure(error, name, f"cannot import it ({reason})") from error
     if isinstance(factory, PolicyEntry):
         return factory.factory
     if not callable(factory):
-        raise ValueError(f"policy {name!r}: {attribute!r} must be a function that takes a robot and returns a policy")
+        raise ValueError(f"policy {name!r}: it must be a function that takes a robot and returns a policy")
     checked: Callable[[Robot], Any] = factory
     return checked
 

@@ -1,0 +1,66 @@
+"""Objects that users name as ``package.module:name`` or ``file.py:name``."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+from cablebot_gym.utils.checks import unknown_name_error
+
+
+def import_object(text: str) -> Any:
+    """The object that ``package.module:name`` or ``folder/file.py:name`` names.
+
+    Raises:
+        ValueError: if there is no such file or name; the message lists the valid names.
+        BaseException: whatever the code of the module raises.
+    """
+    module_name, attribute = split_name(text)
+    module = importlib.import_module(module_name)
+    if not hasattr(module, attribute):
+        own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
+        raise unknown_name_error(f"name in {module_name!r}", attribute, own)
+    return getattr(module, attribute)
+
+
+def split_name(text: str) -> tuple[str, str]:
+    """Module and name of an object. The folder of a ``file.py`` is added to ``sys.path``, so workers find it too.
+
+    Raises:
+        ValueError: if the name is missing, the file does not exist, or another module hides it.
+    """
+    place, _, attribute = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
+    if not place.endswith(".py"):
+        return place, attribute
+    path = Path(place).absolute()
+    if not path.is_file():
+        raise ValueError(f"file {place!r} does not exist")
+    if not attribute:
+        found = ", ".join(f"{place}:{name}" for name in _defined(path)) or "no function or class yet"
+        raise ValueError(f"{place!r} needs the name of an object in this file. It has {found}")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+        importlib.invalidate_caches()
+    spec = importlib.util.find_spec(path.stem)
+    if spec is None or spec.origin is None or not path.samefile(spec.origin):
+        raise ValueError(f"another module is named {path.stem!r}: rename {place!r}")
+    return path.stem, attribute
+
+
+def _defined(path: Path) -> list[str]:
+    """Public functions, classes and constants at the top of a file."""
+    try:
+        body = ast.parse(path.read_bytes()).body
+    except SyntaxError as error:
+        raise ValueError(f"{path.name!r} is not valid Python: {error.msg}, line {error.lineno}") from error
+    names = []
+    for node in body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign):
+            names += [target.id for target in node.targets if isinstance(target, ast.Name)]
+    return [name for name in names if not name.startswith("_")]
