@@ -25,6 +25,16 @@ RPM = 2 * math.pi / 60
 STANDARD_GRAVITY = 9.81
 """Gravitational acceleration along +z [m/s²]."""
 
+LARGEST_SIZE = 3000.0
+"""Largest ratio of the width of the base to a pulley radius. It is 20 for the paper's robots and 220 for CoGiRo."""
+
+LARGEST_PULLEY = 5.0
+"""Largest radius of a pulley [m]."""
+
+LARGEST_REACH = 50.0
+"""Largest ratio of the platform anchors' distance from the centre of mass to the radius of gyration, which is near one
+for a rigid body with anchors at its surface."""
+
 PerMotor = float | tuple[float, ...]
 
 Cable = Literal["unilateral", "bilateral"]
@@ -147,7 +157,7 @@ class Robot:
     inertia: tuple[float, ...] = ()
     """Principal moments of inertia (I_xx, I_yy, I_zz) about the platform axes [kg·m²]; empty for a planar robot."""
     gravity: float = STANDARD_GRAVITY
-    """Gravitational acceleration along +z [m/s²]; has no effect on a planar robot."""
+    """Gravitational acceleration along +z of a spatial robot [m/s²]. A planar robot only accepts the default."""
     minimum_tension: float = 1.0
     """Tension T_min that the task criterion requires of every cable at every physics step [N]; ≥ 0.
 
@@ -164,6 +174,7 @@ class Robot:
         object.__setattr__(self, "motors", record("motors", Motors, self.motors))
         object.__setattr__(self, "transmission", record("transmission", Transmission, self.transmission))
         _check_fields(self)
+        _check_units(self)
         _check_geometry(self)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -288,11 +299,31 @@ def _check_fields(robot: Robot) -> None:
     numbers("workspace", robot.workspace, shapes=[(0,), (n, 2)], form=f"{n} pairs (low, high), or empty")
     number("mass", robot.mass, above=0, unit="kg")
     number("gravity", robot.gravity, least=0, unit="m/s²")
+    if planar and robot.gravity != STANDARD_GRAVITY:
+        raise ValueError("gravity does not act on a planar robot, which moves in the horizontal plane: remove it")
     number("minimum_tension", robot.minimum_tension, least=0, unit="N")
     for part in (robot.motors, robot.transmission):
         for field in dataclasses.fields(part):
             if np.shape(getattr(part, field.name)) not in ((), (m,)):
                 raise ValueError(f"{field.name} must be one number or one for each of the {m} motors")
+
+
+def _check_units(robot: Robot) -> None:
+    """Checks that no length is in millimetres: the limits are far beyond every cable robot that was built."""
+    size = float(np.max(np.ptp(robot.base, axis=0)))
+    radius, remedy = float(robot.pulley_radius.min()), "lengths are in metres: divide millimetres by 1000"
+    if size > LARGEST_SIZE * radius:
+        raise ValueError(f"base_anchors are {size:g} m wide and pulley_radius is {radius:g} m; {remedy}")
+    if robot.pulley_radius.max() > LARGEST_PULLEY:
+        raise ValueError(f"pulley_radius is {robot.pulley_radius.max():g} m; {remedy}")
+    if not robot.planar:
+        reach = float(np.max(np.linalg.norm(robot.platform, axis=1)))
+        gyration = math.sqrt(max(robot.inertia) / robot.mass)
+        if reach > LARGEST_REACH * gyration:
+            raise ValueError(
+                f"platform_anchors reach {reach:g} m from the centre of mass, and the radius of gyration is "
+                f"{gyration:.3g} m; {remedy}"
+            )
 
 
 def _check_geometry(robot: Robot) -> None:

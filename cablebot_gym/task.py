@@ -43,13 +43,26 @@ class ErrorBounds:
         return replace(self, **changes)
 
 
-def find_error_bounds(error_bounds: ErrorBounds | dict[str, float] | None) -> ErrorBounds:
+def find_error_bounds(error_bounds: ErrorBounds | dict[str, float] | None, robot: Robot | None = None) -> ErrorBounds:
     """Error bounds from an :class:`ErrorBounds`, from ``{"position": …, "rotation": …}``, or the default for None.
 
+    Args:
+        error_bounds: the bounds.
+        robot: robot to which they apply; None if it is not known yet.
+
     Raises:
-        ValueError: if a key is unknown or a bound is not positive.
+        ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the diagonal of the
+            robot's workspace.
     """
-    return record("error_bounds", ErrorBounds, {} if error_bounds is None else error_bounds)
+    bounds = record("error_bounds", ErrorBounds, {} if error_bounds is None else error_bounds)
+    if robot is not None:
+        largest = float(np.linalg.norm(np.diff(robot.pose_bounds[:, :3], axis=0)))
+        if bounds.position > largest:
+            raise ValueError(
+                f"error_bounds.position must be at most {largest:.3g} m, the diagonal of the workspace of robot "
+                f"{robot.name!r}, not {bounds.position:g} m: a bound of 10 mm is 0.01"
+            )
+    return bounds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -232,7 +232,7 @@ def _case(
     check_robot(env_id, robot)
     motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.coordinates)
     frequency = number("control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz")
-    return _Case(env_id, robot, motion, find_error_bounds(error_bounds), frequency)
+    return _Case(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def best_known(
     it under the task criterion. The result also has a proven upper bound: for rigid planar robots, and for spatial
     robots and motions that start at rest. Requires the extra: pip install 'cablebot-gym[optimal]'.
 
-    Example: cablebot best-known CableBot-Spatial-v0 --position-bound 0.02 --json
+    Example: cablebot best-known CableBot-Spatial-v0 --position-bound 20 --json
     """
     from cablebot_gym.bounds.best_known import find_best_known
 

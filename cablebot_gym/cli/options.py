@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import notes_console
 
 if TYPE_CHECKING:
@@ -89,11 +90,11 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         1.0,
         typer.Option(help="Payload of the policy's model over the nominal payload."),
     ),
-    "position_bound": (float, 0.01, typer.Option(help="Largest allowed position error [m].")),
+    "position_bound": (float, 10.0, typer.Option(help="Largest allowed position error [mm].")),
     "rotation_bound": (
         float,
-        0.01,
-        typer.Option(help="Largest allowed rotation error [rad]. Only the task criterion checks it."),
+        10.0,
+        typer.Option(help="Largest allowed rotation error [mrad]. Only the task criterion checks it."),
     ),
     "uncertainty": (
         str | None,
@@ -120,7 +121,10 @@ SEED_BITS = 53
 """Size of a secret seed, which every JSON parser reads exactly [bits]."""
 
 BOUNDS = ("position_bound", "rotation_bound")
-"""Options that a command receives as ``error_bounds``."""
+"""Options that a command receives as ``error_bounds``, which are in SI units."""
+
+LEAST_BOUND = 0.1
+"""Least value of these options [mm, mrad]: a smaller one was meant in metres."""
 
 
 def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -141,7 +145,10 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
             if "seed" in episode and episode["seed"] is None:
                 episode["seed"] = secrets.randbits(SEED_BITS) if values.get("isolate") else 0
             if BOUNDS[0] in episode:
-                position, rotation = (episode.pop(name) for name in BOUNDS)
+                position, rotation = (
+                    number(f"--{name.replace('_', '-')}", episode.pop(name), least=LEAST_BOUND, unit=unit) / 1000
+                    for name, unit in zip(BOUNDS, ("mm", "mrad"), strict=True)
+                )
                 episode["error_bounds"] = {"position": position, "rotation": rotation}
             command(**values, episode=episode)
 

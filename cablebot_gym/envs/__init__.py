@@ -79,11 +79,23 @@ def check_robot(env_id: str, robot: Any) -> None:
         raise ValueError(f"robot {given.name!r} does not fit {env_id}: use {fitting_id}")
 
 
-def check_spec(spec: EnvSpec | None, robot: Any) -> None:
-    """Checks that a robot is of the kind of the id from which Gymnasium made an environment.
+class SpecChecked:
+    """Part of both environments. ``gym.make`` sets ``spec``, which checks that the robot is of the kind of the id."""
 
-    Raises:
-        ValueError: if the robot does not fit; the message gives the id that fits it.
-    """
-    if spec is not None and spec.id in ENV_ROBOTS:
-        check_robot(spec.id, robot)
+    settings: Any
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification from which Gymnasium made the environment; None if it was made directly.
+
+        Raises:
+            ValueError: when it is set, if the robot does not fit; the message gives the id that fits it.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.id in ENV_ROBOTS:
+            check_robot(spec.id, self.settings.robot)
+        self._spec = spec

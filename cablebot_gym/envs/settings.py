@@ -54,7 +54,7 @@ class Settings:
     payload: float | Array
     """Nominal payload [kg], scalar or (N,); ≥ 0. The true payload is equal to it, except for ``uncertainty``."""
     payload_range: tuple[float, float] | None
-    """(low, high) of a uniform nominal payload, drawn in each episode [kg]; replaces ``payload``. None for no draw."""
+    """(low, high) of a uniform nominal payload, drawn in each episode [kg]; None for ``payload``."""
     payload_known: bool | Array
     """Whether the payload is known to the controller, scalar or (N,)."""
     model_payload_factor: float | Array
@@ -109,7 +109,7 @@ def make_settings(
     *,
     robot: str | dict[str, Any] | Robot,
     count: int,
-    payload: Any = 0.0,
+    payload: Any = None,
     payload_range: Any = None,
     payload_known: Any = True,
     model_payload_factor: Any = 1.0,
@@ -129,17 +129,17 @@ def make_settings(
 ) -> Settings:
     """Checked settings of ``count`` environments from their keywords, which :class:`Settings` describes.
 
-    Values are objects or JSON-able data. None stands for the default: the motion of :func:`default_trajectory`, the
-    start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, the default error bounds,
-    :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that satisfy :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS`
-    and :data:`STABLE_PHASE`. ``uncertainty`` can be a list with one item per environment.
+    Values are objects or JSON-able data. None stands for the default: no payload, the motion of
+    :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, the default
+    error bounds, :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that satisfy :data:`LONGEST_PHYSICS_STEP`,
+    :data:`MODE_LOSS` and :data:`STABLE_PHASE`. ``uncertainty`` can be a list with one item per environment.
 
     Raises:
         ValueError: if a value is invalid; the message names the keyword.
     """
     robot = find_robot(robot)
     options = {
-        "payload": payload,
+        "payload": 0.0 if payload is None else payload,
         "payload_known": payload_known,
         "model_payload_factor": model_payload_factor,
         "trajectory": default_trajectory(robot) if trajectory is None else trajectory,
@@ -154,6 +154,8 @@ def make_settings(
     substeps = whole("substeps", substeps, least=1)
     check_stability(robot, episode["uncertainty"], frequency, substeps)
     if payload_range is not None:
+        if payload is not None:
+            raise ValueError("payload and payload_range exclude each other: payload_range draws a payload per episode")
         ends = numbers("payload_range", payload_range, shapes=[(2,)], form="(low, high)", least=0, unit="kg")
         low, high = ends.tolist()
         payload_range = low, number("payload_range", high, least=low, unit="kg")
@@ -237,7 +239,7 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "trajectory": lambda _, value: find_trajectory(value, n),
         "initial_error": lambda name, value: _initial_error(name, value, n, count),
         "uncertainty": lambda _, value: _uncertainties(value, robot, count),
-        "error_bounds": lambda _, value: find_error_bounds(value),
+        "error_bounds": lambda _, value: find_error_bounds(value, robot),
         "noise_seed": lambda name, value: _seeds(name, value, count),
     }
     given = mapping("options", {} if options is None else options, [*checks, *FOREIGN_OPTIONS])

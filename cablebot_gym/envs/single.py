@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import check_spec
+from cablebot_gym.envs import SpecChecked
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.simulation import Simulation
@@ -19,7 +19,7 @@ from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import whole
 
 
-class CableBotEnv(gym.Env[Array, Array]):
+class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     """A cable-suspended robot moves a payload along a reference motion with motors of limited torque.
 
     The robots are those of Korayem, Tourajizadeh and Bamdad (2010), with misprints corrected:
@@ -183,7 +183,7 @@ class CableBotEnv(gym.Env[Array, Array]):
     | name | default | meaning |
     |---|---|---|
     | `payload`* | 0 | nominal payload [kg]; the true payload is equal to it, unless it is uncertain |
-    | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode; replaces `payload` |
+    | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode, in place of `payload` |
     | `payload_known`* | True | whether the payload is known to the controller |
     | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
     | `trajectory`* | the paper's circle between dwells | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
@@ -343,11 +343,8 @@ class CableBotEnv(gym.Env[Array, Array]):
         """Starts an episode; ``options`` apply to this episode only, see the class.
 
         Raises:
-            ValueError: if an option or the seed is invalid; the present episode is unchanged then. At the first reset,
-                also if the robot is not of the kind of the id.
+            ValueError: if an option or the seed is invalid; the present episode is unchanged then.
         """
-        if not self._started:
-            check_spec(self.spec, self.settings.robot)
         if seed is not None:
             seed = whole("seed", seed)
         first = self.np_random_seed if seed is None and not self._started else seed

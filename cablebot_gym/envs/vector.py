@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import check_spec
+from cablebot_gym.envs import SpecChecked
 from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.simulation import Simulation
@@ -25,7 +25,7 @@ _REASONS = np.array(TERMINATION_REASONS)
 VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
 
-class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
+class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
     """N environments :class:`~cablebot_gym.envs.single.CableBotEnv` in one batch.
 
     Make it with ``gym.make_vec(id, num_envs=N)``. Each environment returns the same numbers as the single environment,
@@ -122,12 +122,9 @@ class CableBotVectorEnv(VectorEnv[Array, Array, Array]):
                 start now.
 
         Raises:
-            ValueError: if an option or a seed is invalid; the environments are unchanged then. At the first reset, also
-                if the robot is not of the kind of the id.
+            ValueError: if an option or a seed is invalid; the environments are unchanged then.
             ResetNeeded: if ``reset_mask`` is given at the first reset.
         """
-        if not self._started:
-            check_spec(self.spec, self.settings.robot)
         env_indices = self._reset_indices(options)
         seeds = self._seeds(seed)
         if not self._started:

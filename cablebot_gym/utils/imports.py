@@ -9,21 +9,27 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.utils.checks import unknown_name_error
+MOST_NAMES = 10
+"""Largest number of names of a module in a message."""
 
 
 def import_object(text: str) -> Any:
     """The object that ``package.module:name`` or ``folder/file.py:name`` names.
 
     Raises:
-        ValueError: if there is no such file or name; the message lists the valid names.
+        ValueError: if there is no such file or name; the message lists names of the module.
         BaseException: whatever the code of the module raises.
     """
     module_name, attribute = split_name(text)
     module = importlib.import_module(module_name)
     if not hasattr(module, attribute):
-        own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
-        raise unknown_name_error(f"name in {module_name!r}", attribute, own)
+        own = [
+            name
+            for name, value in vars(module).items()
+            if getattr(value, "__module__", "") == module_name and not name.startswith("_")
+        ]
+        others = f"; it has {', '.join(own[:MOST_NAMES])}" if own else ""
+        raise ValueError(f"module {module_name!r} has no attribute {attribute!r}{others}")
     return getattr(module, attribute)
 
 

@@ -30,7 +30,7 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     found = SimpleNamespace(verified=True, to_json=lambda: '{"payload": 1.0}')
     calls = []
     monkeypatch.setattr(best_known, "find_best_known", lambda *given, **more: calls.append((given, more)) or found)
-    options = ("--rotation-bound", "0.03", "--control-frequency", "250", "--trajectory", "line-spatial", "--no-cache")
+    options = ("--rotation-bound", "30", "--control-frequency", "250", "--trajectory", "line-spatial", "--no-cache")
     assert cablebot("best-known", SPATIAL, *options, "--json").data == {"payload": 1.0}
     found.verified = False
     assert cablebot("best-known", SPATIAL).status == 1
@@ -43,7 +43,7 @@ def test_options_reach_the_search(cablebot, monkeypatch):
 
 @pytest.mark.slow
 def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
-    options = ("best-known", PLANAR, *LINE, "--position-bound", "0.02", "--control-frequency", "250")
+    options = ("best-known", PLANAR, *LINE, "--position-bound", "20", "--control-frequency", "250")
     text = cablebot(*options, "--no-cache").out
     for words in ("best known payload", "kg", "20 mm", "verified by replays", "least tension", "98.500 kg"):
         assert words in text
@@ -61,7 +61,7 @@ def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((PLANAR, "--position-bound", "0"), "position"),
+        ((PLANAR, "--position-bound", "0.01"), "position"),
         ((PLANAR, "--trajectory", "dwell-planar"), "nothing limits the payload"),
     ],
 )

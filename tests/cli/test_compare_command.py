@@ -28,7 +28,7 @@ def test_json_has_every_policy(cablebot, toys):
     [
         (("--payload", "2.5"), ("payload",), 2.5),
         (("--draws", "2"), ("draws",), 2),
-        (("--position-bound", "0.02"), ("error_bounds", "position"), 0.02),
+        (("--position-bound", "20"), ("error_bounds", "position"), 0.02),
     ],
 )
 def test_option_reaches_the_comparison(cablebot, option, path, value):

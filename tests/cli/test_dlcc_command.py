@@ -38,8 +38,8 @@ def test_json_has_one_result_per_criterion(cablebot):
 OPTIONS = [
     (("--payload-unknown",), ("payload_known",), False),
     (("--model-payload-factor", "0.9"), ("model_payload_factor",), 0.9),
-    (("--position-bound", "0.02"), ("error_bounds", "position"), 0.02),
-    (("--rotation-bound", "0.03"), ("error_bounds", "rotation"), 0.03),
+    (("--position-bound", "20"), ("error_bounds", "position"), 0.02),
+    (("--rotation-bound", "30"), ("error_bounds", "rotation"), 0.03),
     (("--payload-max", "3.5"), ("payload_max",), 3.5),
     (("--control-frequency", "400"), ("environment", "control_frequency"), 400),
     (("--seed", "7"), ("seed",), 7),

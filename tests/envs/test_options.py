@@ -388,6 +388,8 @@ def test_bad_action_raises_and_leaves_the_episode(action):
         ({"termination_radius": 0}, "termination_radius"),
         ({"slack_time": -0.1}, "slack_time"),
         ({"payload_range": (2.0, 1.0)}, "payload_range"),
+        ({"payload": 1.0, "payload_range": (0.0, 2.0)}, "exclude each other"),
+        ({"error_bounds": {"position": 10}}, r"at most 1\.32 m, .* a bound of 10 mm is 0\.01"),
         ({"initial_error_range": [-0.1, 0.0]}, "initial_error_range"),
     ],
 )

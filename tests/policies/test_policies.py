@@ -146,7 +146,7 @@ def test_factory_of_a_module_makes_a_policy(module):
     [
         ("nothing", r"the factory must return a policy; .*; NoneType is neither"),
         ("raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
-        ("missing", "unknown name in 'toy_policy_module' 'missing'; choose one of "),
+        ("missing", "has no attribute 'missing'; it has "),
     ],
 )
 def test_attribute_that_makes_no_policy_is_rejected(module, attribute, message):
