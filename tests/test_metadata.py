@@ -7,6 +7,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import release
+
+from cablebot_gym import __version__
 
 yaml = pytest.importorskip("yaml")
 ROOT = Path(__file__).resolve().parents[1]
@@ -15,7 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_citation_has_the_version_and_licence_of_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+    assert (citation["version"], citation["license"]) == (__version__, project["license"])
+    assert project["dynamic"] == ["version"]
     assert citation["title"] == f"{project['name'].replace('-', '_')}: {project['description']}"
 
 
@@ -36,4 +40,40 @@ def test_oldest_tested_versions_are_the_lower_bounds():
     pins = [line.split("==") for line in pinned if not line.startswith("#")]
     assert sorted((name, (whole + ".0.0").split(".")[:3]) for name, whole in bounds) == sorted(
         (name, whole.split(".")) for name, whole in pins
+    )
+
+
+CHANGES = "# Changelog\n\n## [0.2.0] - 2026-01-31\n\n- A change.\n\n## [0.1.0] - unreleased\n\n- First.\n"
+ADDRESSES = dict.fromkeys(release.URLS, "https://example.org")
+
+
+@pytest.mark.parametrize(
+    ("tag", "version", "urls", "problem"),
+    [
+        ("v0.2.0", "0.2.0", ADDRESSES, None),
+        ("v0.3.0", "0.2.0", ADDRESSES, "the tag is 'v0.3.0'"),
+        ("v0.1.0", "0.1.0", ADDRESSES, "no date"),
+        ("v0.1", "0.1", ADDRESSES, "no section"),
+        ("v0.2.0", "0.2.0", ADDRESSES | {"Issues": ""}, "lacks Issues"),
+    ],
+)
+def test_release_requires_tag_changelog_and_addresses(tag, version, urls, problem):
+    found = release.problems(tag, version, CHANGES, urls)
+    assert len(found) == (problem is not None)
+    assert problem is None or problem in found[0]
+
+
+def test_changelog_has_a_section_for_the_version():
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    found = release.problems(f"v{__version__}", __version__, changelog, ADDRESSES)
+    assert [one for one in found if "no section" in one] == []
+
+
+def test_readme_on_pypi_links_to_the_files_of_the_tag():
+    readme = (
+        "![A robot](docs/readme.gif) [terms](docs/glossary.md#slack), [site](https://example.org), [here](#install)"
+    )
+    assert release.absolute_links(readme, "https://example.org/repo", "v0.1.0") == (
+        "![A robot](https://example.org/repo/raw/v0.1.0/docs/readme.gif)"
+        " [terms](https://example.org/repo/blob/v0.1.0/docs/glossary.md#slack), [site](https://example.org), [here](#install)"
     )

@@ -281,7 +281,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     ## Version history
 
-    * v0: not released yet. It may change until the first release; the changelog gives the reason of each change.
+    * v0: release 0.1.0. The changelog gives the rules with their reasons.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": RATE}  # noqa: RUF012 - Gymnasium's
