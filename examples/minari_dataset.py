@@ -1,6 +1,7 @@
-"""Records a Minari dataset of an expert with several payloads, loads it, and replays it to the same observations.
+"""Records a Minari dataset of an expert with several payloads, describes it, and replays it to the same observations.
 
-The expert is the learned policy `apg-circle`, which ships with the package. All files are written below FOLDER.
+The expert is the learned policy `apg-circle`, which ships with the package. All files are written below FOLDER. Beside
+the data, `DATASHEET.md` describes the dataset for people and `croissant.json` for machines.
 Needs the extra minari: pip install 'cablebot-gym[minari]'.
 
 Run it: python examples/minari_dataset.py [FOLDER]
@@ -8,6 +9,7 @@ Run it: python examples/minari_dataset.py [FOLDER]
 
 import os
 import sys
+from datetime import date
 from pathlib import Path
 
 import gymnasium as gym
@@ -15,6 +17,7 @@ import minari
 import numpy as np
 
 import cablebot_gym
+from cablebot_gym.datasets import describe_dataset
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import SPATIAL
 
@@ -28,6 +31,7 @@ def record() -> None:
     expert = load_policy("apg-circle", SPATIAL)
     for seed, payload in enumerate(PAYLOADS):
         observation, _ = env.reset(seed=seed, options={"payload": float(payload)})
+        expert.reset([env.unwrapped.task])
         state, ended = None, False
         while not ended:
             action, state = expert.predict(observation, state)
@@ -62,7 +66,13 @@ if __name__ == "__main__":
     os.environ["MINARI_DATASETS_PATH"] = str(folder.resolve())
     record()
     dataset = minari.load_dataset(NAME)
+    describe_dataset(
+        dataset,
+        license="https://creativecommons.org/licenses/by/4.0/",
+        purpose="An example of an expert with several payloads, to learn from offline.",
+        published=date.today().isoformat(),
+    )
     print(f"{dataset.total_episodes} episodes of {dataset.total_steps} steps in {folder / NAME}")
     for episode, payload in zip(dataset, PAYLOADS, strict=True):
-        print(f"{payload:g} kg: {len(episode)} steps, mean action {np.abs(episode.actions).mean():.2f}")
+        print(f"{payload:g} kg: {len(episode)} steps, return {episode.rewards.sum():.1f}")
     print(f"replayed: observations differ by at most {replay(dataset, 3)}")

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 ORDER = (
     *("utils", "kinematics", "robots", "trajectories", "uncertainty", "task", "physics", "planning", "rendering"),
-    *("envs", "policies", "evaluation", "bounds", "plotting", "video", "benchmark", "report", "cli"),
+    *("envs", "datasets", "policies", "evaluation", "bounds", "plotting", "video", "benchmark", "report", "cli"),
 )
 """Packages and modules of cablebot_gym; each may import itself and those before it."""
 

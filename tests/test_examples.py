@@ -78,10 +78,14 @@ def figure_is_written(lines: list[str], folder: Path) -> bool:
 
 
 def actions_replay_bit_for_bit(lines: list[str], folder: Path) -> bool:
-    demands = [float(line.split()[-1]) for line in lines[1:-1]]
-    kept = folder / "out" / "cablebot-spatial" / "apg-circle-v0" / "data" / "main_data.hdf5"
+    returns = [float(line.split()[-1]) for line in lines[1:-1]]  # above 800 without violation
+    kept = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
+    files = [kept / name for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json")]
     return (
-        kept.is_file() and demands == sorted(set(demands)) and len(demands) == 8 and lines[-1].endswith("at most 0.0")
+        all(file.is_file() for file in files)
+        and len(returns) == 8
+        and min(returns) > 800
+        and lines[-1].endswith("at most 0.0")
     )
 
 

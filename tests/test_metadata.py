@@ -70,10 +70,8 @@ def test_changelog_has_a_section_for_the_version():
 
 
 def test_readme_on_pypi_links_to_the_files_of_the_tag():
-    readme = (
-        "![A robot](docs/readme.gif) [terms](docs/glossary.md#slack), [site](https://example.org), [here](#install)"
-    )
+    readme = "![A robot](docs/readme.gif) [terms](docs/glossary.md#slack), [site](https://example.org)"
     assert release.absolute_links(readme, "https://example.org/repo", "v0.1.0") == (
         "![A robot](https://example.org/repo/raw/v0.1.0/docs/readme.gif)"
-        " [terms](https://example.org/repo/blob/v0.1.0/docs/glossary.md#slack), [site](https://example.org), [here](#install)"
+        " [terms](https://example.org/repo/blob/v0.1.0/docs/glossary.md#slack), [site](https://example.org)"
     )
