@@ -15,11 +15,12 @@ yaml = pytest.importorskip("yaml")
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_citation_has_the_version_and_licence_of_the_package():
+def test_citation_has_the_version_licence_and_address_of_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["version"], citation["license"]) == (__version__, project["license"])
     assert project["dynamic"] == ["version"]
+    assert citation.get("repository-code") == project["urls"].get("Repository")
     assert citation["title"] == f"{project['name'].replace('-', '_')}: {project['description']}"
 
 
