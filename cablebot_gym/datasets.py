@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,14 +88,14 @@ _REQUIRED = ("author", "author_email", "description", "algorithm_name", "code_pe
 """Arguments of Minari's ``create_dataset`` without which a dataset cannot be described."""
 
 
-def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, published: str) -> tuple[Path, Path]:
+def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, published: date) -> tuple[Path, Path]:
     """Writes ``DATASHEET.md`` and ``croissant.json`` into the folder of a Minari dataset.
 
     Args:
         dataset: a dataset of one of this package's environments, with author, e-mail, description, algorithm and code.
         license: SPDX identifier or address of the license of the data.
         purpose: why the dataset was made, in one or more sentences.
-        published: date of publication, ``YYYY-MM-DD``.
+        published: date of publication.
 
     Returns:
         The paths of both files.
@@ -193,7 +194,7 @@ def _croissant(
     texts: dict[str, str],
     *,
     file: Path,
-    published: str,
+    published: date,
 ) -> dict[str, Any]:
     """Croissant 1.1: the file, the arrays of an episode, and the columns of its observations by block."""
     version = f"{dataset.spec.version or 0}.0.0"
@@ -241,9 +242,9 @@ def _croissant(
         "url": facts["code"],
         "license": facts["license"],
         "version": version,
-        "datePublished": published,
+        "datePublished": published.isoformat(),
         "creator": {"@type": "sc:Person", "name": facts["author"], "email": facts["email"]},
-        "citeAs": f"{facts['author']}: {dataset.id}, {published[:4]}. {facts['code']}",
+        "citeAs": f"{facts['author']}: {dataset.id}, {published.year}. {facts['code']}",
         "rai:dataCollection": texts["collection"],
         "rai:dataUseCases": texts["uses"],
         "rai:dataLimitations": texts["limitations"],

@@ -70,7 +70,7 @@ if __name__ == "__main__":
         dataset,
         license="https://creativecommons.org/licenses/by/4.0/",
         purpose="An example of an expert with several payloads, to learn from offline.",
-        published=date.today().isoformat(),
+        published=date.today(),
     )
     print(f"{dataset.total_episodes} episodes of {dataset.total_steps} steps in {folder / NAME}")
     for episode, payload in zip(dataset, PAYLOADS, strict=True):

@@ -6,6 +6,7 @@ import gc
 import hashlib
 import json
 import warnings
+from datetime import date
 
 import gymnasium as gym
 import h5py
@@ -27,7 +28,7 @@ ORIGIN = {
     "description": "Two short episodes without torque",
     "requirements": ["cablebot-gym"],
 }
-ABOUT = {"license": "MIT", "purpose": "A test.", "published": "2026-01-31"}
+ABOUT = {"license": "MIT", "purpose": "A test.", "published": date(2026, 1, 31)}
 
 
 def recorded(env, name, **origin):
@@ -91,7 +92,7 @@ def test_datasheet_has_the_options_of_each_episode_and_the_layout(described):
     assert rows == [[f"| {n}", str(n), f'`{{"payload": {payload}}}`', "5"] for n, payload in enumerate(PAYLOADS)]
     assert observation_layout(PLANAR).table() in sheet
     assert croissant["rai:dataCollection"] in sheet
-    assert croissant["version"] == "3.0.0"
+    assert (croissant["version"], croissant["datePublished"]) == ("3.0.0", "2026-01-31")
 
 
 def test_dataset_with_other_observations_or_no_author_is_rejected(folder):
