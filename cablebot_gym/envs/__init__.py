@@ -26,6 +26,9 @@ FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
 RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV_IDS)
 """Ids of the environments whose robots have no joint springs."""
 
+TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
+"""Name of each code in ``info["termination_reason"]``. Code 0, the empty string, means "not terminated"."""
+
 
 def register_envs() -> None:
     """Registers every id with Gymnasium. A second call has no effect.

@@ -121,11 +121,12 @@ class ObservationLayout:
             )
         return array
 
-    def space(self, *, normalised: bool = False) -> Box:
+    def space(self, *, normalised: bool = False, dtype: str = "float64") -> Box:
         """The bounded observation space. Components saturate at the bounds; useful motions do not reach them.
 
         Args:
             normalised: whether the space is that of the normalised observation.
+            dtype: number type of the space, ``float64`` or ``float32``.
         """
         low = np.concatenate([block.low for block in self.blocks])
         high = np.concatenate([block.high for block in self.blocks])
@@ -135,7 +136,8 @@ class ObservationLayout:
                 low[own] -= raw[1][reference]
                 high[own] -= raw[0][reference]
             low, high = ((bound - self.centre) * self.per_scale for bound in (low, high))
-        return Box(low, high, dtype=np.float64)
+        number = np.dtype(dtype).type
+        return Box(low.astype(number), high.astype(number), dtype=number)
 
     def table(self) -> str:
         """Markdown table of the blocks."""

@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.compiling import njit
-
-TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
-"""Value of ``info["termination_reason"]`` by code. Code 0, the empty string, means "not terminated"."""
 
 _TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
 
@@ -34,6 +32,7 @@ INFO_SCALARS = (
     "rotation_error_peak",
     *(f"reward_{name}" for name in REWARD_TERMS),
     "violated",
+    "cost",
 )
 """Names of the first columns of the info array."""
 
@@ -45,6 +44,7 @@ _FIRST_CABLE = len(INFO_SCALARS)
 _TERMS = len(REWARD_TERMS)
 _INSIDE, _POSITION_TERM, _ROTATION_TERM, _SATURATION, _VIOLATION_TERM = range(_FIRST_TERM, _FIRST_TERM + _TERMS)
 _VIOLATED = _FIRST_TERM + _TERMS
+_COST = _VIOLATED + 1
 _TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
 
 # Columns of the episode settings.
@@ -268,7 +268,7 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         reason = 0
         if fresh:
             slack_for[env_index] = 0.0
-            violated = settings[env_index, STARTS_AT_REST] > 0.0 and not held
+            violates = settings[env_index, STARTS_AT_REST] > 0.0 and not held
         else:
             slack_for[env_index] = slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
             if not finite:
@@ -279,18 +279,22 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
                 reason = _TRACKING_ERROR
             elif slack_for[env_index] > batch.slack_time + 1e-9:
                 reason = _SLACK
-            violated = violations[env_index] or reason > 0 or slack_cables > 0.0 or not taut
+            violates = reason > 0 or slack_cables > 0.0 or not taut
+            if step == 1:  # a violation at the start counts in the first step
+                violates = violates or violations[env_index]
         if not (
             position_peak <= settings[env_index, POSITION_BOUND]
             and rotation_peak <= settings[env_index, ROTATION_BOUND]
         ):
-            violated = True
+            violates = True
+        violated = violates or (not fresh and violations[env_index])
         first_violation = violated and (step == 1 or not violations[env_index])
         violations[env_index] = violated
         if violated and not fresh and reason == 0 and batch.terminate_on_violation:
             reason = _VIOLATION
         reasons[env_index], completes[env_index] = reason, step >= motion_steps[env_index]
         info[_VIOLATED] = 1.0 if violated else 0.0
+        info[_COST] = 1.0 if violates else 0.0
 
         # The observation is complete: noise, saturation at the bounds, scales.
         observation[slack_column] = min(slack_for[env_index], bounds[1, slack_column])

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs import TERMINATION_REASONS
+from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.rendering.moment import Moment

@@ -9,8 +9,10 @@ from numbers import Real
 from typing import Any, cast, get_args
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
@@ -40,6 +42,9 @@ the springs oscillate up to 6 % faster."""
 
 DEFAULT_WEIGHTS = {"inside": 1.0, "position": 0.05, "rotation": 0.05, "saturation": 0.02, "violation": 0.1}
 """Default weights of the reward terms. They order success before failure; the single environment's manual proves it."""
+
+OBSERVATION_DTYPES = ("float64", "float32")
+"""Number types of the observation. The simulation and the evaluation use float64."""
 
 FOREIGN_OPTIONS = ("reset_mask", "minari_autoseed")
 """Reset options of Gymnasium's vector API and of Minari, which the checks here ignore."""
@@ -88,6 +93,13 @@ class Settings:
     """Weights of the reward terms, in the order of ``REWARD_TERMS``."""
     normalised_observation: bool
     """Whether the observation is that of :meth:`~cablebot_gym.envs.observation.ObservationLayout.normalise`."""
+    observation_dtype: str
+    """Number type of the observation and its space: ``float64`` or ``float32``."""
+
+    def observation_space(self) -> Box:
+        """Observation space of one environment."""
+        layout = observation_layout(self.robot)
+        return layout.space(normalised=self.normalised_observation, dtype=self.observation_dtype)
 
     @property
     def period(self) -> float:
@@ -126,6 +138,7 @@ def make_settings(
     terminate_on_violation: bool = False,
     reward_weights: Mapping[str, float] | None = None,
     normalised_observation: bool = False,
+    observation_dtype: str = "float64",
 ) -> Settings:
     """Checked settings of ``count`` environments from their keywords, which :class:`Settings` describes.
 
@@ -174,6 +187,7 @@ def make_settings(
         slack_time=number("slack_time", slack_time, least=0),
         terminate_on_violation=_boolean("terminate_on_violation", terminate_on_violation),
         normalised_observation=_boolean("normalised_observation", normalised_observation),
+        observation_dtype=choice("observation_dtype", observation_dtype, OBSERVATION_DTYPES),
         weights=np.array([number(f"reward weight {name!r}", weights[name]) for name in REWARD_TERMS]),
         **episode,
     )

@@ -24,7 +24,7 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task, at_rest, start_pose
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
-from cablebot_gym.utils.checks import choice
+from cablebot_gym.utils.checks import unexpected_keyword_error
 
 _RECORD_ROWS = tuple(getattr(kernel, name.upper()) for name in outcome.RecordRows._fields)
 
@@ -33,18 +33,24 @@ class Simulation:
     """N environments, each with its own episode. The single environment is a batch of one.
 
     :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
-    an index of :data:`outcome.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete, and ``info``
-    (N, columns). The next call overwrites them.
+    an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete, and
+    ``info`` (N, columns). The next call overwrites them.
 
     Args:
         robot: robot, as the environments take it.
         batch: leading axes of the actions: (N,), or () for the single environment.
         keywords: further keywords of the environments.
+
+    Raises:
+        TypeError: if a keyword is unknown.
+        ValueError: if a value is invalid.
     """
 
     def __init__(self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any]) -> None:
+        known = [name for name in inspect.signature(make_settings).parameters if name != "count"]
         for name in keywords:
-            choice("keyword", name, inspect.signature(make_settings).parameters)
+            if name not in known:
+                raise unexpected_keyword_error(name, known)
         self.count = count = math.prod(batch)
         self.settings = settings = make_settings(robot=robot, count=count, **keywords)
         """Checked constructor keywords."""

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import SpecChecked
-from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
@@ -80,7 +80,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     those of the normalised observation are of order one. Each component is (value − centre)/scale. The scales follow
     from the robot alone, and `layout.table()` prints them. `pose` and `velocity` become tracking errors, with the
     default error bounds as the scale of the pose. `layout.normalise(observation)` is the same function, and
-    `layout.space(normalised=True)` the space.
+    `layout.space(normalised=True)` the space. `observation_dtype="float32"` rounds the observation to the number type
+    of most networks. The simulation uses float64 in any case.
 
     ## Reward
 
@@ -140,8 +141,15 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     4. `non_finite`: the state is not finite;
     5. `violation`: a limit is violated, see "Reward", and `terminate_on_violation` is set.
 
-    `info["termination_reason"]` is the name of the condition, or an empty string. If several conditions are met,
-    `non_finite` takes precedence, then `workspace`, `tracking_error`, `slack` and `violation`.
+    `info["termination_reason"]` is the code of the condition, an integer, and 0 while the episode runs.
+    :data:`cablebot_gym.envs.TERMINATION_REASONS` has the names by code:
+
+    | code | 0 | 1 | 2 | 3 | 4 | 5 |
+    |---|---|---|---|---|---|---|
+    | name | (empty) | `tracking_error` | `slack` | `workspace` | `non_finite` | `violation` |
+
+    If several conditions are met, `non_finite` takes precedence, then `workspace`, `tracking_error`, `slack` and
+    `violation`.
 
     ## Truncation
 
@@ -160,11 +168,15 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     ## Info
 
-    The dict has the same keys after a reset and after every step.
+    The dict has the same keys after a reset and after every step. All values are numbers, booleans or arrays of them.
 
     * At the present instant: `time` [s], `tracking_error` (position error) [m], `rotation_error` (largest difference of
       an angle) [rad], `payload` (true payload) [kg].
-    * Since the start: `violated` (whether a limit has been violated, see "Reward").
+    * Since the start: `violated` (whether a limit has been violated, see "Reward"), `termination_reason` (code, see
+      "Termination").
+    * Over the last control period: `cost`, as in Safety-Gymnasium: 1 if a limit is violated in the period, else 0. The
+      limits are those of `violated`. After a reset, it is 1 if the start violates a limit, which counts in the first
+      step too: an episode keeps all limits if and only if the sum of the costs of its steps is 0.
     * Over the last control period: `tracking_error_peak` and `rotation_error_peak` (largest values at any physics
       step), `least_tensions` (m least tensions at the start of any physics step) [N], and `slack` (m booleans: whether
       the cable was slack at any physics step or, if cables are bilateral, pushed).
@@ -200,6 +212,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `terminate_on_violation` | False | whether the first violation of a limit terminates the episode |
     | `reward_weights` | see "Reward" | weights by reward term |
     | `normalised_observation` | False | whether the observation is normalised, see "Observation space" |
+    | `observation_dtype` | "float64" | number type of the observation and its space; "float32" for learning |
 
     ## Payload known or unknown
 
@@ -294,7 +307,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         self.layout = self._simulation.layout
         """Layout of the observation: names, slices, units and bounds of its blocks."""
         self.action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
-        self.observation_space = self.layout.space(normalised=self.settings.normalised_observation)
+        self.observation_space = self.settings.observation_space()
         self._env_index = np.zeros(1, np.int64)
         self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
         self._started = self._terminated = False
@@ -380,5 +393,6 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation, reason = self._simulation, int(self._simulation.reason[0])
         info = info_dict(simulation.info[0].copy(), self.settings.robot.cables)
-        info["termination_reason"] = TERMINATION_REASONS[reason]
-        return simulation.observation[0].copy(), float(simulation.reward[0]), reason > 0, info
+        info["termination_reason"] = reason
+        observation = simulation.observation[0].astype(self.settings.observation_dtype)
+        return observation, float(simulation.reward[0]), reason > 0, info

@@ -13,14 +13,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import SpecChecked
-from cablebot_gym.envs.outcome import TERMINATION_REASONS, info_dict
+from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import choice, whole
-
-_REASONS = np.array(TERMINATION_REASONS)
 
 VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
@@ -74,13 +72,15 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         if not isinstance(autoreset_mode, AutoresetMode):
             autoreset_mode = AutoresetMode(choice("autoreset_mode", autoreset_mode, [m.value for m in AutoresetMode]))
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
+        self.autoreset_mode = autoreset_mode
+        """Autoreset mode, an attribute of Gymnasium's own vector environments too."""
         self._simulation = Simulation(robot, (self.num_envs,), keywords)
         self.settings = self._simulation.settings
         """Checked constructor keywords."""
         self.layout = self._simulation.layout
         """Layout of the observation: names, slices, units and bounds of its blocks."""
         self.single_action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
-        self.single_observation_space = self.layout.space(normalised=self.settings.normalised_observation)
+        self.single_observation_space = self.settings.observation_space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
@@ -133,7 +133,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self._reset(env_indices, options, [seeds[env_index] for env_index in env_indices.tolist()])
         self._started = True
         self._done[env_indices] = False
-        return self._simulation.observation.copy(), self._info()
+        return self._observation(), self._info()
 
     def _reset(
         self,
@@ -180,7 +180,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         """
         if not self._started:
             raise ResetNeeded("call reset() before step()")
-        simulation, ended, autoreset = self._simulation, self._done, self.metadata["autoreset_mode"]
+        simulation, ended, autoreset = self._simulation, self._done, self.autoreset_mode
         simulation.step(actions)
         if self._pictures is not None:
             self._pictures.on_step()
@@ -193,7 +193,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         if autoreset is AutoresetMode.SAME_STEP and self._done.any():
             final = self._final(self._done)
             self._reset(np.flatnonzero(self._done))
-        return simulation.observation.copy(), reward, terminated, truncated, self._info() | final
+        return self._observation(), reward, terminated, truncated, self._info() | final
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture of each environment, as in the single environment, if the render mode is ``rgb_array``; else None.
@@ -209,13 +209,16 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Last observation and info of the episodes that have ended, in the form of Gymnasium's vector environments."""
-        observations = np.full(self.num_envs, None, dtype=object)
+        observations, last = np.full(self.num_envs, None, dtype=object), self._observation()
         for env_index in np.flatnonzero(mask):
-            observations[env_index] = self._simulation.observation[env_index].copy()
+            observations[env_index] = last[env_index]
         info = self._info()
         info |= {f"_{name}": mask.copy() for name in info}
         return {"final_obs": observations, "_final_obs": mask.copy(), "final_info": info, "_final_info": mask.copy()}
 
+    def _observation(self) -> Array:
+        return self._simulation.observation.astype(self.settings.observation_dtype)
+
     def _info(self) -> dict[str, Any]:
         info = info_dict(self._simulation.info.copy(), self.settings.robot.cables)
-        return info | {"termination_reason": _REASONS[self._simulation.reason]}
+        return info | {"termination_reason": self._simulation.reason.copy()}

@@ -170,8 +170,8 @@ class Batch:
         uncertainty: model errors and disturbances that the policy does not know.
         draws: number of episodes at each payload; None for the default.
         seed: seed that alone determines the draws.
-        keywords: keywords of the environment without ``normalised_observation``. A Stable-Baselines3 model that reads
-            normalised observations gets them.
+        keywords: keywords of the environment without ``normalised_observation`` and ``observation_dtype``. A
+            Stable-Baselines3 model that reads normalised observations gets them.
 
     Raises:
         ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy that does not declare
@@ -196,6 +196,8 @@ class Batch:
             raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
         if keywords.get("normalised_observation"):
             raise ValueError("policies are evaluated with observations in SI units: remove normalised_observation")
+        if keywords.get("observation_dtype", "float64") != "float64":
+            raise ValueError("policies are evaluated with observations in float64: remove observation_dtype")
         self.criterion, self.error_bounds = find_criterion(criterion), deepcopy(find_error_bounds(error_bounds))
         self.seed = whole("seed", seed)
         """Seed of the evaluation."""

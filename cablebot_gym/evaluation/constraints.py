@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
 from cablebot_gym.utils.checks import choice
@@ -20,6 +21,8 @@ CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 ViolationKind = Literal["torque", "slack", "position", "rotation", "terminated"]
 KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
 """Kinds of violations in the order in which the judge checks them."""
+
+_REASONS = np.array(TERMINATION_REASONS)
 
 _ROUNDING = 1e-12
 """Tolerance of |a| ≤ 1 for rounding errors."""
@@ -50,8 +53,8 @@ class Violation:
     """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing tension [N]; None for the other
     kinds."""
     reason: str = ""
-    """``termination_reason`` of the environment if ``kind`` is ``terminated``; ``start`` if a motor cannot hold the
-    robot at the start; else empty."""
+    """Name of the environment's ``termination_reason`` if ``kind`` is ``terminated``; ``start`` if a motor cannot hold
+    the robot at the start; else empty."""
     bound: float | None = None
     """Bound of the error [m or rad] or of the tension [N]; None for the other kinds."""
 
@@ -178,7 +181,7 @@ class Judge:
             self._fail("slack", slack, time, index=info["slack"].argmax(axis=1) + 1, bound=self._tension_bound)
         self._check_errors(info, running)
         if (ended := running & terminated).any():
-            self._fail("terminated", ended, time, reason=info["termination_reason"])
+            self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
 
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
         errors: tuple[tuple[ViolationKind, Array, Array, Array], ...] = (

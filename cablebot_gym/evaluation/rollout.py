@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.constraints import Verdict
@@ -43,7 +44,7 @@ class Rollout:
     verdict: Verdict
     """Verdict under the criterion."""
     reason: str
-    """Reason of an early termination by the environment, or ""."""
+    """Reason of an early termination by the environment, one of :data:`~cablebot_gym.envs.TERMINATION_REASONS`."""
 
     def __len__(self) -> int:
         return 1 + len(self.arrays["time"])
@@ -90,7 +91,7 @@ class Recorder:
         self._indices, self._names = list(indices), names
         self._states: list[dict[str, Array]] = []
         self._running: list[NDArray[np.bool_]] = []
-        self._reason = np.full(len(self._indices), "", "<U16")
+        self._reason = np.zeros(len(self._indices), np.int64)
 
     def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Records the state after the reset."""
@@ -108,7 +109,7 @@ class Recorder:
         slices = self._env.layout.slices()
         motion = {name: observation[:, slices[name]] for name in ("pose", "velocity", "reference_pose")}
         state = {"time": info["time"], **motion, **info, "reward": reward, "true_pose": self._env.pose}
-        names = state.keys() - {"termination_reason"} if self._names is None else self._names
+        names = state.keys() if self._names is None else self._names
         self._states.append({name: values[self._indices] for name, values in state.items() if name in names})
 
     def rollouts(self, verdicts: Sequence[Verdict]) -> list[Rollout]:
@@ -130,7 +131,7 @@ class Recorder:
                     start={name: values[0, row] for name, values in series.items()},
                     arrays={name: values[steps, row] for name, values in series.items()},
                     verdict=verdicts[index],
-                    reason=str(self._reason[row]),
+                    reason=TERMINATION_REASONS[self._reason[row]],
                 )
             )
         return rollouts

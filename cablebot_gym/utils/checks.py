@@ -176,10 +176,28 @@ def unknown_name_error(kind: str, name: object, names: Iterable[str], otherwise:
         names: the valid names.
         otherwise: other valid input, such as ``, or pass a Robot``.
     """
+    return ValueError(f"unknown {kind} {name!r}; {_choices_text(name, names, otherwise)}")
+
+
+class UnexpectedKeywordError(TypeError, ValueError):
+    """Unknown keyword argument: a TypeError as Python raises it, and a ValueError as the other errors of arguments."""
+
+
+def unexpected_keyword_error(name: str, names: Iterable[str]) -> UnexpectedKeywordError:
+    """The error to raise for an unknown keyword argument: in Python's own words, for which other libraries look.
+
+    Args:
+        name: the unknown keyword.
+        names: the valid keywords.
+    """
+    return UnexpectedKeywordError(f"got an unexpected keyword argument {name!r}; {_choices_text(name, names, '')}")
+
+
+def _choices_text(name: object, names: Iterable[str], otherwise: str) -> str:
     known = {valid.lower(): valid for valid in names}
     close = get_close_matches(str(name).strip().lower(), known, 1)
     suggestion = f"; did you mean {known[close[0]]!r}?" if close else ""
-    return ValueError(f"unknown {kind} {name!r}; choose one of {', '.join(known.values())}{otherwise}{suggestion}")
+    return f"choose one of {', '.join(known.values())}{otherwise}{suggestion}"
 
 
 def _bounds_text(above: float, least: float, below: float, most: float, unit: str) -> str:

@@ -79,7 +79,7 @@ def check_same_row(results, env_index, own):
     info, own_info = results[-1], own[-1]
     assert info.keys() == own_info.keys()
     for key, value in own_info.items():
-        assert isinstance(value, (float, bool, str, np.ndarray))
+        assert isinstance(value, (float, bool, int, np.ndarray))
         np.testing.assert_array_equal(info[key][env_index], value, err_msg=key)
 
 

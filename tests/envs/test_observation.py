@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, ROBOTS, SPATIAL
@@ -61,7 +61,7 @@ def test_slack_time_is_the_timer_of_the_termination():
         assert env.layout.split(observation)["slack_time"] == pytest.approx([timer], abs=1e-12)
         observation, _, terminated, _, info = env.step(np.full(3, -0.9 if step % 9 > 1 or step > 20 else 0.5))
         timer, step = (timer + 0.002 if info["slack"].any() else 0.0), step + 1
-    assert info["termination_reason"] == "slack"
+    assert TERMINATION_REASONS[info["termination_reason"]] == "slack"
     assert env.layout.split(observation)["slack_time"][0] == pytest.approx(0.022)
     assert env.layout.split(env.reset()[0])["slack_time"][0] == 0.0
 
@@ -171,6 +171,26 @@ def test_pose_and_velocity_become_tracking_errors():
     length = np.ptp(SPATIAL.pose_bounds[:, :3], axis=0).max() / 2
     reference = env.task.trajectory(0.0).position - SPATIAL.pose_bounds.mean(axis=0)
     np.testing.assert_allclose(blocks["reference_pose"][:3], reference[:3] / length, atol=1e-12)
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_observation_in_float32_is_the_rounded_one_within_its_space(normalised):
+    keywords = {"normalised_observation": normalised, "observation_dtype": "float32"}
+    usual, env = (
+        gym.make(PLANAR_ID, **changed).unwrapped for changed in ({"normalised_observation": normalised}, keywords)
+    )
+    envs = gym.make_vec(PLANAR_ID, 2, autoreset_mode="SameStep", max_episode_steps=2, **keywords).unwrapped
+    assert env.observation_space.dtype == envs.observation_space.dtype == np.float32
+    assert envs.single_observation_space == env.observation_space
+    first, one, several = (each.reset(seed=0)[0] for each in (usual, env, envs))
+    for action in np.random.default_rng(0).uniform(-1, 1, (2, 3)):
+        for observation in (one, several[0]):
+            assert observation in env.observation_space
+            np.testing.assert_array_equal(observation, first.astype(np.float32), strict=True)
+        first, one = usual.step(action)[0], env.step(action)[0]
+        several, _, _, truncated, info = envs.step(np.tile(action, (2, 1)))
+    assert truncated.all()
+    np.testing.assert_array_equal(info["final_obs"][0], first.astype(np.float32), strict=True)
 
 
 @pytest.mark.parametrize("value", ["yes", 1, None])

@@ -384,6 +384,7 @@ def test_bad_action_raises_and_leaves_the_episode(action):
         ({"reward_weights": {"energy": 1.0}}, "energy"),
         ({"cable": "rope"}, "unilateral, bilateral"),
         ({"substeps": 1.5}, "substeps"),
+        ({"observation_dtype": "float16"}, "float64, float32"),
         ({"control_frequency": 0.0}, "control_frequency"),
         ({"termination_radius": 0}, "termination_radius"),
         ({"slack_time": -0.1}, "slack_time"),
@@ -396,6 +397,15 @@ def test_bad_action_raises_and_leaves_the_episode(action):
 def test_bad_keyword_raises(keywords, named):
     with pytest.raises(ValueError, match=named):
         CableBotEnv(robot="planar", **keywords)
+
+
+@pytest.mark.parametrize("make_one", [gym.make, gym.make_vec])
+def test_unknown_keyword_raises_the_type_error_that_other_libraries_expect(make_one):
+    """TorchRL tries ``frameskip`` first, and looks for Python's own words."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        make_one(IDS["planar"], frameskip=1)
+    with pytest.raises(TypeError, match=r"choose one of robot, payload, .*; did you mean 'payload'"):
+        make_one(IDS["planar"], paylaod=1.0)
 
 
 def test_step_before_a_successful_reset_raises():

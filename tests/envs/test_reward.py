@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
 from cablebot_gym.evaluation.constraints import Judge
@@ -106,6 +106,7 @@ def test_tension_below_the_minimum_violates_without_slack():
         env = make("planar", robot=PLANAR.replace(minimum_tension=minimum))
         _, found, info = violated_in(env, actions)
         assert found == first
+        assert info["cost"].tolist() == [0.0, float(bool(first)), 0.0]
         assert 0.5 < info["least_tensions"][1].min() < 1.0
         assert not info["slack"].any()
     pushed = make("planar", cable="bilateral")
@@ -123,6 +124,7 @@ def test_payload_that_no_motor_holds_violates_at_the_start_of_a_motion_at_rest(r
         margin = env.reset(options={"payload": payload})[1]["torque_margin"]
         assert np.all(margin >= 0) == held
         assert info["reward_inside"].tolist() == [float(held)] * 2
+        assert info["cost"].tolist() == [float(not held), 0.0]
     moving = {"payload": 9.0, "trajectory": "paper-spatial"}
     assert env.reset(options=moving)[1]["violated"] is False
 
@@ -131,7 +133,7 @@ def test_termination_violates():
     """The error bound is larger than the termination radius."""
     env = make("planar", error_bounds={"position": 1.0}, termination_radius=0.05)
     _, found, info = violated_in(env, [np.full(3, 0.1)], options={"initial_error": [0.06, 0.0]})
-    assert (found, info["termination_reason"].tolist()) == ([0], ["tracking_error"])
+    assert (found, TERMINATION_REASONS[info["termination_reason"].item()]) == ([0], "tracking_error")
 
 
 @each_kind
@@ -148,13 +150,15 @@ def test_violated_agrees_with_the_judge(kind, cable):
     judge = Judge("task", ROBOTS[kind].cables, count)
     judge.reset(info, env.tasks[0])
     np.testing.assert_array_equal(info["violated"], judge.failed)
-    alive = [np.mean(~judge.failed)]
+    alive, costs = [np.mean(~judge.failed)], np.zeros(count)
     centre = 0.55 if kind == "spatial" else 0.1
     for _ in range(env.tasks[0].steps):
         actions = centre * rng.uniform(0.5, 1.5, env.action_space.shape)
         _, _, terminated, _, info = env.step(actions)
         judge.observe(info, terminated)
         np.testing.assert_array_equal(info["violated"], judge.failed)
+        costs += info["cost"]
+        np.testing.assert_array_equal(costs > 0, judge.failed)
         alive.append(np.mean(~judge.failed))
     assert alive[0] > 0.2
     assert alive[-1] < alive[0] - 0.1
@@ -170,7 +174,7 @@ def test_terminate_on_violation_ends_the_episode_at_its_first_violation(kind):
     usual, ending = (make(kind, terminate_on_violation=option, termination_radius=0.015) for option in (False, True))
     (_, rewards, info), (_, same_rewards, same) = run(usual, actions), run(ending, actions)
     first = np.flatnonzero(info["violated"])[0]
-    assert same["termination_reason"][first] == "violation"
+    assert TERMINATION_REASONS[same["termination_reason"][first].item()] == "violation"
     np.testing.assert_array_equal(np.flatnonzero(same["terminated"])[0], first)
     np.testing.assert_array_equal(rewards[: first + 1], same_rewards[: first + 1])
     assert not info["terminated"][: first + 1].any()
@@ -178,7 +182,10 @@ def test_terminate_on_violation_ends_the_episode_at_its_first_violation(kind):
     assert own.size
     np.testing.assert_array_equal(same["termination_reason"][info["terminated"]], own)
     _, late, info = violated_in(make(kind, terminate_on_violation=True), actions[:1] * 0, options={"payload": 0.0})
-    assert (late, info["termination_reason"].tolist()) == ([0], ["violation"])  # slack, for a short time
+    assert (late, TERMINATION_REASONS[info["termination_reason"].item()]) == (
+        [0],
+        "violation",
+    )  # slack, for a short time
 
 
 # -------------------------------------------------------------------------------------------------- order of returns

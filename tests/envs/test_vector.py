@@ -12,6 +12,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import cablebot_gym
+from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -95,8 +96,8 @@ def check_run(ours, theirs, actions):
         terminated, truncated, info = one[2], one[3], one[4]
         ended = terminated | truncated
         last = info.get("final_info", info)
-        assert np.array_equal(last["termination_reason"] != "", terminated)
-        reasons |= set(last["termination_reason"])
+        assert np.array_equal(last["termination_reason"] != 0, terminated)
+        reasons |= {TERMINATION_REASONS[code] for code in last["termination_reason"]}
         restarts, truncations = restarts + ended.sum(), truncations + truncated.sum()
         if mode is AutoresetMode.DISABLED and ended.any():
             check_same(ours.reset(options={"reset_mask": ended}), theirs.reset(options={"reset_mask": ended}))
@@ -341,6 +342,17 @@ def test_bad_reset_raises_and_leaves_episodes_and_streams(reset, named):
 def test_bad_keyword_raises(keywords, named):
     with pytest.raises(ValueError, match=named):
         CableBotVectorEnv(robot="planar", **keywords)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_info_holds_arrays_of_numbers_that_torch_and_jax_take(mode):
+    """DLPack takes no strings; TorchRL reads the attribute."""
+    envs = gym.make_vec("CableBot-Planar-v0", 2, autoreset_mode=mode, max_episode_steps=1).unwrapped
+    assert envs.autoreset_mode is mode
+    infos = [envs.reset(seed=0)[1], envs.step(np.zeros((2, 3)))[4]]
+    infos.append(infos[-1].pop("final_info", {}))
+    infos[1].pop("final_obs", None)  # an array of arrays, as in Gymnasium
+    assert {value.dtype.kind for info in infos for value in info.values()} == {"b", "f", "i"}
 
 
 def test_environment_that_has_ended_can_be_stepped_without_effect_on_the_others():

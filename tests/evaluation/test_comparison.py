@@ -81,7 +81,7 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
         action, state = policy.predict(observation[None], state=state)
         observation, _, terminated, _, info = env.step(action[0])
         infos.append(info)
-    series = {name: np.array([info[name] for info in infos]) for name in infos[0] if name != "termination_reason"}
+    series = {name: np.array([info[name] for info in infos]) for name in infos[0]}
     carried = env.verdict.carried
     env.close()
     error, steps = series["tracking_error"], round(500 * trajectory["duration"])

@@ -72,7 +72,7 @@ def info_of(step, *, payload=1.5, position=0.001, rotation=0.001, action=(0.1, -
         "torque_margin": STALL * (1 - np.abs(action)),
         "slack": np.array([cable in slack for cable in (1, 2, 3)]),
         "least_tensions": np.array(tension, float),
-        "termination_reason": "",
+        "termination_reason": 0,
     }
 
 

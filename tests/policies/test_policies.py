@@ -285,9 +285,10 @@ def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, mess
         load_policy(str(path), PLANAR)
 
 
-def test_model_of_normalised_observations_reads_them_also_in_physical_units(tmp_path):
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_model_of_normalised_observations_reads_them_also_in_physical_units(tmp_path, dtype):
     """Excludes a model that is silently fed with observations of another scale."""
-    env, path = gym.make(PLANAR_ID, normalised_observation=True), tmp_path / "model.zip"
+    env, path = gym.make(PLANAR_ID, normalised_observation=True, observation_dtype=dtype), tmp_path / "model.zip"
     model, policy = saved(path, env.observation_space, env.action_space), load_policy(str(path), PLANAR)
     raw, normalised = gym.make(PLANAR_ID).reset(seed=0)[0], env.reset(seed=0)[0]
     action = policy.predict(raw, deterministic=True)[0]

@@ -49,6 +49,8 @@ class SteeredVector(BatchWrapper):
         super().__init__(env)
         if self._plant.settings.normalised_observation:
             raise ValueError("Steered reads observations in physical units: leave out normalised_observation")
+        if self._plant.settings.observation_dtype != "float64":
+            raise ValueError("Steered reads observations in float64: leave out observation_dtype")
         self._effort = number("effort", effort, least=0.0)
         robot, action_mapping = self._plant.settings.robot, find_action_mapping(steering)
         self.steering = Steering(robot, base=find_base(base), action_mapping=action_mapping, features=features)
