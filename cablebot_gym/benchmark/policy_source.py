@@ -9,6 +9,7 @@ from pathlib import Path
 from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
 from cablebot_gym.policies.isolated import public_entry
 from cablebot_gym.policies.loading import policy_points
+from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.imports import split_name
 
@@ -17,12 +18,15 @@ from cablebot_gym.utils.imports import split_name
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     """Modules and data files of a policy, given its name as on the command line.
 
-    For a policy file, these are the modules of all installed loaders and the file itself. Of a module outside a
-    package, the data files are those next to it with a suffix or a name that its source contains, such as ``.npz``.
+    For a policy file, these are the modules of all installed loaders, the file itself and the statistics beside it. Of
+    a module outside a package, the data files are those next to it with a suffix or a name that its source contains,
+    such as ``.npz``.
     """
     if policy.endswith(".zip"):
         loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
-        return tuple(sorted({point.module for point in loaders})), (Path(policy),)
+        statistics = statistics_beside(Path(policy))
+        files = (Path(policy), *([] if statistics is None else [statistics]))
+        return tuple(sorted({point.module for point in loaders})), files
     if ":" in policy or policy.endswith(".py"):
         module, _ = split_name(policy)
     else:

@@ -49,16 +49,13 @@ def compare(
 
     Example: cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
     """
-    from cablebot_gym.envs import env_robot
     from cablebot_gym.evaluation.comparison import compare_policies
-    from cablebot_gym.policies import load_policy
-    from cablebot_gym.robots import find_robot
     from cablebot_gym.utils.files import atomic_write_text
 
     options.check_figure_folder(out, "comparison.json", "comparison.png")
-    names, robot = options.split_names(policies), find_robot(env_robot(env_id))
+    names = options.split_names(policies)
     options.note_unsupported(names, env_id)
-    loaded = [load_policy(name, robot) for name in names]
+    loaded = options.loaded_policies(names, env_id, episode.pop("wrappers"))
     with progress("comparing") as step:
         comparison = compare_policies(
             loaded, env_id, names=names, payload=payload, draws=draws, progress=step, **episode

@@ -71,7 +71,8 @@ def dlcc(
     from cablebot_gym.utils.files import atomic_write_text
 
     options.check_figure_folder(out, "result.json")
-    loaded = options.loaded_policy(policy, env_id, isolate=isolate, deadline=deadline)
+    wrappers = episode.pop("wrappers")
+    loaded = options.loaded_policy(policy, env_id, isolate=isolate, deadline=deadline, wrappers=wrappers)
     options.note_unsupported([policy], env_id)
     chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
     inapplicable = []
@@ -88,7 +89,7 @@ def dlcc(
     results = []
     for name in chosen:
         with progress(f"{name} criterion") as step:
-            subject = loaded if isolate else policy
+            subject = loaded if isolate or wrappers else policy
             results.append(evaluate_dlcc(subject, env_id, criterion=name, progress=step, **settings, **episode))
     text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
     if out is not None:
@@ -119,6 +120,7 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
     words = [described(first.env_id, first.task.robot.name), first.policy]
     words += [first.environment["trajectory"].get("name", "")]
     words += [payload_model_text(first.payload_known, first.model_payload_factor)]
+    words += [f"behind {', '.join(first.wrappers)}"] if first.wrappers else []
     words += [first.uncertainty] if first.uncertainty is not None else []
     words += ["stochastic policy"] if first.stochastic else []
     draws = "" if first.assured is None else f", {options.counted(first.draws, 'draw')}"

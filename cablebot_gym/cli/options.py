@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -106,6 +106,24 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         ),
     ),
     "control_frequency": (float, 500.0, typer.Option(help="Control steps per second [Hz].")),
+    "wrapper": (
+        list[str] | None,
+        None,
+        typer.Option(
+            "--wrapper",
+            help="Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
+            "the innermost first. Installed policies of --policies take none.",
+        ),
+    ),
+    "normalize": (
+        str | None,
+        None,
+        typer.Option(
+            "--normalize",
+            help="File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
+            "vecnormalize.pkl beside a .zip file.",
+        ),
+    ),
     "seed": (
         int | None,
         None,
@@ -130,7 +148,8 @@ LEAST_BOUND = 0.1
 def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator that adds the options of an episode to a command.
 
-    The command has a parameter ``episode``: the values as keywords of the environment and its seed.
+    The command has a parameter ``episode``: the values as keywords of the environment, its seed, and ``wrappers`` of
+    the policy.
 
     Args:
         names: names of the options; all if empty.
@@ -144,6 +163,9 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
             episode = {name: values.pop(name) for name in chosen}
             if "seed" in episode and episode["seed"] is None:
                 episode["seed"] = secrets.randbits(SEED_BITS) if values.get("isolate") else 0
+            if "wrapper" in episode:
+                named, last = episode.pop("wrapper"), episode.pop("normalize")
+                episode["wrappers"] = [*(named or []), *([last] if last else [])]
             if BOUNDS[0] in episode:
                 position, rotation = (
                     number(f"--{name.replace('_', '-')}", episode.pop(name), least=LEAST_BOUND, unit=unit) / 1000
@@ -167,7 +189,9 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
     return decorate
 
 
-def loaded_policy(name: str, env_id: str, *, isolate: bool, deadline: float | None) -> Policy:
+def loaded_policy(
+    name: str, env_id: str, *, isolate: bool = False, deadline: float | None = None, wrappers: Sequence[str] = ()
+) -> Policy:
     """The policy with a name, made for the robot of an environment, in a process of its own with ``isolate``.
 
     Raises:
@@ -179,10 +203,27 @@ def loaded_policy(name: str, env_id: str, *, isolate: bool, deadline: float | No
 
     robot = find_robot(env_robot(env_id))
     if isolate:
-        return IsolatedPolicy(name, robot, **({} if deadline is None else {"deadline": deadline}))
+        return IsolatedPolicy(name, robot, wrappers=wrappers, **({} if deadline is None else {"deadline": deadline}))
     if deadline is not None:
         raise ValueError("--deadline needs --isolate: only the process of an isolated policy can be ended")
-    return load_policy(name, robot)
+    return load_policy(name, robot, wrappers=wrappers)
+
+
+def loaded_policies(names: list[str], env_id: str, wrappers: Sequence[str]) -> list[Policy]:
+    """The policies with these names. The wrappers apply to those that are not installed.
+
+    Raises:
+        ValueError: if a policy cannot be loaded, or if there are wrappers and only installed policies.
+    """
+    from cablebot_gym.policies.loading import policy_points
+
+    installed = [bool(policy_points(name)) for name in names]
+    if wrappers and all(installed):
+        raise ValueError(f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}")
+    return [
+        loaded_policy(name, env_id, wrappers=() if own else wrappers)
+        for name, own in zip(names, installed, strict=True)
+    ]
 
 
 def split_names(text: str | None) -> list[str]:

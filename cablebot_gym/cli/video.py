@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyNameOrNone, episode_options, split_names
+from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyNameOrNone, episode_options, loaded_policies, split_names
 from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.video import SPEED
 
@@ -81,11 +81,8 @@ def record_episodes(env_id: str, policy: str | None, policies: str | None, **key
     Raises:
         ValueError: if both options are given, or neither.
     """
-    from cablebot_gym.envs import env_robot
     from cablebot_gym.evaluation.rollout import record_rollout
-    from cablebot_gym.policies import load_policy
     from cablebot_gym.rendering.painter import import_pygame
-    from cablebot_gym.robots import find_robot
 
     names = split_names(policies or policy)
     if (policy is None) == (policies is None) or not names:
@@ -93,8 +90,7 @@ def record_episodes(env_id: str, policy: str | None, policies: str | None, **key
             "give either --policy with one name, or --policies with several. Example: --policies fl,trajopt"
         )
     import_pygame()
-    robot = find_robot(env_robot(env_id))
-    loaded = [load_policy(name, robot) for name in names]
+    loaded = loaded_policies(names, env_id, keywords.pop("wrappers", ()))
     episodes = []
     for name, one in zip(names, loaded, strict=True):
         title = f"{name} on {env_id}"

@@ -20,9 +20,9 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_criterion
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import Policy, PolicyError, as_policy, load_policy, name_of
+from cablebot_gym.policies import IsolatedPolicy, Policy, PolicyError, find_policy, name_of
 from cablebot_gym.policies.protocol import checked_actions, reset_policy
-from cablebot_gym.policies.sb3 import fitted
+from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
 from cablebot_gym.uncertainty import find_uncertainty
@@ -162,9 +162,12 @@ class Batch:
     The judge's task is read once, before the policy is loaded; the policy receives copies.
 
     Args:
-        policy: an object with ``predict``, a callable ``observation -> action``, or a name as on the command line.
+        policy: an object with ``predict``, a callable ``observation -> action``, a class that makes one of them, or a
+            name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         name: name of the policy; None for its own name.
+        wrappers: wrappers of the training of the policy, the innermost first, see
+            :func:`~cablebot_gym.policies.load_policy`.
         criterion: ``task`` or ``paper``.
         error_bounds: bounds of the tracking errors; None for the default.
         uncertainty: model errors and disturbances that the policy does not know.
@@ -184,6 +187,7 @@ class Batch:
         env_id: str,
         *,
         name: str | None = None,
+        wrappers: Sequence[Wrapper] = (),
         criterion: str = "task",
         error_bounds: ErrorBounds | dict[str, float] | None = None,
         uncertainty: Any = None,
@@ -217,8 +221,11 @@ class Batch:
         """Task of the first episode. The judge reads its bounds, length and robot."""
         self.task.check_motion()
         self.name, robot = name or name_of(policy), deepcopy(self._robot)
-        loaded = load_policy(policy, robot) if isinstance(policy, str) else as_policy(policy)
-        self.policy = fitted(loaded, robot, f"policy {self.name!r}")
+        if wrappers and isinstance(policy, IsolatedPolicy):
+            raise ValueError("wrappers of an isolated policy run in its process: IsolatedPolicy(…, wrappers=…)")
+        self.policy = find_policy(policy, robot, name=self.name, wrappers=wrappers)
+        self.wrappers: tuple[str, ...] = getattr(self.policy, "wrappers", ())
+        """Names of the wrappers of the policy, the innermost first."""
         self.stochastic = bool(getattr(self.policy, "stochastic", False))
         """Whether the policy declares that its actions are random."""
         random = self._uncertainty.random or self.stochastic

@@ -16,6 +16,7 @@ from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
+from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
 from cablebot_gym.utils.checks import number
 
@@ -187,6 +188,7 @@ def compare_policies(
     draws: int | None = None,
     seed: int = 0,
     names: Sequence[str] | None = None,
+    wrappers: Sequence[Sequence[Wrapper]] | None = None,
     progress: Progress | None = None,
     **keywords: Any,
 ) -> Comparison:
@@ -202,6 +204,8 @@ def compare_policies(
         draws: number of episodes of each policy; None for the default number under a random uncertainty, else 1.
         seed: seed that determines the draws.
         names: names of the policies in the result; None for their own names.
+        wrappers: wrappers of the training of each policy, the innermost first, see
+            :data:`cablebot_gym.policies.wrapped.Wrapper`; None for no wrappers.
         progress: callback after every control step.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
 
@@ -216,11 +220,14 @@ def compare_policies(
         raise ValueError("there is no policy to compare: give at least one policy")
     if len(set(labels)) < len(labels) or len(labels) != len(policies):
         raise ValueError(f"every policy needs its own name, but the names are {', '.join(labels)}: give distinct names")
+    worn = [()] * len(labels) if wrappers is None else list(wrappers)
+    if len(worn) != len(labels):
+        raise ValueError(f"wrappers must have one list for each of the {len(labels)} policies, not {len(worn)}")
     payload = number("payload", payload, least=0, unit="kg")
     bounds, metrics, count = find_error_bounds(error_bounds), [], StepCount(progress, 0)
     shared = {"error_bounds": bounds, "uncertainty": uncertainty, "draws": draws, "seed": seed, "keywords": keywords}
-    for policy, label in zip(policies, labels, strict=True):
-        batch = Batch(policy, env_id, name=label, **shared)
+    for policy, label, own in zip(policies, labels, worn, strict=True):
+        batch = Batch(policy, env_id, name=label, wrappers=own, **shared)
         count.expected = len(labels) * batch.task.steps
         recorder, rows = Recorder(range(batch.draws), _RECORDED), [(payload, one) for one in batch.seeds]
         verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)

@@ -27,6 +27,7 @@ from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
 from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
+from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.checks import number
 
@@ -73,6 +74,7 @@ def evaluate_dlcc(
     confidence: float = 0.95,
     seed: int = 0,
     name: str | None = None,
+    wrappers: Sequence[Wrapper] = (),
     progress: Progress | None = None,
     **keywords: Any,
 ) -> DLCCResult:
@@ -85,7 +87,8 @@ def evaluate_dlcc(
     ``draws`` other ones, which all payloads share.
 
     Args:
-        policy: an object with ``predict``, a callable ``observation -> action``, or a name as on the command line.
+        policy: an object with ``predict``, a callable ``observation -> action``, a class that makes one of them, or a
+            name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         criterion: ``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position, slack).
         error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad.
@@ -101,6 +104,9 @@ def evaluate_dlcc(
         confidence: confidence of the payload as a one-sided lower tolerance bound; no effect with one draw.
         seed: seed that determines payloads and draws, so all policies share them.
         name: name of the policy in the result; None for its own name.
+        wrappers: wrappers of the training of the policy, the innermost first: classes or functions, their names, or the
+            file of a ``VecNormalize``. They wrap a stand-in of the environment, see
+            :data:`cablebot_gym.policies.wrapped.Wrapper`.
         progress: callback after every control step.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
 
@@ -120,6 +126,7 @@ def evaluate_dlcc(
         policy,
         env_id,
         name=name,
+        wrappers=wrappers,
         criterion=criterion,
         error_bounds=error_bounds,
         uncertainty=uncertainty,
@@ -142,7 +149,7 @@ def evaluate_dlcc(
     position, rotation = batch.error_bounds.position, batch.error_bounds.rotation if has_rotation else None
     bounds = {"position": position, "rotation": rotation}
     installed = policy.spec if isinstance(policy, IsolatedPolicy) else policy
-    held = isinstance(installed, str) and holds_unsaturated_actions(installed)
+    held = isinstance(installed, str) and not batch.wrappers and holds_unsaturated_actions(installed)
     return DLCCResult(
         policy=batch.name,
         criterion=batch.criterion,
@@ -167,6 +174,7 @@ def evaluate_dlcc(
         success=search.success(),
         rollout=rollout,
         fallbacks=batch.fallbacks,
+        wrappers=batch.wrappers,
         **batch.description(),
     )
 

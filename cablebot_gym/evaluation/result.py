@@ -93,6 +93,8 @@ class DLCCResult:
     the first draw that carries the payload, or the draw of ``violation`` if the policy fails unloaded."""
     fallbacks: float | None = field(repr=False)
     """Number of the policy's fallbacks in that episode; None for a policy that does not count ``fallbacks``."""
+    wrappers: tuple[str, ...] = field(default=(), repr=False)
+    """Names of the wrappers of the policy, the innermost first. The data of a result have them if there are any."""
 
     @property
     def score(self) -> float:
@@ -118,7 +120,7 @@ class DLCCResult:
         """JSON-able data without task, rollout and fallbacks."""
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
         pairs = {name: [list(pair) for pair in getattr(self, name)] for name in ("feasible", "success")}
-        seeds = {"draw_seeds": list(self.draw_seeds)}
+        seeds = {"draw_seeds": list(self.draw_seeds)} | ({"wrappers": list(self.wrappers)} if self.wrappers else {})
         return data | {"violation": None if self.violation is None else asdict(self.violation)} | pairs | seeds
 
     def to_json(self) -> str:
@@ -138,4 +140,5 @@ class DLCCResult:
         uncertainty = "" if self.uncertainty is None else f", {self.uncertainty}"
         kind = ", stochastic policy" if self.stochastic else ""
         kind += ", unsaturated actions declared by the policy" if self.declared else ""
+        kind += f", behind {', '.join(self.wrappers)}" if self.wrappers else ""
         return f"{head}, {model}{uncertainty}{kind}: {text}"

@@ -16,6 +16,7 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array
+from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
@@ -144,6 +145,7 @@ def record_rollout(
     payload: float = 0.0,
     seed: int = 0,
     name: str | None = None,
+    wrappers: Sequence[Wrapper] = (),
     progress: Progress | None = None,
     **keywords: Any,
 ) -> Rollout:
@@ -155,6 +157,8 @@ def record_rollout(
         payload: nominal payload [kg].
         seed: seed of the environment.
         name: name of the policy in messages; None for its own name.
+        wrappers: wrappers of the training of the policy, the innermost first, see
+            :data:`cablebot_gym.policies.wrapped.Wrapper`.
         progress: callback after the reset and after every control step.
         keywords: keywords of the environment.
 
@@ -164,7 +168,7 @@ def record_rollout(
     """
     settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     payload = number("payload", payload, least=0, unit="kg")
-    batch = Batch(policy, env_id, name=name, draws=1, seed=seed, keywords=keywords, **settings)
+    batch = Batch(policy, env_id, name=name, wrappers=wrappers, draws=1, seed=seed, keywords=keywords, **settings)
     recorder, count = Recorder([0]), StepCount(progress, batch.task.steps)
     count.add(0)
     verdicts = batch.run([(payload, batch.seed)], observer=recorder, count=count, full_motion=True)

@@ -5,6 +5,7 @@ from cablebot_gym.policies.loading import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,
     FileLoader,
+    find_policy,
     holds_unsaturated_actions,
     load_policy,
     policy_entries,
@@ -12,6 +13,7 @@ from cablebot_gym.policies.loading import (
 )
 from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, PolicyFactory, as_policy, name_of
 from cablebot_gym.policies.real_time import RealTime
+from cablebot_gym.policies.wrapped import WrappedPolicy, Wrapper
 
 __all__ = [
     "ENTRY_POINT_GROUP",
@@ -23,7 +25,10 @@ __all__ = [
     "PolicyError",
     "PolicyFactory",
     "RealTime",
+    "WrappedPolicy",
+    "Wrapper",
     "as_policy",
+    "find_policy",
     "holds_unsaturated_actions",
     "load_policy",
     "name_of",

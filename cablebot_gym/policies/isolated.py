@@ -26,7 +26,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from cablebot_gym.policies.loading import is_own, policy_points
+from cablebot_gym.policies.loading import as_robot, is_own, policy_points
 from cablebot_gym.policies.process import (
     ANSWER,
     DESCRIBE,
@@ -42,6 +42,7 @@ from cablebot_gym.policies.process import (
     memory_limit,
 )
 from cablebot_gym.policies.protocol import Array, PolicyEntry, PolicyError
+from cablebot_gym.policies.wrapped import say
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
@@ -98,22 +99,43 @@ class IsolatedPolicy:
         real_time: control period after which an action is replaced by the last one of its episode [s]; None for no
             limit. The process of the policy measures the time, so it has to be honest. See
             :class:`~cablebot_gym.policies.real_time.RealTime`.
+        wrappers: names of the wrappers of the training, the innermost first, as for
+            :func:`~cablebot_gym.policies.load_policy`. They run in the process of the policy.
 
     Raises:
-        ValueError: if the name is unknown or the policy cannot be loaded.
+        ValueError: if the name is unknown or the policy cannot be loaded, or if a wrapper is given by an object.
         PolicyError: if the process of the policy ends or does not answer while the policy is loaded.
     """
 
-    def __init__(self, spec: str, robot: Robot, *, deadline: float = DEADLINE, real_time: float | None = None) -> None:
+    def __init__(
+        self,
+        spec: str,
+        robot: Robot | str,
+        *,
+        deadline: float = DEADLINE,
+        real_time: float | None = None,
+        wrappers: Sequence[str | Path] = (),
+    ) -> None:
         self.name = self.spec = spec
         self._deadline = number("deadline", deadline, above=0, unit="s")
-        self._load = pickle.dumps((LOAD, spec, robot, [entry or os.getcwd() for entry in sys.path], real_time))
+        if not all(isinstance(wrapper, (str, Path)) for wrapper in wrappers):
+            raise ValueError(
+                "an isolated policy takes the names of its wrappers, such as file.py:name: its process imports them"
+            )
+        robot, names = as_robot(robot), tuple(map(str, wrappers))
+        path = [entry or os.getcwd() for entry in sys.path]
+        self._load = pickle.dumps((LOAD, spec, robot, path, real_time, names))
         self._cables, self._process, self._waited = robot.cables, None, 0.0
         flags = self._start()
         self.unsaturated_actions = flags.get("unsaturated_actions") is True
         """Whether the policy declares ``unsaturated_actions``."""
         self.stochastic = flags.get("stochastic") is True
         """Whether the policy declares ``stochastic``."""
+        found = flags.get("wrappers")
+        self.wrappers = tuple(_plain(str(name)) for name in found) if isinstance(found, list) else names
+        """Names of the wrappers, the innermost first, with those that were found beside the policy."""
+        if note := _plain(str(flags.get("note", ""))):
+            say(note)
         self.fallbacks: float | None = 0.0 if flags.get("fallbacks") is True else None
         """Number of fallbacks that the policy has counted; None if it does not count them."""
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, raised
+from cablebot_gym.envs import ENV_ROBOTS
+from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, name_of, raised, required
 from cablebot_gym.policies.sb3 import fitted, load_sb3
-from cablebot_gym.robots import Robot
+from cablebot_gym.policies.wrapped import Wrapper
+from cablebot_gym.robots import ROBOTS, Robot
 from cablebot_gym.utils.checks import unknown_name_error
 from cablebot_gym.utils.imports import import_object
 
@@ -75,40 +78,101 @@ def holds_unsaturated_actions(name: str) -> bool:
     return any(point.load().unsaturated_actions for point in policy_points(name) if is_own(point))
 
 
-def load_policy(name: str, robot: Robot) -> Policy:
+def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
     """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
 
-    A factory is called with the nominal robot. A file is passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in
-    turn. If all of them return None, the file is loaded as a Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG. If
-    sb3-contrib is installed, models of TQC, CrossQ, RecurrentPPO, TRPO and ARS are loaded as well.
+    A factory, a function or a class, is called with the nominal robot, or with nothing if it needs nothing. A file is
+    passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of them return None, the file is loaded as a
+    Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG. If sb3-contrib is installed, models of TQC, CrossQ,
+    RecurrentPPO, TRPO and ARS are loaded as well, and if SBX is installed, its models.
+
+    Args:
+        name: the name.
+        robot: nominal robot, its name, or an environment id.
+        wrappers: wrappers of the training, the innermost first, see
+            :data:`~cablebot_gym.policies.wrapped.Wrapper`. The statistics of a ``VecNormalize`` beside a
+            Stable-Baselines3 file are used without being named, and a note on standard error says so.
 
     Raises:
         ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the robot. The message
             lists the valid names.
         PolicyError: if the code of the policy tries to end the process.
     """
+    robot = as_robot(robot)
     entry = policy_entry(name)
     if entry is not None:
-        return entry.factory(robot)
+        return fitted(entry.factory(robot), robot, f"policy {name!r}", wrappers)
     if name.endswith(".zip"):
-        return _load_file(Path(name), robot)
+        return _load_file(Path(name), robot, wrappers)
     if ":" in name or name.endswith(".py"):
-        factory = _load_factory(name)
-        try:
-            created = factory(robot)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise _failure(error, name, raised(error, "the factory raised")) from error
-        try:
-            return fitted(as_policy(created), robot, f"policy {name!r}")
-        except TypeError as error:
-            raise ValueError(f"policy {name!r}: the factory must return a policy; {error}") from None
+        return fitted(_made(_load_factory(name), robot, name), robot, f"policy {name!r}", wrappers)
     alternatives = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
     raise unknown_name_error("policy", name, policy_entries(), alternatives)
 
 
-def _load_factory(name: str) -> Callable[[Robot], Any]:
+def find_policy(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequence[Wrapper] = ()) -> Policy:
+    """A policy from a name as for :func:`load_policy`, a policy object, a callable, or a class that makes a policy.
+
+    Args:
+        policy: the policy.
+        robot: nominal robot.
+        name: name of the policy in messages; None for its own name.
+        wrappers: as for :func:`load_policy`.
+
+    Raises:
+        TypeError: if the object is neither a policy nor a callable.
+        ValueError: if the policy cannot be made, or does not fit the robot.
+        PolicyError: if the code of the policy tries to end the process.
+    """
+    if isinstance(policy, str):
+        return load_policy(policy, robot, wrappers=wrappers)
+    name = name or name_of(policy)
+    made = _made(policy, robot, name) if isinstance(policy, type) else as_policy(policy)
+    return fitted(made, robot, f"policy {name!r}", wrappers)
+
+
+def as_robot(robot: Robot | str) -> Robot:
+    """The robot with a name or of an environment id; a robot itself.
+
+    Raises:
+        ValueError: if the name is unknown.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    if (name := ENV_ROBOTS.get(robot, robot)) not in ROBOTS:
+        raise unknown_name_error("environment or robot", robot, [*ENV_ROBOTS, *ROBOTS], ", or pass a Robot")
+    return ROBOTS[name]
+
+
+def _made(factory: Callable[..., Any], robot: Robot, name: str) -> Policy:
+    """The policy of a factory, which is called with the robot, or with nothing if it takes nothing."""
+    try:
+        created = factory(*_arguments(factory, robot))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise _failure(error, name, raised(error, "the factory raised")) from error
+    try:
+        return as_policy(created)
+    except TypeError as error:
+        raise ValueError(f"policy {name!r}: the factory must return a policy; {error}") from None
+
+
+def _arguments(factory: Callable[..., Any], robot: Robot) -> list[Robot]:
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:  # some callables of C have none
+        return [robot]
+    optional = isinstance(factory, type) and "robot" not in signature.parameters and not required(factory)
+    for arguments in ([], [robot]) if optional else ([robot], []):
+        with suppress(TypeError):
+            signature.bind(*arguments)
+            return arguments
+    own = name_of(factory)
+    raise TypeError(f"it takes {signature}, but is called with the robot: def make(robot): return {own}(…)")
+
+
+def _load_factory(name: str) -> Callable[..., Any]:
     try:
         factory = import_object(name)
     except KeyboardInterrupt:
@@ -118,9 +182,11 @@ def _load_factory(name: str) -> Callable[[Robot], Any]:
         raise _failure(error, name, f"cannot import it ({reason})") from error
     if isinstance(factory, PolicyEntry):
         return factory.factory
+    if isinstance(factory, Policy) and not isinstance(factory, type):
+        return lambda: factory
     if not callable(factory):
         raise ValueError(f"policy {name!r}: it must be a function that takes a robot and returns a policy")
-    checked: Callable[[Robot], Any] = factory
+    checked: Callable[..., Any] = factory
     return checked
 
 
@@ -129,7 +195,7 @@ def _failure(error: BaseException, name: str, cause: str) -> ValueError | Policy
     return ValueError(f"policy {name!r}: {cause}") if isinstance(error, Exception) else PolicyError.of(name, cause)
 
 
-def _load_file(path: Path, robot: Robot) -> Policy:
+def _load_file(path: Path, robot: Robot, wrappers: Sequence[Wrapper]) -> Policy:
     if not path.is_file():
         raise ValueError(f"policy file {str(path)!r} does not exist")
     _check_zip(path)
@@ -147,8 +213,8 @@ def _load_file(path: Path, robot: Robot) -> Policy:
             reason = f"{point.value} raised {type(error).__name__}: {error}"
             raise ValueError(f"policy file {str(path)!r} cannot be loaded: {reason}") from error
         if policy is not None:
-            return policy
-    return load_sb3(path, robot)
+            return fitted(policy, robot, f"policy file {str(path)!r}", wrappers)
+    return load_sb3(path, robot, wrappers)
 
 
 def _check_zip(path: Path) -> None:

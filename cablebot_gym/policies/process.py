@@ -50,20 +50,23 @@ _WATCH_PERIOD = 1.0
 class _Server:
     """A policy and its state."""
 
-    def load(self, spec: str, robot: Any, path: list[str], real_time: float | None = None) -> bytes:
+    def load(
+        self, spec: str, robot: Any, path: list[str], real_time: float | None = None, wrappers: tuple[str, ...] = ()
+    ) -> bytes:
         """Loads the policy, for real time if there is a control period, and returns its declarations as JSON."""
         sys.path[:] = path
-        self._policy, self._cables, self._state = load_policy(spec, robot), robot.cables, None
+        self._policy, self._cables, self._state = load_policy(spec, robot, wrappers=wrappers), robot.cables, None
+        note, names = getattr(self._policy, "note", ""), getattr(self._policy, "wrappers", ())
         if real_time is not None:
-            self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot), real_time))
+            self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot, wrappers=wrappers), real_time))
         unsaturated, stochastic = declarations(self._policy)
-        flags = {"unsaturated_actions": unsaturated, "stochastic": stochastic}
+        flags = {"unsaturated_actions": unsaturated, "stochastic": stochastic, "note": note, "wrappers": names}
         return json.dumps(flags | {"fallbacks": hasattr(self._policy, "fallbacks")}).encode()
 
     def reset(self, tasks: Any) -> bytes:
         """Resets the policy."""
-        reset_policy(self._policy, "", lambda: tasks)
         self._state = None
+        reset_policy(self._policy, "", lambda: tasks)
         return b""
 
     def predict(self, observation: Any, start: Any, fresh: bool) -> bytes:

@@ -19,7 +19,9 @@ from cablebot_gym.task import Task
 
 Array = NDArray[Any]
 
-_OWN_FILES = tuple(str(Path(__file__).with_name(name)) for name in ("protocol.py", "loading.py", "process.py"))
+_OWN_FILES = tuple(
+    str(Path(__file__).with_name(f"{name}.py")) for name in ("protocol", "loading", "process", "stand_in", "wrapped")
+)
 _LIBRARY = str(Path(os.__file__).parent)
 """Code that messages about errors of a policy do not name, in addition to installed packages."""
 
@@ -147,6 +149,11 @@ class PolicyFactory:
     def __init__(self, factory: Callable[[], Any]) -> None:
         self._factory = factory
         self.name = name_of(factory)
+        if isinstance(factory, type) and (missing := required(factory)):
+            raise TypeError(
+                f"PolicyFactory calls {self.name}(), which needs {', '.join(missing)}: "
+                f"PolicyFactory(lambda: {self.name}({', '.join(missing)}))"
+            )
         self.unsaturated_actions, self.stochastic = declarations(self._made())
         self._instances: list[Policy] = []
 
@@ -184,6 +191,13 @@ class PolicyFactory:
 
         actions = _stacked(rows, act)
         return actions if observation.ndim > 1 else actions[0], states
+
+
+def required(factory: type) -> list[str]:
+    """Names of the arguments that a class needs."""
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    parameters = inspect.signature(factory).parameters.values()
+    return [one.name for one in parameters if one.kind in positional and one.default is one.empty]
 
 
 def declarations(policy: Any) -> tuple[bool, bool]:

@@ -14,7 +14,7 @@ MOST_NAMES = 10
 
 
 def import_object(text: str) -> Any:
-    """The object that ``package.module:name`` or ``folder/file.py:name`` names.
+    """The object that ``package.module:name`` or ``folder/file.py:name`` names, or the only one in ``folder/file.py``.
 
     Raises:
         ValueError: if there is no such file or name; the message lists names of the module.
@@ -36,6 +36,8 @@ def import_object(text: str) -> Any:
 def split_name(text: str) -> tuple[str, str]:
     """Module and name of an object. The folder of a ``file.py`` is added to ``sys.path``, so workers find it too.
 
+    A file needs no name if it has a single public function or class.
+
     Raises:
         ValueError: if the name is missing, the file does not exist, or another module hides it.
     """
@@ -46,8 +48,12 @@ def split_name(text: str) -> tuple[str, str]:
     if not path.is_file():
         raise ValueError(f"file {place!r} does not exist")
     if not attribute:
-        found = ", ".join(f"{place}:{name}" for name in _defined(path)) or "no function or class yet"
-        raise ValueError(f"{place!r} needs the name of an object in this file. It has {found}")
+        defined = _defined(path)
+        makers = [name for name, made in defined.items() if made]
+        if len(makers) != 1:
+            found = ", ".join(f"{place}:{name}" for name in defined) or "no function or class yet"
+            raise ValueError(f"{place!r} needs the name of an object in this file. It has {found}")
+        attribute = makers[0]
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
         importlib.invalidate_caches()
@@ -57,16 +63,16 @@ def split_name(text: str) -> tuple[str, str]:
     return path.stem, attribute
 
 
-def _defined(path: Path) -> list[str]:
-    """Public functions, classes and constants at the top of a file."""
+def _defined(path: Path) -> dict[str, bool]:
+    """Public names at the top of a file; True for functions and classes, False for constants."""
     try:
         body = ast.parse(path.read_bytes()).body
     except SyntaxError as error:
         raise ValueError(f"{path.name!r} is not valid Python: {error.msg}, line {error.lineno}") from error
-    names = []
+    names = {}
     for node in body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-            names.append(node.name)
+            names[node.name] = True
         elif isinstance(node, ast.Assign):
-            names += [target.id for target in node.targets if isinstance(target, ast.Name)]
-    return [name for name in names if not name.startswith("_")]
+            names |= {target.id: False for target in node.targets if isinstance(target, ast.Name)}
+    return {name: made for name, made in names.items() if not name.startswith("_")}
