@@ -141,6 +141,7 @@ def _vec_normalize(data: bytes, env: Any) -> Any:
         own, other = (" × ".join(map(str, one.observation_space.shape)) for one in (normalize, env))
         raise ValueError(f"its statistics are those of {own} numbers, but the environment has {other}")
     normalize.set_venv(env)
+    normalize.observation_space = env.observation_space  # the pickle has that of the training
     return normalize
 
 
@@ -204,14 +205,16 @@ class Stack:
             self.layout, self.robot.cables, observation, lambda actions: exchange((False, actions)), tasks
         )
         with ExitStack() as closing:
-            for form, group in groupby(zip(self._forms, self.wrappers, strict=True), key=lambda pair: pair[0]):
-                wrappers = [wrapper for _, wrapper in group]
-                if form == SINGLE:  # one thread for each row, whatever the number of wrappers
-                    env = Rows(env, partial(reduce, _wrap, wrappers), self._size)
-                    closing.callback(env.close)
-                    continue
-                for wrapper in wrappers:
-                    env = wrapper.applied(form, env)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the training has shown them
+                for form, group in groupby(zip(self._forms, self.wrappers, strict=True), key=lambda pair: pair[0]):
+                    wrappers = [wrapper for _, wrapper in group]
+                    if form == SINGLE:  # one thread for each row, whatever the number of wrappers
+                        env = Rows(env, partial(reduce, _wrap, wrappers), self._size)
+                        closing.callback(env.close)
+                        continue
+                    for wrapper in wrappers:
+                        env = wrapper.applied(form, env)
             first = env.reset()
             wrapped = first[0] if isinstance(env, VectorEnv) else first
             while True:
