@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -72,7 +72,13 @@ def _from_row(info: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value.item() if isinstance(value, np.generic) else value for name, value in rows.items()}
 
 
-class BatchWrapper(VectorWrapper[Array, ArrayLike, Array, ArrayLike, Array]):
+if TYPE_CHECKING:
+    _Wrapper = VectorWrapper[Array, ArrayLike, Array, ArrayLike, Array]
+else:  # Gymnasium's class is generic from 1.4 on
+    _Wrapper = VectorWrapper
+
+
+class BatchWrapper(_Wrapper):
     """Wrapper of N environments of this package with autoreset disabled.
 
     Raises:

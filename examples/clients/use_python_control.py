@@ -1,0 +1,30 @@
+# /// script
+# dependencies = ["cablebot-gym", "control"]
+# ///
+"""python-control: an LQR law for the tracking error, whose accelerations the inverse dynamics turn into actions."""
+
+import control
+import gymnasium as gym
+import numpy as np
+
+import cablebot_gym
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+from cablebot_gym.robots import PLANAR
+
+ENV_ID = cablebot_gym.ENV_IDS[0]
+layout = gym.make(ENV_ID).unwrapped.layout
+one, zero = np.eye(2), np.zeros((2, 2))
+gain, _, _ = control.lqr(np.block([[zero, one], [zero, zero]]), np.vstack([zero, one]), np.eye(4), 1e-6 * one)
+
+
+def lqr(observation):
+    now = layout.split(observation)
+    error = np.concatenate([now["pose"] - now["reference_pose"], now["velocity"] - now["reference_velocity"]])
+    acceleration = now["reference_acceleration"] - gain @ error
+    mass = PLANAR.mass + now["model_payload"][0]
+    needed = inverse_dynamics(PLANAR, mass, now["pose"], now["velocity"], acceleration)
+    return normalised_action(PLANAR, needed.torques, needed.speeds)
+
+
+print(evaluate_dlcc(lqr, ENV_ID))

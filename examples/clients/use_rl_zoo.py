@@ -1,0 +1,24 @@
+# /// script
+# dependencies = ["cablebot-gym[sb3]", "rl_zoo3"]
+# [tool.clients]
+# constraints = "constraints-clients.txt"
+# ///
+"""RL Baselines3 Zoo trains with the configurations that ship with the package."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cablebot_baselines.learned.runs import HYPERPARAMS
+
+ENV_ID = "CableBot-Planar-v0"
+
+arguments = ["--algo", "ppo", "--env", ENV_ID, "--gym-packages", "cablebot_gym", "--seed", "0", "--device", "cpu"]
+arguments += ["--conf-file", str(HYPERPARAMS / "ppo.yaml"), "--log-folder", "logs", "--tensorboard-log", "tensorboard"]
+arguments += ["--n-timesteps", "16384", "--eval-freq", "8192", "--eval-episodes", "4"]
+subprocess.run([sys.executable, "-m", "rl_zoo3.train", *arguments], check=True)
+(file,) = Path("logs").rglob("evaluations.npz")
+evaluations = np.load(file)
+print(f"mean return {evaluations['results'][-1].mean():.1f} after {evaluations['timesteps'][-1]} steps")
