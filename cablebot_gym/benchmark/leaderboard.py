@@ -21,6 +21,33 @@ from cablebot_gym.utils.console import results_console
 
 
 @dataclass(frozen=True, kw_only=True)
+class EntryNote:
+    """An entry of others: its card in short, and whether it is verified."""
+
+    policy: str
+    """Name of the policy in the table."""
+    package: str | None
+    """Requirement for pip of its package; None if the entry has its files."""
+    authors: str
+    """Authors."""
+    licence: str
+    """Licence."""
+    compute: str
+    """Compute for training and tuning."""
+    data: str
+    """Data and motions for training and tuning."""
+    seeds: str
+    """Seeds of the training."""
+    status: str
+    """``verified``, or ``unverified`` with a reason."""
+
+    @property
+    def verified(self) -> bool:
+        """Whether the entry was rerun in a sandbox and its claims hold."""
+        return self.status == "verified"
+
+
+@dataclass(frozen=True, kw_only=True)
 class Results:
     """The results of one suite."""
 
@@ -32,6 +59,8 @@ class Results:
     """Records of all cells."""
     board: Board | None = None
     """Board with the hidden motions; None for a suite without."""
+    entries: Sequence[EntryNote] = ()
+    """Policies that are entries of others."""
 
     def check_board(self) -> None:
         """Checks the commitment of the board, and that every policy has all its motions and no others.
@@ -71,7 +100,9 @@ class Results:
                 entry |= {"best_known": score.best_known, "score": score.score}
             lines.append(json.dumps(entry, ensure_ascii=False, allow_nan=False))
         board = None if self.board is None else asdict(self.board)
-        head = {"suite": self.suite, "command": self.command, "board": board, "versions": versions}
+        head: dict[str, Any] = {"suite": self.suite, "command": self.command, "board": board, "versions": versions}
+        if self.entries:
+            head["entries"] = [asdict(entry) for entry in self.entries]
         fields = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in head.items()]
         fields.append(' "cells": [\n  ' + ",\n  ".join(lines) + "\n ]")
         return "{\n" + ",\n".join(fields) + "\n}\n"
@@ -93,7 +124,8 @@ class Results:
             for entry in data["cells"]
         ]
         board = None if data["board"] is None else Board(**data["board"])
-        return cls(suite=data["suite"], command=data["command"], records=records, board=board)
+        entries = [EntryNote(**entry) for entry in data.get("entries", ())]
+        return cls(suite=data["suite"], command=data["command"], records=records, board=board, entries=entries)
 
 
 def markdown(results: Results) -> str:
@@ -107,10 +139,12 @@ def markdown(results: Results) -> str:
     text = template.format(position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE)
     if results.board is not None:
         text += _board_text(results.board)
+    unverified = {entry.policy for entry in results.entries if not entry.verified}
     for leaderboard in boards:
         head, *rows = tables.leaderboard_rows(leaderboard)
         at = head.index("policy")
-        rows = [[*row[:at], f"`{row[at]}`", *row[at + 1 :]] for row in rows]
+        marks = [", unverified" if row[at] in unverified else "" for row in rows]
+        rows = [[*row[:at], f"`{row[at]}`{mark}", *row[at + 1 :]] for row, mark in zip(rows, marks, strict=True)]
         text += f"\n## {leaderboard.env_id}\n\n{_table([head, *rows])}"
     if rows := tables.overall_rows(boards):
         text += f"\n## All environments\n\n{_table(rows)}"
@@ -119,6 +153,8 @@ def markdown(results: Results) -> str:
         text += f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}" + (
             f"\n{note}\n" if note else ""
         )
+    if results.entries:
+        text += f"\n## Entries\n\n{_entries_table(results.entries)}"
     if references := list(best_known_payloads(records).values()):
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
     notes = [_escaped(note) for note in (*tables.failures(records), *tables.left_out(records))]
@@ -160,6 +196,15 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
         note = best.result.get("error") or ("" if best.payload is not None else "not verified by the replay")
         numbers = ["–" if value is None else f"{value:.3f}" for value in (*payloads, upper)]
         rows.append([best.cell.env_id, tables.task_title(best.cell), *numbers, note])
+    return _table(rows)
+
+
+def _entries_table(entries: Sequence[EntryNote]) -> str:
+    names = ("authors", "licence", "compute", "data", "seeds", "status")
+    rows = [["policy", "package", "authors", "licence", "training compute", "training data", "seeds", "status"]]
+    for entry in entries:
+        texts = [" ".join(_escaped(getattr(entry, name)).split()) for name in names]
+        rows.append([f"`{entry.policy}`", _escaped(entry.package or "–"), *texts])
     return _table(rows)
 
 

@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
+from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.isolated import public_entry
 from cablebot_gym.policies.loading import policy_points
 from cablebot_gym.policies.sb3 import statistics_beside
@@ -18,10 +19,12 @@ from cablebot_gym.utils.imports import split_name
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     """Modules and data files of a policy, given its name as on the command line.
 
-    For a policy file, these are the modules of all installed loaders, the file itself and the statistics beside it. Of
-    a module outside a package, the data files are those next to it with a suffix or a name that its source contains,
-    such as ``.npz``.
+    For an entry of others, these are its files, none of which is looked for as a module here. For a policy file, these
+    are the modules of all installed loaders, the file itself and the statistics beside it. Of a module outside a
+    package, the data files are those next to it with a suffix or a name that its source contains, such as ``.npz``.
     """
+    if is_entry(policy):
+        return (), read_entry(Path(policy)).paths(Path(policy))
     if policy.endswith(".zip"):
         loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
         statistics = statistics_beside(Path(policy))

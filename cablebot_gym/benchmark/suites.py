@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import product
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +16,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Timing
 from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.evaluation.statistics import fewest_draws
+from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.isolated import IsolatedPolicy, public_entries, public_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import find_robot
@@ -120,7 +122,7 @@ def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
 def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """The names of the policies to evaluate on each environment.
 
-    An installed policy is evaluated on the environments that it supports; a policy file or a
+    An installed policy and an entry are evaluated on the environments that they support; a policy file or a
     ``package.module:factory`` on all environments.
 
     Args:
@@ -132,6 +134,7 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     """
     entries = {name: public_entry(name) for name in dict.fromkeys(names)} if names else public_entries()
     supported = {name: tuple(env_ids) if entry is None else entry.env_ids for name, entry in entries.items()}
+    supported |= {name: read_entry(Path(name)).env_ids for name in names if is_entry(name)}
     for name in names:
         fits = [env_id for env_id in env_ids if env_id in supported[name]]
         if not fits:

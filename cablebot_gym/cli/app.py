@@ -37,6 +37,8 @@ COMMANDS = {
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",
+        "submit": "cablebot_gym.cli.submit:submit",
+        "verify": "cablebot_gym.cli.verify:verify",
     },
     "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablebot_gym.cli.options import Workers, split_names
+from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
 from cablebot_gym.utils.console import notes_console, progress
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cablebot_gym.benchmark.cells import Cell, Record
     from cablebot_gym.benchmark.engine import Backend
     from cablebot_gym.benchmark.leaderboard import Results
+    from cablebot_gym.benchmark.store import Store
 
 MARKDOWN, JSON = "leaderboard.md", "results.json"
 """Names of the files in the results folder."""
@@ -38,6 +42,13 @@ def benchmark(
     ids: Annotated[
         str | None, typer.Option(help="Environment ids, separated by commas. The default is those of the suite.")
     ] = None,
+    entries: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Folder of entries of others, which run in a sandbox, as further policies."
+        ),
+    ] = None,
+    no_sandbox: NoSandbox = False,
     workers: Workers = None,
     ray: Annotated[
         str | None,
@@ -97,15 +108,18 @@ def benchmark(
 
     cablebot benchmark --suite ranked --out board
 
+    cablebot benchmark --suite ranked --out board --entries entries --commit 2026-2
+
     cablebot benchmark --verify board --cells 20 --draws 1024
     """
     from cablebot_gym.benchmark import board as boards
     from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.engine import run_cells
+    from cablebot_gym.benchmark.entries import find_entries, note, status
     from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
     from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
     from cablebot_gym.benchmark.tables import failures
+    from cablebot_gym.policies.isolated import public_entries
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, check_writable_file
 
     backend = _backend(workers, ray)
@@ -113,7 +127,14 @@ def benchmark(
         return _verify(verify, backend, cells, draws, seed)
     chosen = find_suite(suite)
     env_ids = find_env_ids(chosen, split_names(ids))
-    found = find_policies(split_names(policies), env_ids)
+    names = split_names(policies)
+    submitted: list[str] = []
+    if entries is not None:
+        choose_sandbox(no_sandbox)
+        own = find_entries(entries)
+        submitted = [name for name, entry in own.items() if set(entry.env_ids) & set(env_ids)]
+        names = [*(names or public_entries()), *submitted]
+    found = find_policies(names, env_ids)
     names = sorted({name for own in found.values() for name in own})
     check_writable_dir(out / FOLDER)
     if commit is not None:
@@ -130,25 +151,14 @@ def benchmark(
     for path in files:
         check_writable_file(path)
     todo = suite_cells(chosen, found, seed=boards.run_seed(out, seed), board=board, real_time=real_time)
-    command = _command(suite=suite, policies=policies, ids=ids, out=out, page=page, real_time=real_time)
-    say, finished = notes_console().print, 0
-    store = Store(out, say=say, any_source=any_source)
-    with progress("computing", "cells") as step:
-
-        def count(done: int, expected: int) -> None:
-            nonlocal finished
-            finished = done
-            step(done, expected)
-
-        try:
-            records = run_cells(todo, store, backend, progress=count, say=say)
-        except KeyboardInterrupt:
-            state = f"{finished} of {len(todo)} cells are finished and stored in {out}. Resume"
-            say(f"{state if finished else 'No cell is finished yet. Start again'} with: {command}")
-            raise
+    again = {"policies": policies, "entries": entries, "no_sandbox": no_sandbox, "ids": ids, "out": out, "page": page}
+    command = _command(suite=suite, **again, real_time=real_time)
+    say, store = notes_console().print, Store(out, say=notes_console().print, any_source=any_source)
+    records = computed(todo, store, out, backend, command)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
-    results = Results(suite=suite, command=command, records=records, board=board)
+    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
+    results = Results(suite=suite, command=command, records=records, board=board, entries=notes)
     contents = (results.to_json(), markdown(results))
     for path, content in zip(files, contents, strict=True):
         atomic_write_text(path, content)
@@ -162,6 +172,34 @@ def benchmark(
         print_page(contents[1])
     if failures([record for record in records if not isinstance(record.cell, TimingCell)]):
         raise typer.Exit(1)
+
+
+def computed(cells: Mapping[str, Cell], store: Store, out: Path, backend: Backend, command: str) -> Sequence[Record]:
+    """Computes cells with progress. After an interrupt it says with which command to resume.
+
+    Args:
+        cells: cells by key.
+        store: finished cells.
+        out: folder of the store.
+        backend: see :mod:`cablebot_gym.benchmark.engine`.
+        command: command line that resumes the computation.
+    """
+    from cablebot_gym.benchmark.engine import run_cells
+
+    say, finished = notes_console().print, 0
+    with progress("computing", "cells") as step:
+
+        def count(done: int, expected: int) -> None:
+            nonlocal finished
+            finished = done
+            step(done, expected)
+
+        try:
+            return run_cells(cells, store, backend, progress=count, say=say)
+        except KeyboardInterrupt:
+            state = f"{finished} of {len(cells)} cells are finished and stored in {out}. Resume"
+            say(f"{state if finished else 'No cell is finished yet. Start again'} with: {command}")
+            raise
 
 
 def read_results(folder: Path) -> Results:

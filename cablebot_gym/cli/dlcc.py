@@ -52,6 +52,7 @@ def dlcc(
         float, typer.Option(help="Confidence of the payload over the draws, which is a lower tolerance bound.")
     ] = 0.95,
     isolate: options.Isolate = False,
+    sandbox: options.Sandbox = False,
     deadline: options.Deadline = None,
     out: Annotated[Path | None, typer.Option(help="Folder for result.json and figures.")] = None,
     as_json: options.Json = False,
@@ -72,7 +73,9 @@ def dlcc(
 
     options.check_figure_folder(out, "result.json")
     wrappers = episode.pop("wrappers")
-    loaded = options.loaded_policy(policy, env_id, isolate=isolate, deadline=deadline, wrappers=wrappers)
+    loaded = options.loaded_policy(
+        policy, env_id, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers
+    )
     options.note_unsupported([policy], env_id)
     chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
     inapplicable = []

@@ -42,6 +42,13 @@ Isolate = Annotated[
     bool,
     typer.Option("--isolate", help="Run the policy in a process of its own, which gets only observations and tasks."),
 ]
+Sandbox = Annotated[
+    bool,
+    typer.Option(
+        "--sandbox", help="Run the isolated policy in a sandbox without network, other processes, and most files."
+    ),
+]
+NoSandbox = Annotated[bool, typer.Option("--no-sandbox", help="Run entries without a sandbox. They stay unverified.")]
 Deadline = Annotated[
     float | None, typer.Option("--deadline", help="Deadline of a call of the isolated policy [s]. The default is 60.")
 ]
@@ -190,12 +197,18 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
 
 
 def loaded_policy(
-    name: str, env_id: str, *, isolate: bool = False, deadline: float | None = None, wrappers: Sequence[str] = ()
+    name: str,
+    env_id: str,
+    *,
+    isolate: bool = False,
+    deadline: float | None = None,
+    sandbox: bool = False,
+    wrappers: Sequence[str] = (),
 ) -> Policy:
     """The policy with a name, made for the robot of an environment, in a process of its own with ``isolate``.
 
     Raises:
-        ValueError: if the policy cannot be loaded, or if there is a deadline without ``isolate``.
+        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without ``isolate``.
     """
     from cablebot_gym.envs import env_robot
     from cablebot_gym.policies import IsolatedPolicy, load_policy
@@ -203,7 +216,10 @@ def loaded_policy(
 
     robot = find_robot(env_robot(env_id))
     if isolate:
-        return IsolatedPolicy(name, robot, wrappers=wrappers, **({} if deadline is None else {"deadline": deadline}))
+        limits = {} if deadline is None else {"deadline": deadline}
+        return IsolatedPolicy(name, robot, sandbox=sandbox, wrappers=wrappers, **limits)
+    if sandbox:
+        raise ValueError("--sandbox needs --isolate: only the process of an isolated policy can have one")
     if deadline is not None:
         raise ValueError("--deadline needs --isolate: only the process of an isolated policy can be ended")
     return load_policy(name, robot, wrappers=wrappers)
@@ -224,6 +240,22 @@ def loaded_policies(names: list[str], env_id: str, wrappers: Sequence[str]) -> l
         loaded_policy(name, env_id, wrappers=() if own else wrappers)
         for name, own in zip(names, installed, strict=True)
     ]
+
+
+def choose_sandbox(no_sandbox: bool) -> None:
+    """Checks the sandbox of entries, or makes this process and its workers run entries without one.
+
+    Raises:
+        ValueError: if there is no sandbox, and it is not declined.
+    """
+    from cablebot_gym.policies import sandbox
+
+    if no_sandbox:
+        return sandbox.opt_out()
+    try:
+        sandbox.check_sandbox()
+    except ValueError as error:
+        raise ValueError(f"{error}. --no-sandbox runs entries without one, and trusts them") from None
 
 
 def split_names(text: str | None) -> list[str]:

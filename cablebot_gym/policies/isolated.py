@@ -26,6 +26,8 @@ from typing import IO, Any
 
 import numpy as np
 
+from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.loading import as_robot, is_own, policy_points
 from cablebot_gym.policies.process import (
     ANSWER,
@@ -42,6 +44,7 @@ from cablebot_gym.policies.process import (
     memory_limit,
 )
 from cablebot_gym.policies.protocol import Array, PolicyEntry, PolicyError
+from cablebot_gym.policies.sandbox import check_sandbox, opted_out, sandboxed
 from cablebot_gym.policies.wrapped import say
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -89,7 +92,7 @@ class IsolatedPolicy:
     Every misbehaviour of the policy is a :class:`~cablebot_gym.policies.protocol.PolicyError`: an exception, an end of
     its process, no answer before the deadline, invalid actions or invalid data. The process is then ended, and on Linux
     all processes that have inherited its memory limit, so all that it has started unless it changes that limit. Other
-    processes and files of the same user are not protected from the policy.
+    processes and files of the same user are protected from the policy only in a sandbox.
 
     Args:
         spec: name of the policy, as on the command line.
@@ -101,9 +104,13 @@ class IsolatedPolicy:
             :class:`~cablebot_gym.policies.real_time.RealTime`.
         wrappers: names of the wrappers of the training, the innermost first, as for
             :func:`~cablebot_gym.policies.load_policy`. They run in the process of the policy.
+        sandbox: whether the process runs in a sandbox without network, other processes, and most files, see
+            :func:`~cablebot_gym.policies.sandbox.sandboxed`. Entries of others always do, unless
+            :func:`~cablebot_gym.policies.sandbox.opt_out` was called.
 
     Raises:
-        ValueError: if the name is unknown or the policy cannot be loaded, or if a wrapper is given by an object.
+        ValueError: if the name is unknown or the policy cannot be loaded, if a wrapper is given by an object, or if
+            there is no sandbox.
         PolicyError: if the process of the policy ends or does not answer while the policy is loaded.
     """
 
@@ -115,14 +122,20 @@ class IsolatedPolicy:
         deadline: float = DEADLINE,
         real_time: float | None = None,
         wrappers: Sequence[str | Path] = (),
+        sandbox: bool = False,
     ) -> None:
         self.name = self.spec = spec
+        robot, names = as_robot(robot), tuple(map(str, wrappers))
+        self._sandbox = sandbox or (is_entry(spec) and not opted_out())
+        if self._sandbox:
+            check_sandbox()
+            pose = np.zeros(robot.coordinates)
+            inverse_dynamics(robot, 1.0, pose, pose, pose)  # compiled here once, and not in each process of the policy
         self._deadline = number("deadline", deadline, above=0, unit="s")
         if not all(isinstance(wrapper, (str, Path)) for wrapper in wrappers):
             raise ValueError(
                 "an isolated policy takes the names of its wrappers, such as file.py:name: its process imports them"
             )
-        robot, names = as_robot(robot), tuple(map(str, wrappers))
         path = [entry or os.getcwd() for entry in sys.path]
         self._load = pickle.dumps((LOAD, spec, robot, path, real_time, names))
         self._cables, self._process, self._waited = robot.cables, None, 0.0
@@ -209,7 +222,8 @@ class IsolatedPolicy:
     def _start(self) -> dict[str, Any]:
         """Starts a process in place of the present one, loads the policy and returns its declarations."""
         self.close()
-        self._process, self._fresh, self._called, self._started = _Process(), True, False, self._waited
+        self._process = _Process(self.spec if self._sandbox else None)
+        self._fresh, self._called, self._started = True, False, self._waited
         body = self._ask(self._load, _TEXT)
         flags = _json(body)
         if not isinstance(flags, dict):
@@ -310,9 +324,13 @@ class _EndedError(Exception):
 
 
 class _Process:
-    """A process, the thread that talks to it, and the thread that drains its standard error."""
+    """A process, the thread that talks to it, and the thread that drains its standard error.
 
-    def __init__(self) -> None:
+    Args:
+        sandboxed_spec: name of the policy for which the process is put into a sandbox; None for no sandbox.
+    """
+
+    def __init__(self, sandboxed_spec: str | None = None) -> None:
         folder = tempfile.mkdtemp(prefix=FOLDER)
         path = os.pathsep.join(entry for entry in sys.path if entry)
         environment = {
@@ -320,8 +338,10 @@ class _Process:
             for name, value in os.environ.items()
             if name.upper() in _ENVIRONMENT or name.startswith(_ENVIRONMENT_PREFIXES)
         } | {"PYTHONPATH": path, "TMPDIR": folder, "TEMP": folder, "TMP": folder}
+        command = [sys.executable, "-P", "-c", "from cablebot_gym.policies.process import main; main()"]
+        self._sandboxed = sandboxed_spec is not None
         self._popen = subprocess.Popen(
-            [sys.executable, "-P", "-c", "from cablebot_gym.policies.process import main; main()"],
+            command if sandboxed_spec is None else sandboxed(command, sandboxed_spec, Path(folder)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -356,6 +376,8 @@ class _Process:
             status = self._popen.wait(1.0)  # the pipe closes shortly before the process ends
         except subprocess.TimeoutExpired:
             raise _EndedError("its process closed its pipe or sent invalid data") from None
+        if self._sandboxed and status > 128:  # as shells report a signal
+            status = 128 - status
         cause = f"its process ended with exit status {status}"
         if status < 0:
             with suppress(ValueError):

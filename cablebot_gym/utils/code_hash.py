@@ -24,7 +24,7 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
         modules: module names, such as ``cablebot_gym.evaluation.evaluator``.
         data: data files that affect the result, such as weights.
     """
-    files = _source_files(modules)
+    files = source_files(*modules)
     digest = hashlib.sha256()
     for name in sorted(files):
         digest.update(f"{name}\n{_parsed(files[name], name)[0]}\n".encode())
@@ -36,14 +36,14 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
 def file_digest(*modules: str, data: tuple[Path, ...] = ()) -> str:
     """SHA-256 of the bytes of the files that :func:`source_hash` depends on, comments and docstrings included."""
     digest = hashlib.sha256()
-    for name, path in sorted(_source_files(modules).items()):
+    for name, path in sorted(source_files(*modules).items()):
         digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
     for content in sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in data):
         digest.update(content.encode())
     return digest.hexdigest()
 
 
-def _source_files(modules: tuple[str, ...]) -> dict[str, Path]:
+def source_files(*modules: str) -> dict[str, Path]:
     """Files by name of the modules, of their imports from their own packages and from ``cablebot_gym``."""
     packages = frozenset({"cablebot_gym", *(name.partition(".")[0] for name in modules)})
     folders = frozenset(path.parent for name in modules if (path := module_file(name)) is not None and "." not in name)

@@ -1,0 +1,86 @@
+"""``cablebot submit``."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cablebot_gym.cli.options import Workers, counted, split_names
+from cablebot_gym.utils.console import notes_console
+
+WORK = "work"
+"""Folder of finished cells in the folder of an unfinished entry."""
+
+
+def submit(
+    policy: Annotated[
+        str,
+        typer.Argument(
+            help="Policy: a name or package.module:factory of an installed package, module:factory or file.py:factory, "
+            "or a .zip file."
+        ),
+    ],
+    ids: Annotated[str, typer.Option("--id", help="Environment ids, separated by commas.")],
+    out: Annotated[Path, typer.Option(help="Folder of the entry; its name is the name in the table.")],
+    authors: Annotated[str, typer.Option(help="Authors.")],
+    licence: Annotated[str, typer.Option(help="Licence of code and weights, such as MIT.")],
+    compute: Annotated[str, typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none.")],
+    data: Annotated[str, typer.Option(help="Data and motions for training and tuning, or none.")],
+    seeds: Annotated[str, typer.Option(help="Seeds of the training, or none.")],
+    suite: Annotated[
+        str, typer.Option(help="Suite of the local result: smoke (planar robot only), standard, or full.")
+    ] = "standard",
+    workers: Workers = None,
+) -> None:
+    """Make an entry for the leaderboard: a folder with policy, card and local result.
+
+    The folder has the files of the policy with their SHA-256, or the name and version of its package. The entry is
+    unverified until `cablebot verify` has rerun it. An interrupted command resumes. The exit status is 1 if the policy
+    fails.
+
+    Examples:
+
+    cablebot submit my_law.py:make --id CableBot-Planar-v0 --out entries/my-law --authors "A. Author" --licence MIT
+    --compute none --data none --seeds none --suite smoke
+    """
+    from cablebot_gym.benchmark import entries
+    from cablebot_gym.benchmark.board import run_seed
+    from cablebot_gym.benchmark.engine import local
+    from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
+    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
+    from cablebot_gym.benchmark.tables import failures
+    from cablebot_gym.cli.benchmark import computed
+    from cablebot_gym.policies import sandbox
+    from cablebot_gym.policies.entry import CARD
+    from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
+    from cablebot_gym.utils.workers import check_workers
+
+    backend, say = local(check_workers(workers)), notes_console().print
+    env_ids = find_env_ids(find_suite(suite), split_names(ids))
+    check_writable_dir(out)
+    if problem := sandbox.sandbox_problem():
+        say(f"note: your policy runs without a sandbox ({problem}); the verification has one")
+        sandbox.opt_out()
+    texts = {"authors": authors, "licence": licence, "compute": compute, "data": data, "seeds": seeds}
+    entry = entries.make_entry(out, policy, env_ids, texts)
+    find_policies([str(out)], env_ids)
+    work = out / WORK
+    cells = entries.entry_cells(out, suite, seed=run_seed(work))
+    command = shlex.join(["cablebot", *sys.argv[1:]])
+    records = computed(cells, Store(work, say=say), work, backend, command)
+    notes = [replace(entries.note(out, "unverified"), policy=entry.name)]
+    results = Results(suite=suite, command=command, records=entries.renamed(records, entry.name), entries=notes)
+    atomic_write_text(out / entries.CLAIMS, results.to_json())
+    print_page(markdown(results))
+    shutil.rmtree(work)
+    say(f"wrote {counted(len(entry.files), 'file')} of the policy, {CARD} and {entries.CLAIMS} to {out}")
+    say("The entry is unverified. To submit it, open a pull request that adds this folder to entries/.")
+    if failures(records):
+        raise typer.Exit(1)

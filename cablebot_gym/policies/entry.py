@@ -1,0 +1,150 @@
+"""Entries: policies of others, each a folder with a card. `cablebot submit` makes it, and the benchmark runs it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from cablebot_gym.utils.checks import record
+from cablebot_gym.utils.code_hash import module_file
+
+CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
+"""Names in the folder of an entry: the card, the files of the policy, and the packages that it refers to, if they are
+not installed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """Card of an entry. Every text says something: an entry without training has ``none`` there."""
+
+    name: str
+    """Name in tables, which is that of the folder."""
+    env_ids: tuple[str, ...]
+    """Environments for which the policy is made."""
+    policy: str
+    """``module:factory``, or a ``.zip`` file in the folder of the policy."""
+    package: str | None
+    """Requirement for pip of the package that has the policy, such as ``their-law==1.0``; None if the entry has its
+    files."""
+    files: Mapping[str, str]
+    """SHA-256 of every file of the policy or of its package, by path."""
+    authors: str
+    """Authors."""
+    licence: str
+    """Licence of code and weights."""
+    compute: str
+    """Compute for training and tuning, such as ``3 h on 8 cores``."""
+    data: str
+    """Data and motions for training and tuning."""
+    seeds: str
+    """Seeds of the training."""
+
+    def __post_init__(self) -> None:
+        """Checks all fields.
+
+        Raises:
+            ValueError: if a field is empty or of another type.
+        """
+        object.__setattr__(self, "env_ids", tuple(self.env_ids))
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type == "str" and not (isinstance(value, str) and value.strip()):
+                raise ValueError(f"{field.name} must be a text that is not empty, not {value!r}")
+        if not self.env_ids or not self.files or not isinstance(self.files, Mapping):
+            raise ValueError("an entry needs env_ids and files")
+
+    def to_json(self) -> str:
+        """The card as text."""
+        return json.dumps(asdict(self), indent=1, ensure_ascii=False) + "\n"
+
+    def root(self, folder: Path) -> Path:
+        """Folder of the files of the policy.
+
+        Raises:
+            ValueError: if the package of the policy is not installed.
+        """
+        for name in (POLICY,) if self.package is None else (PACKAGES,):
+            if (folder / name).is_dir():
+                return folder / name
+        top = self.policy.partition(":")[0].partition(".")[0]
+        installed = None if self.package is None else package_root(top)
+        if installed is None:
+            target = f"pip install --no-deps --target {folder / PACKAGES} '{self.package}'"
+            raise ValueError(
+                f"entry {self.name!r} has no files of its policy"
+                + (f": install them, `{target}`" if self.package else "")
+            )
+        return installed[0]
+
+    def paths(self, folder: Path) -> tuple[Path, ...]:
+        """The card and all files of the policy.
+
+        Raises:
+            ValueError: if a file is missing or differs from the card, or if the policy has other files.
+        """
+        root = self.root(folder)
+        owned = root if self.package is None else root / self.policy.partition(":")[0].partition(".")[0]
+        present = digests(root, plain_files(owned if owned.is_dir() else owned.with_suffix(".py")))
+        if differing := sorted({name for name, _ in self.files.items() ^ present.items()}):
+            raise ValueError(f"entry {self.name!r} does not match its card in {', '.join(differing[:5])}")
+        return (folder / CARD, *(root / name for name in present))
+
+    def spec(self, folder: Path) -> str:
+        """The policy as a name that can be loaded in this process. Its modules come first in the search path."""
+        if self.policy.endswith(".zip"):
+            return str(folder / POLICY / self.policy)
+        root = str(self.root(folder).absolute())
+        if root not in sys.path:
+            sys.path.insert(0, root)
+        return self.policy
+
+
+def is_entry(name: str) -> bool:
+    """Whether the name of a policy is the folder of an entry."""
+    return Path(name, CARD).is_file()
+
+
+def read_entry(folder: Path) -> Entry:
+    """The card of the entry in a folder.
+
+    Raises:
+        ValueError: if it cannot be read, or if a field is missing, unknown or empty.
+    """
+    try:
+        data = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        entry = record("the card", Entry, data)
+        if entry.name != folder.absolute().name:
+            raise ValueError(f"the folder must have the name of the entry, {entry.name!r}")
+        return entry
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise ValueError(f"{str(folder / CARD)!r} is no card of an entry: {error}") from error
+
+
+def package_root(top: str) -> tuple[Path, Path] | None:
+    """The folder that has a top-level module, and the file or folder of this module; None if it is missing."""
+    file = module_file(top)
+    if file is None:
+        return None
+    owned = file.parent if file.name == "__init__.py" else file
+    return owned.parent, owned
+
+
+def plain_files(owned: Path) -> list[Path]:
+    """A file, or all files of a folder without compiled code.
+
+    Raises:
+        ValueError: if a file is a link.
+    """
+    found = [owned, *sorted(owned.rglob("*"))]
+    if links := [str(path) for path in found if path.is_symlink()]:
+        raise ValueError(f"{links[0]!r} is a link: an entry has plain files only")
+    return [path for path in found if path.is_file() and "__pycache__" not in path.parts]
+
+
+def digests(root: Path, paths: Iterable[Path]) -> dict[str, str]:
+    """SHA-256 of files by their paths relative to a folder."""
+    return {path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}

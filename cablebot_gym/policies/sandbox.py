@@ -1,0 +1,114 @@
+"""The sandbox of policies of others, made by bubblewrap: an isolated policy without network, files and processes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from cablebot_gym.envs import outcome
+from cablebot_gym.physics import kernel
+from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, is_entry
+
+_NAMESPACES = ("--unshare-all", "--die-with-parent", "--cap-drop", "ALL")
+"""New namespaces for users, processes, network and others. The sandbox ends with the process that started it."""
+
+_SYSTEM = (
+    *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/nix", "/gnu"),
+    *("/etc/ld.so.cache", "/etc/alternatives", "/etc/localtime", "/sys/devices/system/cpu"),
+)
+"""Files of the operating system that the policy can read, if they exist."""
+
+_OPT_OUT = "CABLEBOT_SANDBOX"
+"""Environment variable; ``off`` runs entries without a sandbox, in worker processes too."""
+
+
+@cache
+def sandbox_problem() -> str:
+    """Why this machine has no sandbox, as a clause; empty if it has one."""
+    program = shutil.which("bwrap")
+    if program is None:
+        return "bubblewrap is not installed (`apt-get install bubblewrap`; Linux only)"
+    bound = ("--ro-bind", "/", "/", "--proc", "/proc", "--dev", "/dev")
+    tried = subprocess.run([program, *_NAMESPACES, *bound, "true"], capture_output=True, text=True, errors="replace")
+    return f"bubblewrap is not permitted here ({tried.stderr.strip()})" if tried.returncode else ""
+
+
+def sandbox_name() -> str | None:
+    """Name and version of the sandbox in which entries run; None if they run without one."""
+    if opted_out():
+        return None
+    return subprocess.run(["bwrap", "--version"], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def check_sandbox() -> None:
+    """Checks that this machine has a sandbox.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if problem := sandbox_problem():
+        raise ValueError(f"there is no sandbox: {problem}")
+
+
+def opt_out() -> None:
+    """Entries of this process and of its workers run without a sandbox."""
+    os.environ[_OPT_OUT] = "off"
+
+
+def opted_out() -> bool:
+    """Whether entries run without a sandbox."""
+    return os.environ.get(_OPT_OUT) == "off"
+
+
+def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
+    """A command line that runs a command in the sandbox.
+
+    The command has no network, sees no other process, and writes to no folder but ``folder``, an empty home, and a copy
+    of the compiled code. It reads the operating system, Python, installed packages, and the files of the policy.
+
+    Args:
+        command: the command.
+        spec: name of the policy, as on the command line.
+        folder: folder for temporary files.
+
+    Raises:
+        ValueError: if there is no sandbox.
+    """
+    check_sandbox()
+    home, working = Path.home(), Path.cwd()
+    (folder / "home").mkdir()
+    options = ["bwrap", *_NAMESPACES, "--proc", "/proc", "--dev", "/dev"]
+    options += ["--bind", str(folder / "home"), str(home)] if home != Path("/") else []
+    prefixes = {Path(prefix).absolute() for prefix in (sys.prefix, sys.exec_prefix, sys.base_prefix)}
+    for path in dict.fromkeys([*map(Path, _SYSTEM), *sorted(prefixes), *_sources(spec, working, prefixes)]):
+        options += ["--ro-bind-try", str(path), str(path)]
+    compiled = (kernel.advance_one_planar, outcome.outcome)
+    for index, cache_path in enumerate(sorted({Path(str(one.stats.cache_path)) for one in compiled})):
+        if cache_path.is_dir():  # numba reads compiled code only from folders to which it can write
+            copy = folder / f"compiled-{index}"
+            shutil.copytree(cache_path, copy, ignore=shutil.ignore_patterns("*.pyc"), copy_function=shutil.copyfile)
+            options += ["--bind", str(copy), str(cache_path)]
+    options += ["--bind", str(folder), str(folder), "--dir", str(working), "--chdir", str(working)]
+    return [*options, "--remount-ro", "/", "--", *command]
+
+
+def _sources(spec: str, working: Path, prefixes: set[Path]) -> Iterator[Path]:
+    """Files and folders outside Python's own that the policy can read: those of modules, and its own."""
+    entry, path = is_entry(spec), Path(spec.rpartition(":")[0] or spec).absolute()
+    if entry or path.suffix == ".zip":
+        yield from ([path / name for name in (CARD, POLICY, PACKAGES)] if entry else [path])
+    folders = [path.parent] if path.suffix == ".py" else []
+    for text in sys.path:
+        folder = Path(text or working).absolute()
+        if not (entry and folder == working) and not any(folder.is_relative_to(prefix) for prefix in prefixes):
+            folders.append(folder)
+    for folder in folders:
+        if not folder.is_dir() or any(folder.glob("*.dist-info")):  # a .zip of modules; a folder of pip
+            yield folder
+        else:  # other subfolders may have results
+            yield from (one for one in sorted(folder.iterdir()) if one.is_file() or (one / "__init__.py").is_file())
