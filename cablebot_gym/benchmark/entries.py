@@ -6,6 +6,7 @@ import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ CLAIMS, VERIFICATION = "results.json", "verification.json"
 MACHINES = 0.01
 """Largest excess of a claimed total mass over the rerun, as a fraction: rounding differs between machines."""
 
-DRAWS = 0.05
+DRAWS = 0.02
 """The same for a payload that is a tolerance bound from random draws, which scatters."""
 
 
@@ -175,7 +176,7 @@ def refuted(claims: Results, records: Sequence[Record]) -> list[str]:
         tolerance = float(rerun.result.get("resolution") or 0.0) + scatter * (rerun.result.get("total_mass") or 0.0)
         if carried is None or not claimed <= carried + tolerance:
             now = rerun.error or ("it fails unloaded" if carried is None else f"it carries {carried:.3f} kg")
-            sentences.append(f"{_title(claim.cell)}: {claimed:.3f} kg claimed, and in the rerun {now}")
+            sentences.append(f"{_title(claim.cell)}: {claimed:.3f} kg claimed; rerun: {now}")
     if not compared:
         raise ValueError("the rerun has no conditions of the claims")
     return sentences
@@ -199,6 +200,7 @@ def verification(folder: Path, seed: int, records: Sequence[Record], reasons: Se
     return {
         "outcome": "refused" if reasons else "verified" if sandbox else "reproduced without a sandbox",
         "reasons": list(reasons),
+        "date": datetime.now(UTC).date().isoformat(),
         "sandbox": sandbox,
         "network": "cut" if sandbox else "open",
         "seed": seed,
@@ -223,8 +225,8 @@ def check_entry(folder: Path) -> Entry:
     entry = read_entry(folder)
     entry.paths(folder)
     known = {CARD, CLAIMS, VERIFICATION, "README.md", PACKAGES if entry.package is not None else POLICY}
-    if others := sorted(path.name for path in folder.iterdir() if path.name not in known):
-        raise ValueError(f"entry {entry.name!r} has unknown files: {', '.join(others[:5])}")
+    if others := sorted(path.name for path in folder.iterdir() if path.name not in known or path.is_symlink()):
+        raise ValueError(f"entry {entry.name!r} has files that are unknown or links: {', '.join(others[:5])}")
     return entry
 
 

@@ -78,7 +78,7 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a benchmark cell failed, a best known payload was not verified,\n"
-        "       or doctor found a fault\n"
+        "       an entry was refused, or doctor found a fault\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

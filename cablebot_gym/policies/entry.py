@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
@@ -15,6 +16,14 @@ from cablebot_gym.utils.code_hash import module_file
 CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
 """Names in the folder of an entry: the card, the files of the policy, and the packages that it refers to, if they are
 not installed."""
+
+
+_FORMS = {
+    "name": (r"[A-Za-z0-9][\w.-]*", "letters, digits, '.', '_' and '-'"),
+    "policy": (r"[\w.]+:\w+|[\w.-]+\.zip", "module:factory or the name of a .zip file"),
+    "package": (r"[\w.-]+==[\w.+!-]+", "name==version, or null"),
+}
+"""Valid forms of fields, of which messages, tables and commands are made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +65,14 @@ class Entry:
                 raise ValueError(f"{field.name} must be a text that is not empty, not {value!r}")
         if not self.env_ids or not self.files or not isinstance(self.files, Mapping):
             raise ValueError("an entry needs env_ids and files")
+        for name, (form, valid) in _FORMS.items():
+            if (value := getattr(self, name)) is not None and not re.fullmatch(form, value):
+                raise ValueError(f"{name} must be {valid}, not {value!r}")
+
+    @property
+    def _top(self) -> str:
+        """Top-level module of the policy."""
+        return self.policy.partition(":")[0].partition(".")[0]
 
     def to_json(self) -> str:
         """The card as text."""
@@ -65,19 +82,18 @@ class Entry:
         """Folder of the files of the policy.
 
         Raises:
-            ValueError: if the package of the policy is not installed.
+            ValueError: if the entry should have the files and has none.
+            ImportError: if the package of the policy is not installed.
         """
-        for name in (POLICY,) if self.package is None else (PACKAGES,):
-            if (folder / name).is_dir():
-                return folder / name
-        top = self.policy.partition(":")[0].partition(".")[0]
-        installed = None if self.package is None else package_root(top)
+        own = folder / (POLICY if self.package is None else PACKAGES)
+        if own.is_dir():
+            return own
+        if self.package is None:
+            raise ValueError(f"entry {self.name!r} has no files of its policy: restore the folder {str(own)!r}")
+        installed = package_root(self._top)
         if installed is None:
-            target = f"pip install --no-deps --target {folder / PACKAGES} '{self.package}'"
-            raise ValueError(
-                f"entry {self.name!r} has no files of its policy"
-                + (f": install them, `{target}`" if self.package else "")
-            )
+            command = f"pip install --no-deps --only-binary :all: --target {own} {self.package}"  # runs no code
+            raise ImportError(f"entry {self.name!r} needs its package: `{command}` installs it for this entry only")
         return installed[0]
 
     def paths(self, folder: Path) -> tuple[Path, ...]:
@@ -87,8 +103,9 @@ class Entry:
             ValueError: if a file is missing or differs from the card, or if the policy has other files.
         """
         root = self.root(folder)
-        owned = root if self.package is None else root / self.policy.partition(":")[0].partition(".")[0]
-        present = digests(root, plain_files(owned if owned.is_dir() else owned.with_suffix(".py")))
+        owned = root if self.package is None else root / self._top
+        owned = owned if owned.is_dir() else owned.with_suffix(".py")
+        present = digests(root, plain_files(owned, compiled=self.package is None))
         if differing := sorted({name for name, _ in self.files.items() ^ present.items()}):
             raise ValueError(f"entry {self.name!r} does not match its card in {', '.join(differing[:5])}")
         return (folder / CARD, *(root / name for name in present))
@@ -97,6 +114,7 @@ class Entry:
         """The policy as a name that can be loaded in this process. Its modules come first in the search path."""
         if self.policy.endswith(".zip"):
             return str(folder / POLICY / self.policy)
+        sys.dont_write_bytecode = True  # an entry has no file that is not on its card
         root = str(self.root(folder).absolute())
         if root not in sys.path:
             sys.path.insert(0, root)
@@ -133,8 +151,12 @@ def package_root(top: str) -> tuple[Path, Path] | None:
     return owned.parent, owned
 
 
-def plain_files(owned: Path) -> list[Path]:
-    """A file, or all files of a folder without compiled code.
+def plain_files(owned: Path, *, compiled: bool = False) -> list[Path]:
+    """A file, or all files of a folder.
+
+    Args:
+        owned: the file or folder.
+        compiled: whether to include the compiled code of Python.
 
     Raises:
         ValueError: if a file is a link.
@@ -142,7 +164,7 @@ def plain_files(owned: Path) -> list[Path]:
     found = [owned, *sorted(owned.rglob("*"))]
     if links := [str(path) for path in found if path.is_symlink()]:
         raise ValueError(f"{links[0]!r} is a link: an entry has plain files only")
-    return [path for path in found if path.is_file() and "__pycache__" not in path.parts]
+    return [path for path in found if path.is_file() and (compiled or "__pycache__" not in path.parts)]
 
 
 def digests(root: Path, paths: Iterable[Path]) -> dict[str, str]:

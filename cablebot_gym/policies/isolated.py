@@ -26,7 +26,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.loading import as_robot, is_own, policy_points
 from cablebot_gym.policies.process import (
@@ -44,7 +43,7 @@ from cablebot_gym.policies.process import (
     memory_limit,
 )
 from cablebot_gym.policies.protocol import Array, PolicyEntry, PolicyError
-from cablebot_gym.policies.sandbox import check_sandbox, opted_out, sandboxed
+from cablebot_gym.policies.sandbox import opted_out, prepare_sandbox, sandboxed
 from cablebot_gym.policies.wrapped import say
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -128,9 +127,7 @@ class IsolatedPolicy:
         robot, names = as_robot(robot), tuple(map(str, wrappers))
         self._sandbox = sandbox or (is_entry(spec) and not opted_out())
         if self._sandbox:
-            check_sandbox()
-            pose = np.zeros(robot.coordinates)
-            inverse_dynamics(robot, 1.0, pose, pose, pose)  # compiled here once, and not in each process of the policy
+            prepare_sandbox(robot)
         self._deadline = number("deadline", deadline, above=0, unit="s")
         if not all(isinstance(wrapper, (str, Path)) for wrapper in wrappers):
             raise ValueError(

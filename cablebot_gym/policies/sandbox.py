@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from cablebot_gym.envs import outcome
-from cablebot_gym.physics import kernel
+import numpy as np
+
 from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, is_entry
+from cablebot_gym.robots import Robot
 
 _NAMESPACES = ("--unshare-all", "--die-with-parent", "--cap-drop", "ALL")
 """New namespaces for users, processes, network and others. The sandbox ends with the process that started it."""
@@ -55,6 +56,19 @@ def check_sandbox() -> None:
         raise ValueError(f"there is no sandbox: {problem}")
 
 
+def prepare_sandbox(robot: Robot) -> None:
+    """Checks the sandbox, and compiles here the equations of a robot that the processes of its policies call.
+
+    Raises:
+        ValueError: if there is no sandbox.
+    """
+    from cablebot_gym.physics.inverse import inverse_dynamics  # numba takes a second, which other commands save
+
+    check_sandbox()
+    pose = np.zeros(robot.coordinates)
+    inverse_dynamics(robot, 1.0, pose, pose, pose)
+
+
 def opt_out() -> None:
     """Entries of this process and of its workers run without a sandbox."""
     os.environ[_OPT_OUT] = "off"
@@ -79,6 +93,9 @@ def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
     Raises:
         ValueError: if there is no sandbox.
     """
+    from cablebot_gym.envs import outcome  # as above
+    from cablebot_gym.physics import kernel
+
     check_sandbox()
     home, working = Path.home(), Path.cwd()
     (folder / "home").mkdir()
@@ -99,12 +116,12 @@ def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
 
 def _sources(spec: str, working: Path, prefixes: set[Path]) -> Iterator[Path]:
     """Files and folders outside Python's own that the policy can read: those of modules, and its own."""
-    entry, path = is_entry(spec), Path(spec.rpartition(":")[0] or spec).absolute()
+    entry, path = is_entry(spec), Path(os.path.abspath(spec.rpartition(":")[0] or spec))
     if entry or path.suffix == ".zip":
         yield from ([path / name for name in (CARD, POLICY, PACKAGES)] if entry else [path])
     folders = [path.parent] if path.suffix == ".py" else []
     for text in sys.path:
-        folder = Path(text or working).absolute()
+        folder = Path(os.path.abspath(text or working))
         if not (entry and folder == working) and not any(folder.is_relative_to(prefix) for prefix in prefixes):
             folders.append(folder)
     for folder in folders:

@@ -9,6 +9,7 @@ import ctypes
 import gc
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -550,6 +551,53 @@ def garbage(law, action):
 def closes(law, action):
     """closes all descriptors"""
     os.closerange(0, 256)
+
+
+# --- the operating system ---------------------------------------------------------------------------------------------
+
+
+def _folder():
+    """Folder with files of the user, which is not the private one."""
+    return Path(tempfile.gettempdir()).parent
+
+
+@policy(resets=True)
+def user_file(law, tasks):
+    """reads a file of the user, such as `secret.json` of a board"""
+    with suppress(OSError):
+        raise RuntimeError(f"found {(_folder() / 'secret.json').read_text(encoding='utf-8')}")
+
+
+@policy(resets=True)
+def other_processes(law, tasks):
+    """looks for the process of the evaluation, to read its arguments or to stop it"""
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            if b"dlcc" in path.read_bytes():
+                raise RuntimeError(f"found process {path.parent.name}")
+
+
+@policy(resets=True)
+def network(law, tasks):
+    """connects to another program"""
+    with suppress(OSError), socket.create_connection(("127.0.0.1", int(os.environ["LC_ATTACK"])), 2):
+        raise RuntimeError("found a connection")
+
+
+@policy(resets=True)
+def kept_files(law, tasks):
+    """keeps data for later batches in the home, in the working directory, or beside compiled code"""
+    from cablebot_gym.physics import kernel
+
+    places = (Path.home(), Path.cwd(), Path(kernel.advance_one_planar.stats.cache_path), _folder())
+    paths = [folder / ".cheats-kept" for folder in places]
+    if found := [path for path in paths if path.exists()]:
+        for path in found:
+            path.unlink()
+        raise RuntimeError(f"found {found}")
+    for path in paths:
+        with suppress(OSError):
+            path.touch()
 
 
 # --- the callables' forms ---------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -121,22 +122,40 @@ ATTACKS = (
 )
 
 
+FOUND = "it raised RuntimeError in reset(): found"
+SANDBOX = ("--sandbox",)
+
+SANDBOXED = (
+    Attack("user_file", 1, FOUND),
+    Attack("other_processes", 1, FOUND),
+    Attack("network", 1, FOUND),
+    Attack("kept_files", 1, FOUND),
+)
+"""Attacks that need a sandbox, with their outcome without one. In a sandbox the payload is the honest one."""
+
+
 @cache
 def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
     """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy of cheats.py."""
     criterion = () if "--criterion" in options else ("--criterion", "task")
     command = [sys.executable, "-m", "cablebot_gym.cli.app", "dlcc", ENV_ID, "--policy", f"cheats:{name}", "--isolate"]
     settings = ["--json", "--payload-max", "10", "--resolution", str(RESOLUTION), *criterion, *options]
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as server:
+        Path(folder, "secret.json").write_text("{}", encoding="utf-8")
         ended = subprocess.run(
             [*command, *settings],
             cwd=FOLDER,
             capture_output=True,
             text=True,
             timeout=300,
-            env=os.environ | {"RUN_SEED": "7", "TMPDIR": folder},
+            env=os.environ | {"RUN_SEED": "7", "TMPDIR": folder, "LC_ATTACK": str(server.getsockname()[1])},
         )
     return ended.returncode, ended.stdout, ended.stderr
+
+
+SANDBOX_HEAD = """\
+These policies do what only a sandbox closes. Each fails with a message when its attack succeeds.
+"""
 
 
 def page() -> str:
@@ -147,6 +166,10 @@ def page() -> str:
         text = f"“{attack.now}”" if attack.status else attack.now
         what = getattr(cheats, attack.name).__doc__
         lines.append(f"| {what} | {attack.before} | {attack.status} | {text} |")
+    lines += ["", "## In the sandbox", "", SANDBOX_HEAD, "| the policy … | with `--isolate` | and `--sandbox` |"]
+    lines.append("|---|---|---|")
+    for attack in SANDBOXED:
+        lines.append(f"| {getattr(cheats, attack.name).__doc__} | “{attack.now}” | {Attack.now} |")
     return "\n".join(lines) + "\n"
 
 

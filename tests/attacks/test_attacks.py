@@ -8,10 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from attacks.suite import ATTACKS, ENV_ID, FOLDER, LESS, SCORED, cheats, page, run
+from attacks.suite import ATTACKS, ENV_ID, FOLDER, LESS, SANDBOX, SANDBOXED, SCORED, cheats, page, run
 
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.policies import PolicyError
+from cablebot_gym.policies.sandbox import sandbox_problem
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies use signals and fork")
 
@@ -53,6 +54,29 @@ def test_attack_on_an_isolated_evaluation(attack):
     assert least - tolerance <= payload <= most + tolerance
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sandbox_problem() != "", reason=sandbox_problem())
+@pytest.mark.parametrize("attack", SANDBOXED, ids=lambda attack: attack.name)
+def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
+    """Without a sandbox it succeeds, so the attack is one."""
+    status, _, err = run(attack.name)
+    assert (status, attack.now in err) == (attack.status, True), err
+    status, out, err = run(attack.name, SANDBOX)
+    assert status == 0, err
+    assert json.loads(out)[0]["payload"] == pytest.approx(json.loads(run("Law")[1])[0]["payload"], abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sandbox_problem() != "", reason=sandbox_problem())
+@pytest.mark.parametrize("name", ["hidden_daemon", "kills_itself"])
+def test_ends_of_processes_are_the_same_in_a_sandbox(name):
+    (attack,) = (one for one in ATTACKS if one.name == name)
+    before = descendants()
+    status, _, err = run(name, SANDBOX)
+    assert (status, attack.status == 0 or attack.now in err) == (attack.status, True), err
+    assert descendants() <= before
+
+
 @pytest.mark.parametrize("attack", [attack for attack in ATTACKS if attack.fast], ids=lambda attack: attack.name)
 def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
     monkeypatch.chdir(FOLDER)
@@ -70,7 +94,9 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
 def test_every_policy_is_in_the_suite_and_on_the_page():
     made = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
     own = {name for name in made if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()}
-    assert own - {"policy", "model_payload", "filtered", "_better_after"} == {attack.name for attack in ATTACKS}
+    assert own - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
+        attack.name for attack in ATTACKS + SANDBOXED
+    }
     assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (
         "run python tests/attacks/suite.py > docs/attacks.md"
     )

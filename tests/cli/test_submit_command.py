@@ -1,0 +1,202 @@
+"""``cablebot submit`` and ``cablebot verify``: an outside package from its pull request to a board, and cheats."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from cli.conftest import names
+
+from cablebot_gym.benchmark import suites
+from cablebot_gym.benchmark.entries import make_entry
+from cablebot_gym.benchmark.suites import Block, Suite
+from cablebot_gym.policies import sandbox
+from cablebot_gym.policies.isolated import public_entry
+from cablebot_gym.utils.code_hash import module_file
+
+PLANAR = "CableBot-Planar-v0"
+CHANGES = {"payload_max": 4.0}
+TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), blocks=(Block(changes=CHANGES),), best_known=False)
+HIDDEN = Suite(
+    name="hidden",
+    summary="hidden motions",
+    env_ids=(PLANAR,),
+    blocks=(Block(motion="hidden", changes=CHANGES), Block(changes=CHANGES)),
+    best_known=False,
+)
+CARD = ("--authors", "A. Author", "--licence", "BSD-3-Clause", "--compute", "1 h", "--data", "none", "--seeds", "0")
+LAW = """
+from pathlib import Path
+import numpy as np
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.policies import PolicyEntry
+
+GAINS = np.loadtxt(Path(__file__).with_name("gains.txt"))
+
+class Law:
+    def __init__(self, robot): self.robot, self.layout = robot, observation_layout(robot)
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        now = self.layout.split(observation)
+        error, rate = now["reference_pose"] - now["pose"], now["reference_velocity"] - now["velocity"]
+        acceleration = now["reference_acceleration"] + GAINS[0] * error + GAINS[1] * rate
+        mass = self.robot.mass + now["model_payload"][..., 0]
+        needed = inverse_dynamics(self.robot, mass, now["pose"], now["velocity"], acceleration, minimum=5.0)
+        return normalised_action(self.robot, needed.torques, needed.speeds), state
+
+PENDANT = PolicyEntry(name="pendant", kind="classical", env_ids=("CableBot-Planar-v0",), factory=Law, summary="")
+"""
+WHEEL = {
+    "pendant_law/__init__.py": "",
+    "pendant_law/laws.py": LAW,
+    "pendant_law/gains.txt": "400 40",
+    "pendant_law-1.2.dist-info/METADATA": "Metadata-Version: 2.1\nName: pendant-law\nVersion: 1.2\n",
+    "pendant_law-1.2.dist-info/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    "pendant_law-1.2.dist-info/entry_points.txt": "[cablebot_gym.policies]\npendant = pendant_law.laws:PENDANT\n",
+    "pendant_law-1.2.dist-info/RECORD": "",
+}
+"""Files of a package of others."""
+
+in_a_sandbox = pytest.mark.skipif(sandbox.sandbox_problem() != "", reason=sandbox.sandbox_problem())
+
+
+@pytest.fixture
+def command(cablebot, monkeypatch):
+    """Runs a command on tiny suites with one worker, which is this process."""
+    monkeypatch.setattr(suites, "SUITES", {"tiny": TINY, "hidden": HIDDEN} | suites.SUITES)
+    monkeypatch.setenv("CABLEBOT_SANDBOX", "on")
+    return lambda *arguments: cablebot(*arguments, "--workers", 1)
+
+
+@pytest.fixture
+def install(tmp_path):
+    """Installs the package of others into a folder, as pip does from a registry."""
+    wheel = tmp_path / "pendant_law-1.2-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as file:
+        for name, text in WHEEL.items():
+            file.writestr(name, text)
+
+    def run(target):
+        options = ("--no-deps", "--no-index", "-q", "--target", target)
+        subprocess.run([sys.executable, "-m", "pip", "install", *options, wheel], check=True, capture_output=True)
+
+    return run
+
+
+@pytest.fixture
+def source(tmp_path):
+    """Folder of the sources of a policy of others: the module ``mine.py`` and a file that it reads."""
+    (tmp_path / "work").mkdir(exist_ok=True)
+    (tmp_path / "work" / "mine.py").write_text(LAW, encoding="utf-8")
+    (tmp_path / "work" / "gains.txt").write_text("400 40", encoding="utf-8")
+    return tmp_path / "work"
+
+
+def record(entry):
+    return json.loads((entry / "verification.json").read_text(encoding="utf-8"))
+
+
+def change(path, edit):
+    data = json.loads(path.read_text(encoding="utf-8"))
+    edit(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+SUBMIT = ("--id", PLANAR, "--suite", "tiny", *CARD)
+
+
+@in_a_sandbox
+@pytest.mark.slow
+def test_package_of_others_is_submitted_verified_and_on_a_board(command, install, tmp_path, monkeypatch):
+    entry = Path("entries/pendant")
+    install(tmp_path / "site")
+    with pytest.MonkeyPatch.context() as author:
+        author.syspath_prepend(tmp_path / "site")
+        submitted = command("submit", "pendant", "--out", entry, *SUBMIT)
+        assert submitted.status == 0, submitted.err
+        assert "pendant, unverified" in submitted.out
+    public_entry.cache_clear()
+    module_file.cache_clear()
+    assert names(entry) == ["entry.json", "results.json"]
+    message = command("verify", entry).message(2)
+    assert "pip install --no-deps --only-binary :all: --target entries/pendant/packages pendant-law==1.2" in message
+    install(entry / "packages")
+    verified = command("verify", entry)
+    assert verified.status == 0, verified.err
+    found = record(entry)
+    assert (found["outcome"], found["network"]) == ("verified", "cut")
+    assert found["sandbox"].startswith("bubblewrap")
+    assert str(found["seed"]) not in (entry / "results.json").read_text(encoding="utf-8")
+    board = ("benchmark", "--suite", "hidden", "--policies", "fl", "--entries", "entries", "--out", "board")
+    committed = command(*board, "--commit", "1")
+    assert committed.status == 0, committed.err
+    ran = command(*board)
+    assert ran.status == 0, ran.err
+    page = Path("board/leaderboard.md").read_text(encoding="utf-8")
+    assert "| `entries/pendant` | pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0 | verified |" in page
+    assert "unverified" not in page
+    (entry / "packages/pendant_law/gains.txt").write_text("800 40", encoding="utf-8")
+    assert "does not match its card in pendant_law/gains.txt" in command("verify", entry).message(1)
+    assert record(entry)["outcome"] == "refused"
+
+
+READER = """
+class Reader(Law):
+    def reset(self, tasks):
+        for name in ("entries/reader/results.json", "verification/reader/run.json"):
+            if Path(name).exists(): self.layout = None
+        if Path.cwd().joinpath("mine.py").exists(): return
+        raise RuntimeError("where are my files?")
+"""
+
+
+@in_a_sandbox
+@pytest.mark.slow
+def test_policy_that_works_with_the_files_of_its_author_alone_is_refused(command, source):
+    """On the machine of its author it reads a file, and is good; in the sandbox there is none."""
+    (source / "mine.py").write_text(LAW + READER, encoding="utf-8")
+    sandbox.opt_out()
+    assert command("submit", "mine.py:Reader", "--out", "entries/reader", *SUBMIT).status == 0
+    os.environ["CABLEBOT_SANDBOX"] = "on"
+    message = command("verify", "entries/reader").message(1)
+    assert "rerun: policy 'entries/reader': it raised RuntimeError" in message
+
+
+@pytest.mark.slow
+def test_larger_claim_is_refused_and_its_folder_is_unverified(command, source):
+    """Without a sandbox, so that it runs everywhere."""
+    entry = Path("entries/mine")
+    sandbox.opt_out()
+    assert command("submit", "mine.py:Law", "--out", entry, *SUBMIT).status == 0
+    assert names(entry) == ["entry.json", "policy", "results.json"]
+    good = command("verify", entry, "--no-sandbox")
+    assert (good.status, record(entry)["outcome"]) == (0, "reproduced without a sandbox")
+    assert "with network and all files" in good.out
+    assert names(Path("verification/mine")) == []
+
+    def larger(results):
+        results["cells"][0]["result"]["payload"] += 0.5
+
+    change(entry / "results.json", larger)
+    message = command("verify", entry, "--no-sandbox").message(1)
+    assert "entry 'mine' is refused" in message
+    assert "claimed; rerun: it carries" in message
+
+
+def test_entry_needs_a_sandbox_or_consent_and_results(command, cablebot, source, monkeypatch):
+    monkeypatch.setattr(sandbox, "sandbox_problem", lambda: "bubblewrap is not installed")
+    for arguments in (("verify", "entries/mine"), ("benchmark", "--entries", "entries")):
+        message = command(*arguments).message(2)
+        assert "there is no sandbox: bubblewrap is not installed. --no-sandbox runs" in message
+    assert "--sandbox needs --isolate" in cablebot("dlcc", PLANAR, "--policy", "fl", "--sandbox").message(2)
+    texts = dict(zip((name.removeprefix("--") for name in CARD[::2]), CARD[1::2], strict=True))
+    make_entry(Path("entries/mine"), "mine.py:Law", [PLANAR], texts)
+    message = command("verify", "entries/mine", "--no-sandbox").message(1)
+    assert "entry 'mine' is refused: 'entries/mine/results.json' holds no results" in message
+    assert record(Path("entries/mine"))["sandbox"] is None

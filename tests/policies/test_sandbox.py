@@ -1,0 +1,68 @@
+"""The view of a sandboxed policy. tests/attacks shows that the sandbox keeps it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import cablebot_gym
+from cablebot_gym.policies import IsolatedPolicy, sandbox
+from cablebot_gym.robots import PLANAR
+
+
+@pytest.fixture
+def view(tmp_path, monkeypatch):
+    """Returns the paths that a policy sees, by whether it can write to them; its working directory has results."""
+    monkeypatch.setattr(sandbox, "check_sandbox", lambda: None)
+    for name in ("work/results/run.json", "work/mine.py", "work/pack/__init__.py", "work/entries/law/results.json"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("", encoding="utf-8")
+    (tmp_path / "work/entries/law/entry.json").write_text("{}", encoding="utf-8")
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setattr(sys, "path", [*sys.path, ""])
+
+    def seen(spec):
+        private = tmp_path / spec.replace("/", "-")
+        private.mkdir()
+        command = sandbox.sandboxed(["true"], spec, private)
+        assert command[-2:] == ["--", "true"]
+        bound = list(zip(command, command[1:], command[2:], strict=False))
+        read = {Path(to) for option, _, to in bound if option == "--ro-bind-try"}
+        written = {Path(to) for option, _, to in bound if option == "--bind"}
+        return read, written, private
+
+    return seen
+
+
+def test_policy_sees_modules_of_the_working_directory_and_no_results(view, tmp_path):
+    read, written, private = view("mine:make")
+    assert {one.name for one in read if one.is_relative_to(tmp_path)} == {"mine.py", "pack"}
+    assert Path(cablebot_gym.__file__).parent in read or Path(sys.prefix) in read
+    assert Path.home() not in read
+    assert private in written
+    assert all(one in (private, Path.home()) or one.name == "__pycache__" or "numba" in str(one) for one in written)
+
+
+def test_entry_sees_its_card_and_policy_and_neither_its_results_nor_the_working_directory(view, tmp_path):
+    read, _, _ = view("entries/law")
+    own = {one.relative_to(tmp_path).as_posix() for one in read if one.is_relative_to(tmp_path)}
+    assert own == {f"work/entries/law/{name}" for name in ("entry.json", "policy", "packages")}
+
+
+def test_machine_without_bubblewrap_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    monkeypatch.setattr(sandbox, "sandbox_problem", sandbox.sandbox_problem.__wrapped__)
+    with pytest.raises(ValueError, match=r"there is no sandbox: bubblewrap is not installed .*apt-get install"):
+        IsolatedPolicy("fl", PLANAR, sandbox=True)
+
+
+def test_machine_that_forbids_namespaces_says_so(monkeypatch):
+    denied = subprocess.CompletedProcess([], 1, "", "bwrap: setting up uid map: Permission denied\n")
+    monkeypatch.setattr("shutil.which", lambda name: name)
+    monkeypatch.setattr("subprocess.run", lambda *_, **__: denied)
+    assert sandbox.sandbox_problem.__wrapped__() == (
+        "bubblewrap is not permitted here (bwrap: setting up uid map: Permission denied)"
+    )
