@@ -44,10 +44,9 @@ def submit(
     unverified until `cablebot verify` has rerun it. An interrupted command resumes. The exit status is 1 if the policy
     fails.
 
-    Examples:
+    Example:
 
-    cablebot submit my_law.py:make --id CableBot-Planar-v0 --out entries/my-law --authors "A. Author" --licence MIT
-    --compute none --data none --seeds none --suite smoke
+    cablebot submit law:make --id CableBot-Planar-v0 --out pd --authors Me --licence MIT --compute 1h --data - --seeds 0
     """
     from cablebot_gym.benchmark import entries
     from cablebot_gym.benchmark.board import run_seed
