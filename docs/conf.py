@@ -1,7 +1,7 @@
 """Sphinx configuration. Build with ``sphinx-build -W --keep-going -q -b html docs FOLDER`` (extra ``docs``).
 
-The extension ``generate/`` in this folder generates the pages of environments, policies and modules and all pictures
-from the installed package.
+The extension ``generate/`` in this folder generates the pages of environments, policies and modules from the
+installed package.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"),
     (r"py:.*", r"(.*\.)?(_.*|AnyCell)"),
+    (r"py:obj", r"cablebot_gym\.(commands|INTERNAL)"),  # a group of entry points; a list without a page
 ]
 
 # A page for each public module. The extension "generate" empties the folder first.
@@ -62,3 +63,11 @@ html_theme = "furo"
 html_math_renderer = "mathml"
 html_title = f"cablebot_gym {release}"
 html_show_copyright = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_search_scorer = str(Path(__file__).parent / "generate" / "scorer.js")
+html_theme_options = {
+    "light_css_variables": {"figure-filter": "none"},
+    # White becomes the background of the dark theme.
+    "dark_css_variables": {"figure-filter": "invert(0.92) hue-rotate(180deg)"},
+}

@@ -20,5 +20,6 @@ while not (terminated or truncated):
     action, _ = policy.predict(observation)
     observation, reward, terminated, truncated, info = env.step(action)
 verdict = env.verdict
-print(f"largest position error {1e3 * verdict.position_peak:.2f} mm, largest action {max(verdict.peak_action):.2f}")
+print(f"largest position error {1e3 * verdict.position_peak:.2f} mm")
+print(f"largest action {max(verdict.peak_action):.2f}")
 print("carried" if verdict.carried else f"not carried: {verdict.violation}")

@@ -1,4 +1,4 @@
-"""Runs a thousand robots with different payloads in one compiled batch, and counts those that stay within 10 mm.
+"""Runs a thousand robots with different payloads in one batch, and counts those that stay within 10 mm.
 
 Run it: python examples/many_at_once.py
 """

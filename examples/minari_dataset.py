@@ -1,7 +1,8 @@
-"""Records a Minari dataset of an expert with several payloads, describes it, and replays it to the same observations.
+"""Records a Minari dataset of an expert with several payloads, describes it, and replays it.
 
-The expert is the learned policy `apg-circle`, which ships with the package. All files are written below FOLDER. Beside
-the data, `DATASHEET.md` describes the dataset for people and `croissant.json` for machines.
+The replay gives the same observations. The expert is the learned policy `apg-circle`, which ships with
+the package. All files are written below FOLDER. Beside the data, `DATASHEET.md` describes the dataset for
+people and `croissant.json` for machines.
 Needs the extra minari: pip install 'cablebot-gym[minari]'.
 
 Run it: python examples/minari_dataset.py [FOLDER]
@@ -35,7 +36,9 @@ def record() -> None:
         state, ended = None, False
         while not ended:
             action, state = expert.predict(observation, state)
-            action = action.astype(env.action_space.dtype)  # the dataset holds exactly the actions of the episode
+            action = action.astype(
+                env.action_space.dtype
+            )  # the dataset holds exactly the actions of the episode
             observation, _, terminated, truncated, _ = env.step(action)
             ended = terminated or truncated
     env.create_dataset(
@@ -45,7 +48,7 @@ def record() -> None:
         author="you",
         author_email="you@example.org",
         code_permalink="https://example.org/your/code",
-        description=f"apg-circle on circle-spatial, payload known, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg",
+        description=f"apg-circle on circle-spatial, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg (known)",
         requirements=[f"cablebot-gym=={cablebot_gym.__version__}"],
     )
     env.close()

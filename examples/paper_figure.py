@@ -1,4 +1,4 @@
-"""Draws the paper's Fig. 10: torques of all motors with their limits U±, and the path within its bound. Extra plot.
+"""Draws the paper's Fig. 10: torques of all motors with their limits U±, and the path. Extra plot.
 
 Run it: python examples/paper_figure.py [FILE.png]
 """

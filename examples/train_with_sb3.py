@@ -1,7 +1,8 @@
-"""Trains with Stable-Baselines3 on the compiled batch, saves the model, and evaluates it like any other policy.
+"""Trains with Stable-Baselines3 on the compiled batch, saves the model, and evaluates it. Extra sb3.
 
-The policy sets the torques 100 times per second. So short a training keeps it within the limits for longer, but it
-still fails unloaded; with a million steps it carries a payload. `cablebot train` steers a law instead. Extra sb3.
+The policy sets the torques 100 times per second. So short a training keeps it within the limits for
+longer, but it still fails unloaded; with a million steps it carries a payload. `cablebot train` steers a
+law instead.
 
 Run it: python examples/train_with_sb3.py [FOLDER]
 """

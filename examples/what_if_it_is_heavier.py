@@ -14,11 +14,18 @@ UNCERTAINTY = {
 
 if __name__ == "__main__":
     laws = ("fl", "fl-tuned", "adaptive")
-    compared = compare_policies(laws, "CableBot-Spatial-v0", payload=2.0, uncertainty=UNCERTAINTY, draws=16)
+    compared = compare_policies(
+        laws, "CableBot-Spatial-v0", payload=2.0, uncertainty=UNCERTAINTY, draws=16
+    )
     for one in compared.metrics:
         print(f"{one.policy}: {one.carried.mean():.0%} of the draws carry 2 kg")
     print(
         evaluate_dlcc(
-            "adaptive", "CableBot-Spatial-v0", uncertainty=UNCERTAINTY, draws=8, probability=0.75, payload_max=8
+            "adaptive",
+            "CableBot-Spatial-v0",
+            uncertainty=UNCERTAINTY,
+            draws=8,
+            probability=0.75,
+            payload_max=8,
         )
     )

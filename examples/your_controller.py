@@ -1,4 +1,4 @@
-"""Compares your own controller with the paper's: the same law with a lower reference, where cables are steeper.
+"""Compares your own controller with the paper's: the same law with a lower reference (steeper cables).
 
 Run it: python examples/your_controller.py
 """

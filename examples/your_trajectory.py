@@ -21,7 +21,7 @@ class Hop:
         fraction = np.clip(np.asarray(times, float) / self.duration, 0, 1)
         y = [HOP.deriv(order)(fraction) / self.duration**order for order in range(5)]
         names = ("position", "velocity", "acceleration", "jerk", "snap")
-        return Reference(**{name: np.stack([0 * value, value], axis=-1) for name, value in zip(names, y, strict=True)})
+        return Reference(**{k: np.stack([0 * v, v], axis=-1) for k, v in zip(names, y, strict=True)})
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from statistics import median
 from string import Template
 from typing import Any
 
-from readme_table import readme_table
+from page_blocks import readme_table
 
 from cablebot_baselines.paper.page import tally
 from cablebot_gym.benchmark.leaderboard import Results

@@ -89,8 +89,14 @@ def actions_replay_bit_for_bit(lines: list[str], folder: Path) -> bool:
     )
 
 
+def learned_policy_beats_the_laws(lines: list[str], folder: Path) -> bool:
+    carried = [float(line.split()[2]) for line in lines[1:]]
+    return lines[0] == "76 numbers observed, 6 motors" and carried == sorted(carried) and len(carried) == 3
+
+
 RESULTS: dict[str, Callable[[list[str], Path], bool]] = {
     "first_steps": lambda lines, folder: lines[-1] == "carried" and "reference_pose" in "".join(lines),
+    "ten_lines": learned_policy_beats_the_laws,
     "your_controller": own_controller_carries_more,
     "your_robot": stronger_motors_carry_more,
     "your_trajectory": faster_motions_carry_less,

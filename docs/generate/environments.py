@@ -18,25 +18,20 @@ from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import trajectory_names
-from generate.pages import Pages, all_leaderboards, env_links, table
+from generate.pages import Pages, all_leaderboards, table
 
 PICTURED = 0.3, 0.5
 """Fraction of the motion at which the picture is taken, and of the payload that the policy carries there [kg]."""
 
 
 def write(pages: Pages) -> None:
-    """Writes all pages, their pictures, and the table that lists them."""
-    rows = [["id", "cables", "coordinates", "platform mass [kg]", "joints", "observation size", "action size"]]
+    """Writes all pages and their pictures."""
     for env_id in ENV_IDS:
         env = gym.make(env_id, render_mode="rgb_array")
         plain: Any = env.unwrapped
-        robot: Robot = plain.task.robot
-        sizes = (str(robot.cables), str(robot.coordinates), f"{robot.mass:g}", robot.joints, str(plain.layout.size))
-        rows.append([env_links([env_id]), *sizes, str(robot.cables)])
         picture(env).save(pages.path(f"environments/{env_id}.png"))
         pages.write(f"environments/{env_id}.md", page(env_id, plain))
         env.close()
-    pages.write("environments.inc", table(rows))
 
 
 def page(env_id: str, env: CableBotEnv) -> str:

@@ -1,4 +1,4 @@
-"""Generated files, and functions that format Markdown tables and links."""
+"""Generated files, and a function that formats Markdown tables."""
 
 from __future__ import annotations
 
@@ -42,13 +42,3 @@ def table(rows: Iterable[Sequence[str]]) -> str:
 def all_leaderboards() -> tuple[Leaderboard, ...]:
     """The tables of the stored leaderboard."""
     return tuple(leaderboards(Results.from_json(RESULTS.read_text(encoding="utf-8")).records))
-
-
-def policy_link(name: str) -> str:
-    """Link to a policy's page."""
-    return f"[`{name}`](/generated/policies/{name}.md)"
-
-
-def env_links(env_ids: Iterable[str]) -> str:
-    """Links to the pages of environments."""
-    return ", ".join(f"[`{env_id}`](/generated/environments/{env_id}.md)" for env_id in env_ids)

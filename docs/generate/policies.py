@@ -10,16 +10,13 @@ from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym.benchmark.tables import column_titles, entry_text, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from generate.errata import mentioned
-from generate.pages import Pages, all_leaderboards, env_links, policy_link, table
+from generate.pages import Pages, all_leaderboards, table
 
 
 def write(pages: Pages) -> None:
-    """Writes all pages and the table that lists them."""
-    rows = [["policy", "kind", "made for", "summary"]]
+    """Writes all pages."""
     for entry in policy_entries().values():
-        rows.append([policy_link(entry.name), entry.kind, env_links(entry.env_ids), entry.summary])
         pages.write(f"policies/{entry.name}.md", page(entry))
-    pages.write("policies.inc", table(rows))
 
 
 def page(entry: PolicyEntry) -> str:
@@ -28,7 +25,9 @@ def page(entry: PolicyEntry) -> str:
     needs = "`pip install 'cablebot-gym[optimal]'`" if entry.kind == "optimal" else "no extra"
     commands = "".join(f"cablebot dlcc {env_id} --policy {entry.name}\n" for env_id in entry.env_ids)
     text = f"# `{entry.name}`\n\n{entry.summary[0].upper()}{entry.summary[1:]}.\n\n"
-    text += table([["kind", "made for", "needs"], [entry.kind, env_links(entry.env_ids), needs]])
+    text += table(
+        [["kind", "made for", "needs"], [entry.kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), needs]]
+    )
     text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the best known payload, task "
     text += f"criterion unless noted, from the [leaderboard](/leaderboard.md).\n\n{payloads(entry.name)}\n"
     text += "## How it works\n\n"
@@ -52,7 +51,7 @@ def policy_class(entry: PolicyEntry) -> type:
 def payloads(policy: str) -> str:
     """A table of a policy's payloads by condition and environment."""
     boards = [board for board in all_leaderboards() if policy in board.policies]
-    rows = [["", *(env_links([board.env_id]) for board in boards)]]
+    rows = [["", *(f"`{board.env_id}`" for board in boards)]]
     entries: dict[str, dict[str, str]] = {}
     for board in boards:
         for title, column in zip(column_titles(board), board.columns, strict=True):

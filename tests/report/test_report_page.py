@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from dataclasses import replace
 
 import pytest
@@ -17,7 +15,6 @@ from cablebot_gym.report.page import html, page_data
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
 LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(2)]
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def record(cell, **result):
@@ -116,21 +113,6 @@ def written(tmp_path_factory):
     (folder / "results.json").write_text(text, encoding="utf-8")
     report([folder], out=folder / "report.html", workers=1)
     return folder / "report.html"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    if path is None:
-        if os.environ.get("CI"):
-            pytest.fail("no Chromium is installed, and CI has to look at the page: apt-get install chromium")
-        pytest.skip("no Chromium is installed")
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture

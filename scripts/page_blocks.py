@@ -1,22 +1,38 @@
-"""Writes the README's leaderboard: the best policy of each kind, from the stored results.
+"""Writes the blocks of the hand-written pages that come from the code or from stored results.
 
-python scripts/readme_table.py
+A block stands between two comments, so that the page is plain Markdown, on the site and on a forge:
+
+    <!-- NAME: written by scripts/page_blocks.py -->
+    <!-- end of NAME -->
+
+NAME is ``leaderboard`` (the best policy of each kind), a table of ``cablebot list``, or a script in ``examples/``, with
+its output if the name ends in ``and output``.
+
+python scripts/page_blocks.py
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
 from cablebot_gym.benchmark.tables import motion_title
+from cablebot_gym.cli.listing import tables
 from cablebot_gym.policies import policy_entries
 
 ROOT = Path(__file__).resolve().parents[1]
 
-MARKS = "<!-- leaderboard: written by scripts/readme_table.py -->\n", "<!-- end of leaderboard -->"
+PAGES = ("README.md", "docs/index.md", "docs/getting-started.md", "docs/environments.md", "docs/policies.md")
+"""Pages with blocks."""
+
+WITH_OUTPUT = " and output"
+
+_BLOCK = re.compile(r"(<!-- (.+?): written by scripts/page_blocks\.py -->\n)(.*?)(<!-- end of \2 -->)", re.DOTALL)
 
 KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajectory optimisation"}
 """Kinds of policies and their headings."""
@@ -59,18 +75,40 @@ def _circle(column: Column) -> bool:
     return column == Column(motion=column.motion) and column.motion.startswith("circle-")
 
 
-def with_table(readme: str, table: str) -> str:
-    """The README's text with the table between its marks."""
-    start, end = (re.escape(mark) for mark in MARKS)
-    return re.sub(f"(?<={start}).*?(?={end})", table, readme, flags=re.DOTALL)
+def block(name: str) -> str:
+    """The text of a block.
+
+    Raises:
+        KeyError: if no block has this name.
+    """
+    if name == "leaderboard":
+        return readme_table(Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8")))
+    if name.startswith("examples/"):
+        script = ROOT / name.removesuffix(WITH_OUTPUT)
+        text = f"```python\n{script.read_text(encoding='utf-8')}```\n"
+        return f"{text}\n```text\n{output(script)}```\n" if name.endswith(WITH_OUTPUT) else text
+    head, *rows = {key: rows for key, _, rows in tables()}[name]
+    lines = [head, ["---"] * len(head), *([f"`{first}`" if first else "", *rest] for first, *rest in rows)]
+    return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
+
+
+def output(script: Path) -> str:
+    """What a script prints."""
+    return subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True).stdout
+
+
+def blocks(text: str) -> dict[str, str]:
+    """The blocks of a page by name, as they stand."""
+    return {name: body for _, name, body, _ in _BLOCK.findall(text)}
 
 
 def main() -> None:
-    """Writes README.md."""
+    """Writes the blocks of all pages."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
-    results = Results.from_json((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))
-    path = ROOT / "README.md"
-    path.write_text(with_table(path.read_text(encoding="utf-8"), readme_table(results)), encoding="utf-8")
+    for page in PAGES:
+        path = ROOT / page
+        text = path.read_text(encoding="utf-8")
+        path.write_text(_BLOCK.sub(lambda match: match[1] + block(match[2]) + match[4], text), encoding="utf-8")
 
 
 if __name__ == "__main__":

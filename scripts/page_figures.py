@@ -1,6 +1,12 @@
-"""The figures of the pages on DLCC and uncertainty, simulated when the pages are built."""
+"""Simulates and draws the figures of the pages on DLCC and uncertainty, docs/figures/*.png.
+
+python scripts/page_figures.py
+"""
 
 from __future__ import annotations
+
+import argparse
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +17,6 @@ from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.plotting.figures import DPI, TravelledPath, draw_success, draw_torques, new_figure, path_panels
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, ORANGE, VERMILLION
-from generate.pages import Pages
 
 ENV_ID, POLICY = "CableBot-Spatial-v0", "fl"
 
@@ -22,16 +27,21 @@ SCANNED = np.linspace(0, 8, 33)
 """Payloads of the scan [kg]."""
 
 
-def write(pages: Pages) -> None:
-    """Writes all figures."""
-    pictures = {
-        "line": draw_torques(evaluate_dlcc(POLICY, ENV_ID, criterion="task")),
+FOLDER = Path(__file__).resolve().parents[1] / "docs" / "figures"
+
+
+def write(folder: Path) -> list[Path]:
+    """Writes all figures to a folder and returns their paths."""
+    figures = {
+        "torques": draw_torques(evaluate_dlcc(POLICY, ENV_ID, criterion="task")),
         "errors": errors(),
         "payloads": payloads(),
         "draws": draw_success(evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)),
     }
-    for name, figure in pictures.items():
-        figure.savefig(pages.path(f"figures/{name}.png"), dpi=DPI, metadata={"Software": None})
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
+    return [folder / f"{name}.png" for name in figures]
 
 
 def errors() -> Figure:
@@ -84,3 +94,8 @@ def _scan(axes: Axes, known: bool) -> None:
         axes.annotate(text, (feasible[0][1], height), (6, 0), textcoords="offset points", va="center")
     title = payload_model_text(known)
     axes.set(xlabel="payload [kg]", xlim=(0, SCANNED[-1]), ylim=(-0.6, 2.5), title=title)
+
+
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
+    write(FOLDER)

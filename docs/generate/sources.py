@@ -1,0 +1,65 @@
+"""Adapts the hand-written pages, which are plain Markdown that a forge shows too, to the site: contents and links."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+from cablebot_gym import ENV_IDS
+from cablebot_gym.policies import policy_entries
+
+DOCS = Path(__file__).parents[1]
+
+REPORT = (
+    '<p><a href="report.html">The leaderboard as a page to sort and filter</a>, with recorded episodes, and maps of '
+    "the payload versus R, duration and K.</p>\n\n"
+)
+
+_TOP_FILE = re.compile(r"^\[.*\]\(\.\./(\w+\.md)\)\.?$", re.MULTILINE)
+_CELL = re.compile(r"(?<=\| )`[\w-]+`(?:, `[\w-]+`)*(?= \|)")
+_CODE = re.compile(r"`([\w-]+)`")
+_OBJECT = re.compile(r"(?<![}`\w])`(cablebot_(?:gym|baselines)(?:\.\w+)+)`(?!`)")
+
+
+def setup(app: Sphinx) -> None:
+    """Connects the event handler of this module."""
+    app.connect("source-read", adapt)
+
+
+def adapt(app: Sphinx, name: str, source: list[str]) -> None:
+    """Adapts the text of a Markdown page, in place.
+
+    * A paragraph that is only a link to a file at the top of the repository is replaced by that file.
+    * Names of environments and policies in the cells of tables link to their pages.
+    * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API reference.
+    * The home page gets the contents of the site; two pages get the list of their generated pages.
+    """
+    if not str(app.env.doc2path(name)).endswith(".md"):
+        return
+
+    def top_file(match: re.Match[str]) -> str:
+        app.env.note_dependency(DOCS.parent / match[1], docname=name)
+        text = (DOCS.parent / match[1]).read_text(encoding="utf-8")
+        return text.partition("\n")[2].replace("](docs/", "](")  # the page has its own title
+
+    text = _TOP_FILE.sub(top_file, source[0]).replace("](../LEADERBOARD.md)", "](/leaderboard.md)")
+    text = _CELL.sub(lambda cell: _CODE.sub(_linked, cell[0]), text)
+    text = _OBJECT.sub(r"{py:obj}`~\1`", text)
+    if name == "index":
+        text += "\n" + (DOCS / "contents.inc").read_text(encoding="utf-8")
+    if name in ("environments", "policies"):
+        text += f"\n```{{toctree}}\n:hidden:\n:glob:\n\ngenerated/{name}/*\n```\n"
+    if name == "leaderboard":
+        title, _, rest = text.partition("\n")
+        text = f"{title}\n\n{REPORT}{rest}"
+    source[0] = text
+
+
+def _linked(code: re.Match[str]) -> str:
+    """The name of an environment or policy with a link to its page; other code as it stands."""
+    for folder, names in (("environments", ENV_IDS), ("policies", policy_entries())):
+        if code[1] in names:
+            return f"[{code[0]}](/generated/{folder}/{code[1]}.md)"
+    return code[0]

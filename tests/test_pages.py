@@ -1,0 +1,87 @@
+"""The hand-written pages: their generated blocks are up to date, and a forge shows them as text, tables and links."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from unicodedata import combining
+
+import page_blocks
+import pytest
+
+ROOT = Path(__file__).parents[1]
+AGAIN = "write them anew: python scripts/page_blocks.py"
+
+MET_FIRST = (
+    *("README.md", "LEADERBOARD.md", "CHANGELOG.md", "CONTRIBUTING.md"),
+    *(
+        f"docs/{name}.md"
+        for name in ("index", "getting-started", "environments", "policies", "dlcc", "leaderboard", "faq")
+    ),
+)
+"""The README, and the pages that it and the home page lead to first."""
+
+LINE = 105
+"""Characters of code that fit on a page of the site at 1280 px."""
+
+BLOCKS = [
+    pytest.param(page, name, id=f"{page}: {name}", marks=pytest.mark.slow if "output" in name else [])
+    for page in page_blocks.PAGES
+    for name in page_blocks.blocks((ROOT / page).read_text(encoding="utf-8"))
+]
+
+_NUMBER = r"\d+\.\d+"
+
+
+def read(page):
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("page", "name"), BLOCKS)
+def test_block_is_that_of_code_and_results(page, name):
+    stored, anew = page_blocks.blocks(read(page))[name], page_blocks.block(name)
+    assert re.sub(_NUMBER, "", stored) == re.sub(_NUMBER, "", anew), AGAIN
+    numbers = [list(map(float, re.findall(_NUMBER, text))) for text in (stored, anew)]
+    assert numbers[0] == pytest.approx(numbers[1], abs=0.011), AGAIN  # machines round differently
+
+
+def test_code_of_the_home_page_is_that_of_the_example():
+    for name, text in page_blocks.blocks(read("docs/index.md")).items():
+        if name.endswith(page_blocks.WITH_OUTPUT):
+            assert text.startswith(page_blocks.block(name.removesuffix(page_blocks.WITH_OUTPUT))), AGAIN
+
+
+@pytest.mark.parametrize("page", MET_FIRST)
+def test_page_is_plain_markdown(page):
+    """A forge shows directives and roles as code."""
+    assert re.findall(r"^(?:```|:::+)\{.*|\{[a-z:-]+\}`", read(page), re.MULTILINE) == []
+
+
+@pytest.mark.parametrize("page", MET_FIRST)
+def test_every_link_leads_to_a_file_of_the_repository(page):
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", read(page))
+    assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
+    assert [link for link in links if "generated/" in link] == []  # git ignores that folder
+
+
+def width(line):
+    return sum(not combining(character) for character in line)
+
+
+def test_code_fits_on_the_page():
+    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "your-own").glob("*.md")]
+    for path in set(pages) - {ROOT / "docs" / "learned.md"}:  # its commands wrap
+        code = "\n".join(re.findall(r"^```.*?^```", path.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE))
+        assert [line for line in code.splitlines() if width(line) > LINE] == [], path
+
+
+@pytest.mark.slow
+def test_figures_are_those_of_the_present_code(tmp_path):
+    pytest.importorskip("matplotlib")
+    import page_figures
+    from matplotlib.testing.compare import compare_images
+
+    for drawn in page_figures.write(tmp_path):
+        stored = page_figures.FOLDER / drawn.name
+        different = compare_images(str(stored), str(drawn), tol=8)
+        assert different is None, f"draw them anew: python scripts/page_figures.py\n{different}"
