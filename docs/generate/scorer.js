@@ -1,7 +1,7 @@
-// Pages come before the API reference, which has an entry for every argument and field.
-const API = "generated/api/";
+// Written pages come first, then generated ones, and last the API reference with an entry for every argument and field.
+const LATER = [["generated/api/", 30], ["generated/", 9]];
 var Scorer = {
-  score: ([page, , , , score]) => page.startsWith(API) ? score - 30 : score,
+  score: ([page, , , , score]) => score - (LATER.find(([folder]) => page.startsWith(folder)) ?? ["", 0])[1],
   objNameMatch: 11, objPartialMatch: 6, objPrio: { 0: 15, 1: 5, 2: -5 }, objPrioDefault: 0,
   title: 15, partialTitle: 7, term: 5, partialTerm: 2,
 };

@@ -37,6 +37,7 @@ FOUND = {
     "TensorBoard": "faq",
     "headless": "faq",
     "payload": "dlcc",
+    "trajopt-margin": "generated/policies/trajopt-margin",
     "install": "index",
     "resume": "training",
 }
