@@ -1,23 +1,25 @@
 """Robots as data: geometry, inertia, motors and transmission. Each value of the paper's robots cites its table.
 
-Define a custom robot as a :class:`Robot`. Its constructor raises an error if the robot is not physically possible.
-All values are in SI units and radians, motor speeds in rad/s.
+Define a custom robot as a :class:`Robot`, or in a TOML file, see :func:`load_robot`. An error is raised if the robot is
+not physically possible. All values are in SI units and radians, motor speeds in rad/s.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from cablebot_gym.kinematics import SPATIAL_COORDINATES, Array, cable_lengths, structure_jacobian
-from cablebot_gym.utils.checks import choice, number, numbers, record
+from cablebot_gym.utils.checks import mapping, number, numbers, record, unknown_name_error
 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""
@@ -130,6 +132,30 @@ def _per_motor(part: Literal["motors", "transmission"], field: str) -> cached_pr
 
 
 @dataclass(frozen=True, kw_only=True)
+class Defaults:
+    """Defaults of the environments and evaluations of a robot. None and omitted keys stand for the usual defaults."""
+
+    trajectory: str | Mapping[str, Any] | None = None
+    """Reference motion, as for :func:`~cablebot_gym.trajectories.find_trajectory`."""
+    error_bounds: Mapping[str, float] | None = None
+    """Bounds of the tracking error: ``position`` [m] and ``rotation`` [rad]."""
+    payload_range: tuple[float, float] | None = None
+    """(low, high), the payloads that the robot is used with [kg]; ≥ 0. Scans end at ``high``. The commands that run an
+    episode with one payload use ``low`` if none is given."""
+
+    def __post_init__(self) -> None:
+        mapping("error_bounds", self.error_bounds or {}, ("position", "rotation"))
+        if self.payload_range is not None:
+            form = "(low, high)"
+            low, high = numbers("payload_range", self.payload_range, shapes=[(2,)], form=form, least=0).tolist()
+            object.__setattr__(self, "payload_range", (low, number("payload_range", high, above=low, unit="kg")))
+
+    def payload(self, usual: float) -> float:
+        """Payload of an episode [kg]; ``usual`` without a range."""
+        return usual if self.payload_range is None else self.payload_range[0]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Robot:
     """One cable robot. The number of columns of ``base_anchors`` determines its kind.
 
@@ -167,12 +193,15 @@ class Robot:
     workspace: tuple[tuple[float, float], ...] = ()
     """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors; for a spatial robot, also a
     depth up to the diagonal of that box and angles within ± 1 rad."""
+    defaults: Defaults = dataclasses.field(default=Defaults(), compare=False, repr=False)
+    """Default motion, error bounds and payload range. Robots that differ only in these are equal."""
 
     def __post_init__(self) -> None:
         for name in ("base_anchors", "platform_anchors", "inertia", "home_pose", "workspace"):
             object.__setattr__(self, name, _as_tuples(getattr(self, name)))  # accept lists and arrays
         object.__setattr__(self, "motors", record("motors", Motors, self.motors))
         object.__setattr__(self, "transmission", record("transmission", Transmission, self.transmission))
+        object.__setattr__(self, "defaults", record("defaults", Defaults, self.defaults))
         _check_fields(self)
         _check_units(self)
         _check_geometry(self)
@@ -265,8 +294,11 @@ class Robot:
         return dataclasses.replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """The robot as JSON-able data, which :meth:`from_dict` reads."""
-        return dataclasses.asdict(self)
+        """The robot as JSON-able data, which :meth:`from_dict` reads. Usual defaults are left out."""
+        data = dataclasses.asdict(self)
+        if self.defaults == Defaults():
+            del data["defaults"]
+        return data
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Robot:
@@ -426,8 +458,31 @@ ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL, FLE
 """The paper's robots by name."""
 
 
-def find_robot(robot: str | Mapping[str, Any] | Robot) -> Robot:
-    """A robot from a name, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
+def load_robot(path: str | Path) -> Robot:
+    """A robot from a TOML file with the fields of :class:`Robot`, and with the optional table :class:`Defaults`.
+
+    A default motion ``file.py:name`` is relative to the folder of the TOML file.
+
+    Raises:
+        ValueError: if the file cannot be read or does not describe a physical robot. The message names the file.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        robot = Robot.from_dict(data)
+    except OSError as error:
+        raise ValueError(f"cannot read robot file {str(path)!r}: {error.strerror}") from error
+    except ValueError as error:  # of the TOML, too
+        raise ValueError(f"robot file {str(path)!r}: {error}") from error
+    motion = robot.defaults.trajectory
+    if not isinstance(motion, str) or ".py:" not in motion:
+        return robot
+    defaults = dataclasses.replace(robot.defaults, trajectory=str(path.absolute().parent / motion))
+    return robot.replace(defaults=defaults)
+
+
+def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
+    """A robot from a name, from a TOML file, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
 
     Raises:
         ValueError: if the name is unknown or the data do not describe a physical robot.
@@ -436,4 +491,8 @@ def find_robot(robot: str | Mapping[str, Any] | Robot) -> Robot:
         return robot
     if isinstance(robot, Mapping):
         return Robot.from_dict(robot)
-    return ROBOTS[choice("robot", robot, ROBOTS, ", or pass a Robot")]
+    if isinstance(robot, (str, Path)) and Path(robot).suffix == ".toml":
+        return load_robot(robot)
+    if robot not in ROBOTS:
+        raise unknown_name_error("robot", robot, ROBOTS, ", a .toml file, or pass a Robot")
+    return ROBOTS[str(robot)]

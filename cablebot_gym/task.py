@@ -12,7 +12,7 @@ import numpy as np
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.trajectories import BetweenDwells, Reference, Trajectory
-from cablebot_gym.utils.checks import number, record
+from cablebot_gym.utils.checks import mapping, number, record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,26 +43,31 @@ class ErrorBounds:
         return replace(self, **changes)
 
 
-def find_error_bounds(error_bounds: ErrorBounds | dict[str, float] | None, robot: Robot | None = None) -> ErrorBounds:
-    """Error bounds from an :class:`ErrorBounds`, from ``{"position": …, "rotation": …}``, or the default for None.
+def find_error_bounds(
+    error_bounds: ErrorBounds | Mapping[str, float] | None, robot: Robot | None = None
+) -> ErrorBounds:
+    """Error bounds from an :class:`ErrorBounds` or from ``{"position": …, "rotation": …}``.
 
     Args:
-        error_bounds: the bounds.
-        robot: robot to which they apply; None if it is not known yet.
+        error_bounds: the bounds; None and omitted keys stand for the defaults.
+        robot: robot to which they apply, whose own defaults come before the usual ones; None if it is not known yet.
 
     Raises:
         ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the diagonal of the
             robot's workspace.
     """
-    bounds = record("error_bounds", ErrorBounds, {} if error_bounds is None else error_bounds)
+    if not isinstance(error_bounds, ErrorBounds):
+        own = record("error_bounds", ErrorBounds, (robot.defaults.error_bounds if robot else None) or {})
+        given = mapping("error_bounds", error_bounds or {}, vars(own))
+        error_bounds = record("error_bounds", ErrorBounds, vars(own) | given)
     if robot is not None:
         largest = float(np.linalg.norm(np.diff(robot.pose_bounds[:, :3], axis=0)))
-        if bounds.position > largest:
+        if error_bounds.position > largest:
             raise ValueError(
                 f"error_bounds.position must be at most {largest:.3g} m, the diagonal of the workspace of robot "
-                f"{robot.name!r}, not {bounds.position:g} m: a bound of 10 mm is 0.01"
+                f"{robot.name!r}, not {error_bounds.position:g} m: a bound of 10 mm is 0.01"
             )
-    return bounds
+    return error_bounds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

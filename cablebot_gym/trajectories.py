@@ -1,4 +1,4 @@
-"""Reference motions with time derivatives in closed form: the paper's circles, smooth motions and random loops.
+"""Reference motions with time derivatives in closed form: the paper's circles, smooth motions, chains, random loops.
 
 Most named motions are :class:`BetweenDwells`: the robot rests at the start pose first and at the end pose last.
 
@@ -12,13 +12,15 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
+from numbers import Real
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.utils.checks import mapping, number, numbers, unknown_name_error, whole
+from cablebot_gym.utils.imports import import_object
 
 Array = NDArray[np.float64]
 
@@ -303,6 +305,96 @@ class BetweenDwells:
 
 _RATES = ("velocity", "acceleration", "jerk", "snap")
 
+MEETING_TOLERANCE = 1e-9
+"""Largest distance between the end of a part of :class:`Chain` and the start of the next part [m, rad]."""
+
+REST_TOLERANCE = 1e-6
+"""Largest rate of a part of :class:`Chain` at its ends, up to snap [m, rad, and per sᵏ]; rounding leaves less."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """Motions one after the other, such as to pick, dwell and place. Each starts and ends at rest, so the chain is C⁴.
+
+    Raises:
+        ValueError: if there is no motion, a part is not a :class:`Trajectory`, moves at one of its ends, or does not
+            start where the part before it ends.
+    """
+
+    motions: tuple[Trajectory, ...]
+    """The parts in their order. A number among them is a dwell of this length [s] at the pose where the robot is."""
+    name: str = "chain"
+    """Name shown in tables and error messages."""
+
+    def __post_init__(self) -> None:
+        given = self.motions
+        if not isinstance(given, (list, tuple)) or not given or isinstance(given[0], Real):
+            raise ValueError(f"motions must be a list that starts with a motion, not {given!r}")
+        parts: list[Trajectory] = []
+        for index, part in enumerate(given, 1):
+            if isinstance(part, Real):
+                end = parts[-1](parts[-1].duration).position
+                length = number(f"motions: dwell {index}", part, above=0, unit="s")
+                part = Dwell(name=f"dwell-{KINDS[len(end)]}", pose=tuple(end.tolist()), duration=length)
+            if not isinstance(part, Trajectory) or isinstance(part, type):
+                raise ValueError(f"motions: part {index} must be a Trajectory or the length of a dwell, not {part!r}")
+            self._check_part(index, part, parts[-1] if parts else None)
+            parts.append(part)
+        object.__setattr__(self, "motions", tuple(parts))
+
+    @staticmethod
+    def _check_part(index: int, part: Trajectory, before: Trajectory | None) -> None:
+        """Checks that a part starts and ends at rest, where the part before it ends."""
+        label = f"motions: part {index}, {part.name!r},"
+        for time, verb in ((0.0, "starts"), (part.duration, "ends")):
+            reference = part(time)
+            for order in _RATES:
+                if (rate := float(np.max(np.abs(getattr(reference, order))))) > REST_TOLERANCE:
+                    remedy = (
+                        ', or give it "dwell": 0.3' if part.name in TRAJECTORIES else ", or put it in BetweenDwells"
+                    )
+                    raise ValueError(
+                        f"{label} {verb} with a nonzero {order} ({rate:.3g}): use a motion from rest to rest{remedy}"
+                    )
+        if before is None:
+            return
+        if part.coordinates != before.coordinates:
+            raise ValueError(f"{label} has {part.coordinates} coordinates and the part before it {before.coordinates}")
+        start, end = part(0.0).position, before(before.duration).position
+        if np.max(np.abs(start - end)) > MEETING_TOLERANCE:
+            raise ValueError(
+                f"{label} starts at {start.tolist()}, but {before.name!r} before it ends at {end.tolist()}: change one "
+                "of the poses, or add a line between them"
+            )
+
+    @property
+    def duration(self) -> float:
+        """Duration of all parts [s]."""
+        return float(self._starts[-1])
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates n of the pose."""
+        return self.motions[0].coordinates
+
+    @cached_property
+    def _starts(self) -> Array:
+        """Start time of each part, then the end of the last one [s]."""
+        return np.cumsum([0.0, *(part.duration for part in self.motions)])
+
+    def __call__(self, times: ArrayLike) -> Reference:
+        """The motion at ``times`` [s], see :class:`Trajectory`."""
+        times = np.asarray(times, float)
+        index = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, len(self.motions) - 1)
+        orders = {order: np.zeros((*times.shape, self.coordinates)) for order in ("position", *_RATES)}
+        for number_of, part in enumerate(self.motions):
+            chosen = index == number_of
+            reference = part(times[chosen] - self._starts[number_of])
+            for order, values in orders.items():
+                values[chosen] = getattr(reference, order)
+        return Reference(**orders)
+
+
 TRAINING_SEEDS = range(10_000)
 """Seeds of :class:`RandomLoop` for training and tuning."""
 
@@ -510,6 +602,25 @@ def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[
     return between_dwells
 
 
+def _chain(coordinates: int, *motions: Any) -> Callable[..., BetweenDwells]:
+    """Factory of a chain between dwells. Named parts have no dwells of their own unless ``dwell`` is given."""
+
+    def part(motion: Any) -> Any:
+        if isinstance(motion, Mapping):
+            motion = {"dwell": 0.0, **motion} if "dwell" in _fields_of(motion.get("name")) else motion
+        return motion if isinstance(motion, Real) else find_trajectory(motion, coordinates)
+
+    def chain(*, motions: Any = motions, name: str = f"chain-{KINDS[coordinates]}") -> Chain:
+        return Chain(motions=tuple(map(part, motions)) if isinstance(motions, (list, tuple)) else motions, name=name)
+
+    return _between_dwells(chain)
+
+
+def _fields_of(name: Any) -> set[str]:
+    """Fields of a named motion; empty if there is none of this name."""
+    return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"} if name in TRAJECTORIES else set()
+
+
 _PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
 _SPATIAL_CIRCLE: dict[str, Any] = {"radius": 0.1, "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1)}  # Table 3
 
@@ -548,6 +659,24 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
         reach=(0.1, 0.01, 0.03),
         acceleration=(9.0, 2.5, 3.0),
     ),
+    # Pick, dwell and place: out and back along the named lines.
+    "chain-planar": _chain(
+        2,
+        {"name": "line-planar", "duration": 1.0},
+        DWELL,
+        {"name": "line-planar", "start": (0.1, 0.15), "end": (-0.1, -0.1), "duration": 1.0},
+    ),
+    "chain-spatial": _chain(
+        6,
+        {"name": "line-spatial", "duration": 1.0},
+        DWELL,
+        {
+            "name": "line-spatial",
+            "start": (0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
+            "end": (-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
+            "duration": 1.0,
+        },
+    ),
 }
 """Factories of the named motions. Each accepts the fields of its class as optional keywords, and ``dwell`` if the
 motion is :class:`BetweenDwells`: all except ``paper-…``, the paper's circles as printed, and ``dwell-…``."""
@@ -567,30 +696,57 @@ def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, coordinate
 
     Args:
         trajectory: a name of :func:`trajectory_names`, JSON-able data such as ``{"name": "circle-spatial", "duration":
-            1.5, "dwell": 0.5}``, where ``duration`` is that of the motion between the dwells, or an object that
-            satisfies :class:`Trajectory`.
+            1.5, "dwell": 0.5}``, where ``duration`` is that of the motion between the dwells, an object that satisfies
+            :class:`Trajectory`, or the place of one: ``file.py:name`` or ``package.module:name``. The object there may
+            also be a function or a class that makes the trajectory without arguments.
         coordinates: the robot's number of coordinates n, 2 planar or 6 spatial.
 
     Raises:
         ValueError: if the name, a field or a value is invalid, or the trajectory is for another kind of robot.
     """
-    names = trajectory_names(coordinates)
     if isinstance(trajectory, str):
-        trajectory = {"name": trajectory}
+        trajectory = _imported(trajectory) if ":" in trajectory or trajectory.endswith(".py") else {"name": trajectory}
     if isinstance(trajectory, Mapping):
         fields = dict(trajectory)
         name = fields.pop("name", None)
-        if name not in names:
-            raise unknown_name_error("trajectory", name, names)
-        valid = set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"}
-        trajectory = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(valid)))
+        found = None
+        if name in TRAJECTORIES:
+            found = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(_fields_of(name))))
+        if found is None or found.coordinates != coordinates:
+            raise unknown_name_error("trajectory", name, trajectory_names(coordinates))
+        trajectory = found
     elif not isinstance(trajectory, Trajectory) or isinstance(trajectory, type):
-        raise unknown_name_error(
-            "trajectory", trajectory, names, ", a dict with one of these as 'name', or pass a Trajectory"
-        )
+        other = ", a dict with one of these as 'name', or pass a Trajectory"
+        raise unknown_name_error("trajectory", trajectory, trajectory_names(coordinates), other)
     number("duration", trajectory.duration, above=0, unit="s")
     if trajectory.coordinates != coordinates:
         raise ValueError(
             f"{trajectory.name!r} has {trajectory.coordinates} coordinates and the robot has {coordinates}"
         )
     return trajectory
+
+
+@cache
+def _imported(place: str) -> Trajectory:
+    """The trajectory at ``file.py:name`` or ``package.module:name``; the same object in all calls.
+
+    Raises:
+        ValueError: if there is no such object, its code raises, or it neither is nor makes a trajectory.
+    """
+    try:
+        found = import_object(place)
+        ready = isinstance(found, Trajectory) and not isinstance(found, type)
+        made = found if ready or not callable(found) else found()
+    except (ValueError, ImportError):
+        raise
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"trajectory {place!r} raises {text}. Name a Trajectory, or a function without arguments that returns one"
+        ) from error
+    if not isinstance(made, Trajectory) or isinstance(made, type):
+        raise ValueError(
+            f"trajectory {place!r} gives {made!r}, which is no Trajectory: an object with name, duration, coordinates "
+            "and a call that returns a Reference"
+        )
+    return made

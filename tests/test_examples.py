@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -123,6 +124,22 @@ def test_example_prints_its_result(example, tmp_path):
     assert "Traceback" not in ran.stderr
     assert RESULTS[example.stem](ran.stdout.splitlines(), tmp_path), ran.stdout
     assert f"python examples/{example.name}" in example.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_notebook_prints_its_stored_output(tmp_path):
+    """Its code runs as one script: tests need no Jupyter. `jupyter nbconvert --execute --inplace` stores outputs."""
+    cells = json.loads((EXAMPLES[0].parent / "tour.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    script = "\n".join("".join(cell["source"]) for cell in code)
+    command = [sys.executable, "-c", script]
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert ran.returncode == 0, ran.stderr
+    outputs = [output for cell in code for output in cell["outputs"]]
+    stored = "".join("".join(output["text"]) for output in outputs if "text" in output)
+    assert payloads(ran.stdout.splitlines()) == pytest.approx(payloads(stored.splitlines()), abs=2e-3)
+    assert len(ran.stdout.splitlines()) == len(stored.splitlines())
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == 2
 
 
 def test_own_robot_trajectory_controller_and_reward_take_less_than_30_lines():

@@ -8,6 +8,7 @@ import json
 import math
 import pickle
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -15,8 +16,10 @@ from hypothesis import strategies as st
 from oracles.plants import UNEQUAL, each_of
 from scipy.optimize import linprog
 
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.kinematics import structure_jacobian
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, ROBOTS, RPM, SPATIAL, Robot, Transmission, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, ROBOTS, RPM, SPATIAL, Defaults, Robot, Transmission, find_robot
+from cablebot_gym.task import ErrorBounds, find_error_bounds
 
 NAN, INF = math.nan, math.inf
 WALLED = PLANAR.replace(name="walled", workspace=((-0.3, 0.3), (-0.2, 0.4)))
@@ -282,5 +285,69 @@ def test_robots_are_found_by_name():
     assert {name: find_robot(name).name for name in ROBOTS} == {name: name for name in ROBOTS}
     assert find_robot("planar") is PLANAR
     assert find_robot(UNEQUAL) is UNEQUAL
-    with pytest.raises(ValueError, match="choose one of planar, spatial, flex-planar, flex-spatial, or pass a Robot"):
+    names = "planar, spatial, flex-planar, flex-spatial, a .toml file, or pass a Robot"
+    with pytest.raises(ValueError, match=f"choose one of {names}"):
         find_robot("cubical")
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+FILE = """
+name = "square"
+base_anchors = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+mass = 2.0
+home_pose = [0.0, 0.0]
+motors = {stall_torque = 8.0, free_speed = 100.0}
+transmission = {pulley_radius = 0.05, pulley_inertia = 8e-4}
+[defaults]
+trajectory = {name = "line-planar", duration = 0.5}
+error_bounds = {position = 0.005}
+payload_range = [0.5, 3.0]
+"""
+
+
+@pytest.fixture
+def robot_file(tmp_path):
+    path = tmp_path / "square.toml"
+    path.write_text(FILE, encoding="utf-8")
+    return path
+
+
+def test_defaults_of_a_robot_file_reach_environments_and_evaluations(robot_file):
+    env = gym.make("CableBot-Planar-v0", robot=str(robot_file))
+    env.reset(seed=0)
+    task = env.unwrapped.task
+    assert (task.robot.name, task.trajectory.duration, task.error_bounds.position) == ("square", 1.1, 0.005)
+    assert task.error_bounds.rotation == 0.01, "the bound that the file leaves out is the usual one"
+    result = evaluate_dlcc("fl", "CableBot-Planar-v0", robot=robot_file, resolution=1.0)
+    assert (result.payload_max, result.error_bounds["position"]) == (3.0, 0.005)
+    assert find_error_bounds({"rotation": 0.02}, task.robot) == ErrorBounds(position=0.005, rotation=0.02)
+
+
+def test_robot_survives_dict_and_pickle_with_its_defaults(robot_file):
+    robot = find_robot(robot_file)
+    for other in (Robot.from_dict(robot.to_dict()), pickle.loads(pickle.dumps(robot))):
+        assert (other, other.defaults) == (robot, robot.defaults)
+    assert robot == robot.replace(defaults=Defaults()), "defaults do not change the plant"
+    assert "defaults" not in PLANAR.to_dict(), "stored results have none"
+
+
+def test_motion_file_of_a_robot_file_is_beside_it(robot_file):
+    text = FILE.replace('{name = "line-planar", duration = 0.5}', '"own.py:motion"')
+    robot_file.write_text(text, encoding="utf-8")
+    assert find_robot(robot_file).defaults.trajectory == f"{robot_file.parent / 'own.py'}:motion"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mass", "mas", "unknown key of robot 'mas'.* did you mean 'mass'?"),
+        ("2.0", "", "Invalid value"),
+        ("position", "postion", "did you mean 'position'?"),
+        ("[0.5, 3.0]", "[3.0, 0.5]", "payload_range must be a finite number greater than 3 kg"),
+    ],
+)
+def test_error_in_a_robot_file_names_the_file_and_the_key(robot_file, old, new, message):
+    robot_file.write_text(FILE.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=f"square.toml.*{message}"):
+        find_robot(robot_file)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from cablebot_gym.trajectories import (
     KINDS,
     TRAJECTORIES,
     BetweenDwells,
+    Chain,
     Dwell,
     Lemniscate,
     PaperCircle,
@@ -29,6 +32,7 @@ from cablebot_gym.trajectories import (
 )
 
 NAMES = list(TRAJECTORIES)
+SCALED = [name for name in NAMES if not name.startswith("chain")]
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 POSE = (0.02, -0.03, 0.12, 0.01, -0.02, 0.03)
 END = tuple(-2 * value + 0.1 for value in POSE)
@@ -116,7 +120,7 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
     np.testing.assert_allclose(computed, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
 
 
-@given(duration=st.floats(0.05, 50), fraction=st.floats(0, 1), name=st.sampled_from(NAMES))
+@given(duration=st.floats(0.05, 50), fraction=st.floats(0, 1), name=st.sampled_from(SCALED))
 def test_duration_scales_each_derivative_and_keeps_the_path(duration: float, fraction: float, name: str) -> None:
     unit, stretched = without_dwells(name, duration=1.0), without_dwells(name, duration=duration)
     powers = duration ** np.arange(5)
@@ -156,6 +160,79 @@ def test_named_motions_have_dwells_and_the_printed_circle_has_none() -> None:
         assert circle.coordinates == kind
         with pytest.raises(ValueError, match="unknown key of trajectory 'dwell'"):
             find_trajectory({"name": f"paper-{robot}", "dwell": 0.3}, kind)
+
+
+# --- chains -------------------------------------------------------------------------------------------------------
+
+
+def test_chain_derivatives_equal_finite_differences() -> None:
+    """At the joints too, where the parts and a dwell meet."""
+    motion, step = TRAJECTORIES["chain-spatial"](), 1e-5
+    times = np.concatenate([np.linspace(0, motion.duration + 0.2, 501), 0.3 + np.array([0, 1.0, 1.3, 2.3])])
+    before, values, after = (stacked(motion(times + offset)) for offset in (-step, 0, step))
+    slope = (after - before)[:-1] / (2 * step)
+    scale = np.abs(values[1:]).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(slope / scale, values[1:] / scale, atol=1e-4)  # the next derivative jumps
+
+
+def test_number_in_a_chain_is_a_dwell_where_the_robot_is() -> None:
+    line = PointToPoint(start=(0.0, 0.0), end=(0.2, 0.1), duration=0.5)
+    back = PointToPoint(start=line.end, end=line.start, duration=1.0)
+    chain = Chain(motions=(line, 0.25, back))
+    assert chain.duration == 1.75
+    np.testing.assert_array_equal(stacked(chain([0.5, 0.6, 0.75])), stacked(Dwell(pose=line.end)([0.0, 0.1, 0.2])))
+    np.testing.assert_array_equal(stacked(chain([0.2, 0.3])), stacked(line([0.2, 0.3])))
+    np.testing.assert_array_equal(chain(1.25).position, [0.1, 0.05])
+
+
+LINE = {"name": "line-planar", "start": [0.0, 0.0], "end": [0.1, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("motions", "message"),
+    [
+        (
+            [LINE, LINE],
+            r"part 2, 'line-planar', starts at \[0.0, 0.0\], but 'line-planar' before it ends at \[0.1, 0.0\]",
+        ),
+        ([{"name": "circle-planar"}], 'starts with a nonzero acceleration .* or give it "dwell": 0.3'),
+        ([0.3, LINE], "must be a list that starts with a motion"),
+        ([LINE, -0.3], "dwell 2 must be a finite number greater than 0 s"),
+        ([LINE, {"name": "line-spatial"}], "unknown trajectory 'line-spatial'"),
+    ],
+)
+def test_chain_of_parts_that_do_not_meet_is_refused(motions: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        find_trajectory({"name": "chain-planar", "motions": motions}, 2)
+
+
+# --- motions in files ---------------------------------------------------------------------------------------------
+
+FILE = """
+from cablebot_gym.trajectories import PointToPoint
+class Shift(PointToPoint):
+    def __init__(self):
+        super().__init__(start=(0.0, 0.0), end=(0.1, 0.0))
+def shift():
+    return Shift()
+ready, number = Shift(), 3
+def broken():
+    raise RuntimeError("lost")
+"""
+
+
+def test_motion_of_a_file_is_found_by_the_name_of_object_class_or_function(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    path = tmp_path / "own_motion_of_a_test.py"
+    path.write_text(FILE, encoding="utf-8")
+    found = [find_trajectory(f"{path}:{name}", 2) for name in ("ready", "Shift", "shift")]
+    assert [motion(99.0).position.tolist() for motion in found] == [[0.1, 0.0]] * 3
+    assert find_trajectory(f"{path}:shift", 2) is found[2], "one object, so that all environments share one table"
+    for name, message in (("number", "gives 3, which is no Trajectory"), ("broken", "raises RuntimeError: lost")):
+        with pytest.raises(ValueError, match=message):
+            find_trajectory(f"{path}:{name}", 2)
 
 
 # --- the ends -----------------------------------------------------------------------------------------------------
@@ -206,7 +283,7 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
 
 
 def test_registry_has_all_names() -> None:
-    kinds = ["circle", "paper", "smooth-circle", "dwell", "line", "lemniscate", "loop"]
+    kinds = ["circle", "paper", "smooth-circle", "dwell", "line", "lemniscate", "loop", "chain"]
     assert trajectory_names(2) == [f"{kind}-planar" for kind in kinds]
     assert trajectory_names(6) == [f"{kind}-spatial" for kind in kinds]
     assert sorted(trajectory_names()) == sorted(trajectory_names(2) + trajectory_names(6))
@@ -227,10 +304,11 @@ def test_default_motion_stays_within_the_triangle_and_the_workspace(name: str) -
 
 @every_name
 def test_motion_survives_json(name: str) -> None:
-    motion: Any = TRAJECTORIES[name](duration=1.25)
+    fields = {"motions": [{"name": "line-" + name.split("-")[1]}, 1.25]} if "chain" in name else {"duration": 1.25}
+    motion: Any = TRAJECTORIES[name](**fields)
     data = json.loads(json.dumps(to_jsonable(motion)))
     found = find_trajectory(data, motion.coordinates)
-    assert (found, hash(found), data["duration"]) == (motion, hash(motion), 1.25)
+    assert (found, hash(found), (data | data.get("motions", [{}])[-1])["duration"]) == (motion, hash(motion), 1.25)
     assert data["name"] == name  # the caller's dict is unchanged
 
 

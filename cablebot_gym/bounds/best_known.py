@@ -167,7 +167,7 @@ class BestKnownPayload:
 def find_best_known(
     env_id: str,
     *,
-    robot: Robot | None = None,
+    robot: Any = None,
     trajectory: Any = None,
     error_bounds: ErrorBounds | dict[str, float] | None = None,
     control_frequency: float = 500.0,
@@ -184,7 +184,7 @@ def find_best_known(
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        robot: robot of the environment's kind; None for the robot of the environment.
+        robot: robot of the environment's kind, as for ``find_robot``; None for the robot of the environment.
         trajectory: name, name with fields, or object; None for the default of the environment.
         error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad.
         control_frequency: actions per second [Hz].
@@ -223,13 +223,13 @@ def cached_best_known(env_id: str, **options: Any) -> BestKnownPayload | None:
 
 def _case(
     env_id: str,
-    robot: Robot | None = None,
+    robot: Any = None,
     trajectory: Any = None,
     error_bounds: ErrorBounds | dict[str, float] | None = None,
     control_frequency: float = 500.0,
 ) -> _Case:
-    robot = find_robot(env_robot(env_id)) if robot is None else robot
     check_robot(env_id, robot)
+    robot = find_robot(env_robot(env_id) if robot is None else robot)
     motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.coordinates)
     frequency = number("control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz")
     return _Case(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)

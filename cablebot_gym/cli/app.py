@@ -33,6 +33,7 @@ COMMANDS = {
         "rollout": "cablebot_gym.cli.rollout:rollout",
         "watch": "cablebot_gym.cli.watch:watch",
         "video": "cablebot_gym.cli.video:video",
+        "picture": "cablebot_gym.cli.picture:picture",
     },
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import secrets
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.utils.console import command_line, notes_console, progress
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -151,10 +150,13 @@ def benchmark(
     for path in files:
         check_writable_file(path)
     todo = suite_cells(chosen, found, seed=boards.run_seed(out, seed), board=board, real_time=real_time)
-    again = {"policies": policies, "entries": entries, "no_sandbox": no_sandbox, "ids": ids, "out": out, "page": page}
-    command = _command(suite=suite, **again, real_time=real_time)
-    say, store = notes_console().print, Store(out, say=notes_console().print, any_source=any_source)
-    records = computed(todo, store, out, backend, command)
+    options = {"suite": suite, "policies": policies, "entries": entries, "no_sandbox": no_sandbox, "ids": ids}
+    options |= {"out": out, "page": page, "real_time": real_time}
+    command = command_line("benchmark", **options)
+    resume = command_line("benchmark", **options, workers=workers, ray=ray, any_source=any_source, seed=seed)
+    say = notes_console().print
+    store = Store(out, say=say, any_source=any_source)
+    records = computed(todo, store, out, backend, resume)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
     notes = [note(Path(name), status(Path(name), records)) for name in submitted]
@@ -261,10 +263,3 @@ def _backend(workers: int | None, ray: str | None) -> Backend:
     from cablebot_gym.benchmark.ray_backend import on_ray
 
     return on_ray(ray)
-
-
-def _command(**options: object) -> str:
-    """The command line that repeats this benchmark."""
-    flags = {name.replace("_", "-"): value for name, value in options.items() if value not in (None, False)}
-    given = (f"--{name}" + ("" if value is True else f" {shlex.quote(str(value))}") for name, value in flags.items())
-    return " ".join(["cablebot benchmark", *given])

@@ -10,7 +10,7 @@ from cablebot_gym.cli.options import BOUNDS, EnvId, Json, episode_options
 from cablebot_gym.utils.console import activity
 
 
-@episode_options("trajectory", *BOUNDS, "control_frequency")
+@episode_options("robot", "trajectory", *BOUNDS, "control_frequency")
 def best_known(
     env_id: EnvId,
     episode: dict[str, Any],

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cablebot_gym.cli import options
-from cablebot_gym.utils.console import notes_console, print_table, progress, results_console
+from cablebot_gym.utils.console import notes_console, print_table, results_console
 
 if TYPE_CHECKING:
-    from cablebot_gym.evaluation.comparison import Comparison, Estimate
+    from cablebot_gym.evaluation.comparison import Comparison, Estimate, PayloadComparison, PolicyMetrics
 
 _NARROW = 150
 """Width of the terminal below which the table is transposed: one column for each policy [columns]."""
@@ -19,14 +20,17 @@ _NARROW = 150
 _COLUMNS = (
     ("mean_error", "error, mean [mm]", 1e3),
     ("rms_error", "rms [mm]", 1e3),
-    ("max_error", "max [mm]", 1e3),
+    ("max_error", "error, max [mm]", 1e3),
     ("max_rotation", "rotation, max [mrad]", 1e3),
     ("rms_torque", "torque, rms [N·m]", 1.0),
     ("peak_torque", "peak [N·m]", 1.0),
-    ("torque_margin", "margin [%]", 100.0),
+    ("torque_margin", "torque margin [%]", 100.0),
     ("least_tension", "minimum tension [N]", 1.0),
 )
 """Quantity, heading and factor of the unit of each column."""
+
+_OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
+"""Quantities that the table over the payload shows."""
 
 
 @options.episode_options()
@@ -40,26 +44,40 @@ def compare(
         ),
     ],
     episode: dict[str, Any],
-    payload: Annotated[float, typer.Option(help="Payload [kg].")] = 0.0,
+    payload: options.Payload = None,
+    payloads: Annotated[
+        str | None,
+        typer.Option(help="Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg]."),
+    ] = None,
     draws: options.Draws = None,
     out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Compare the errors, torques and margins of several policies with one payload over the same draws.
+    """Compare the errors, torques and margins of several policies over the same draws, with one or more payloads.
 
-    Example: cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
+    Examples:
+
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
+
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out results
     """
-    from cablebot_gym.evaluation.comparison import compare_policies
+    from cablebot_gym.evaluation.comparison import PayloadComparison, compare_over_payloads, compare_policies
     from cablebot_gym.utils.files import atomic_write_text
 
     options.check_figure_folder(out, "comparison.json", "comparison.png")
-    names = options.split_names(policies)
+    if payload is not None and payloads is not None:
+        raise ValueError("--payload and --payloads exclude each other: give one of them")
+    grid = None if payloads is None else payload_grid(payloads)
+    names, robot = options.split_names(policies), options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
-    loaded = options.loaded_policies(names, env_id, episode.pop("wrappers"))
-    with progress("comparing") as step:
-        comparison = compare_policies(
-            loaded, env_id, names=names, payload=payload, draws=draws, progress=step, **episode
-        )
+    loaded = options.loaded_policies(names, robot, episode.pop("wrappers"))
+    common: dict[str, Any] = {"names": names, "draws": draws, "progress": True, **episode}
+    comparison: Comparison | PayloadComparison
+    if grid is None:
+        payload = robot.defaults.payload(0.0) if payload is None else payload
+        comparison = compare_policies(loaded, env_id, payload=payload, **common)
+    else:
+        comparison = compare_over_payloads(loaded, env_id, payloads=grid, **common)
     if out is not None:
         from cablebot_gym.plotting.comparison import save_comparison
 
@@ -67,45 +85,88 @@ def compare(
         notes_console().print(f"wrote {out / 'comparison.json'}, {save_comparison(comparison, out)}")
     if as_json:
         print(comparison.to_json())
+    elif isinstance(comparison, PayloadComparison):
+        print_payload_comparison(comparison)
     else:
         print_comparison(comparison)
 
 
+def payload_grid(text: str) -> list[float]:
+    """Payloads from ``--payloads`` [kg].
+
+    Raises:
+        ValueError: if the text is neither FIRST:LAST:STEP nor a list of numbers, or has more than 1000 payloads.
+    """
+    try:
+        parts = [float(part) for part in text.replace(":", ",").split(",")]
+    except ValueError:
+        parts = []
+    if ":" in text and len(parts) == 3 and parts[2] > 0 and 0 <= (parts[1] - parts[0]) / parts[2] < 1000:
+        first, last, step = parts
+        return [round(first + index * step, 9) for index in range(int((last - first) / step + 1e-6) + 1)]
+    if not parts or ":" in text:
+        raise ValueError(f"--payloads must be FIRST:LAST:STEP, such as 0:9:0.5, or a list such as 0,1,2, not {text!r}")
+    return parts
+
+
+def print_payload_comparison(comparison: PayloadComparison) -> None:
+    """Prints a table of the policies over the payload."""
+    first = comparison.comparisons[0]
+    hidden = {"max_rotation"} if first.task.robot.planar else set()
+    columns = [column for column in _COLUMNS if column[0] in set(_OVER_PAYLOAD) - hidden]
+    rows = [["payload [kg]", "policy", "success rate", *(heading for _, heading, _ in columns)]]
+    for one in comparison.comparisons:
+        for index, metrics in enumerate(one.metrics):
+            rows.append(["" if index else f"{one.payload:g}", *_cells(metrics, columns)])
+    print_table(_title(first), rows)
+    _print_notes([metrics for one in comparison.comparisons for metrics in one.metrics])
+
+
 def print_comparison(comparison: Comparison) -> None:
     """Prints a table of policies over the same draws, and the relative changes against the first policy."""
-    from cablebot_gym.envs import described
-    from cablebot_gym.evaluation.comparison import CONFIDENCE, REDUCTION_QUANTITIES
-    from cablebot_gym.evaluation.statistics import interval
-    from cablebot_gym.task import payload_model_text
+    from cablebot_gym.evaluation.comparison import REDUCTION_QUANTITIES
 
-    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
-    uncertainty = f"{options.counted(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
-    environment = described(comparison.env_id, comparison.task.robot.name)
     columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.planar]
     rows = [["policy", "success rate", *(heading for _, heading, _ in columns)]]
-    for one in comparison.metrics:
-        cells = []
-        for name, _, scale in columns:
-            estimate = one.estimate(name)
-            interval_text = f" ± {scale * (estimate.high - estimate.mean):.2g}" if comparison.draws > 1 else ""
-            cells.append(f"{scale * estimate.mean:.3g}{interval_text}")
-        success_rate = f"{one.carried.mean():.0%}"
-        if comparison.draws > 1:
-            low, high = interval(int(one.carried.sum()), comparison.draws, CONFIDENCE)
-            success_rate += f" [{low:.0%}, {high:.0%}]"
-        rows.append([one.policy, success_rate, *cells])
+    rows += [_cells(metrics, columns) for metrics in comparison.metrics]
     if results_console().width < _NARROW:
         rows = [list(row) for row in zip(*rows, strict=True)]
-    print_table(f"{environment}, payload {comparison.payload:g} kg, {model}, {uncertainty}", rows)
+    print_table(_title(comparison, f", payload {comparison.payload:g} kg"), rows)
     first = comparison.metrics[0].policy
     for index, one in enumerate(comparison.metrics[1:], 1):
         changes = [
             f"{name.replace('_', ' ')} {_change(comparison.reduction(index, name))}" for name in REDUCTION_QUANTITIES
         ]
         print(f"{one.policy} against {first}: {', '.join(changes)}")
-    if comparison.draws > 1:
+    _print_notes(comparison.metrics)
+
+
+def _title(comparison: Comparison, payload: str = "") -> str:
+    from cablebot_gym.envs import described
+    from cablebot_gym.task import payload_model_text
+
+    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
+    uncertainty = f"{options.counted(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
+    return f"{described(comparison.env_id, comparison.task.robot.name)}{payload}, {model}, {uncertainty}"
+
+
+def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:
+    """Name, success rate and quantities of a policy, with confidence intervals if there are several draws."""
+    success, several = metrics.success, len(metrics.carried) > 1
+    cells = [metrics.policy, f"{success.mean:.0%}" + (f" [{success.low:.0%}, {success.high:.0%}]" if several else "")]
+    for name, _, scale in columns:
+        estimate = metrics.estimate(name)
+        interval_text = f" ± {scale * (estimate.high - estimate.mean):.2g}" if several else ""
+        cells.append(f"{scale * estimate.mean:.3g}{interval_text}")
+    return cells
+
+
+def _print_notes(metrics: Sequence[PolicyMetrics]) -> None:
+    from cablebot_gym.evaluation.comparison import CONFIDENCE
+
+    if len(metrics[0].carried) > 1:
         print(f"± and brackets: {CONFIDENCE:.0%} confidence over draws")
-    if ended := sum(int(one.ended.sum()) for one in comparison.metrics):
+    if ended := sum(int(one.ended.sum()) for one in metrics):
         rule = "the remaining steps count with the termination radius as error"
         print(f"{options.counted(ended, 'episode')} ended early: {rule}")
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.cli import options
-from cablebot_gym.utils.console import notes_console, print_table, progress
+from cablebot_gym.utils.console import notes_console, print_table
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.result import DLCCResult
@@ -22,6 +22,13 @@ class CriterionChoice(StrEnum):
     task = "task"
     paper = "paper"
     both = "both"
+
+
+class SearchChoice(StrEnum):
+    """Choices of ``--search``."""
+
+    scan = "scan"
+    bisection = "bisection"
 
 
 @options.episode_options()
@@ -44,6 +51,13 @@ def dlcc(
         float | None,
         typer.Option(help="Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several."),
     ] = None,
+    search: Annotated[
+        SearchChoice,
+        typer.Option(
+            help="scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
+            "result is unranked."
+        ),
+    ] = SearchChoice.scan,
     draws: options.Draws = None,
     probability: Annotated[
         float, typer.Option(help="Required success probability of the payload over the draws.")
@@ -72,9 +86,9 @@ def dlcc(
     from cablebot_gym.utils.files import atomic_write_text
 
     options.check_figure_folder(out, "result.json")
-    wrappers = episode.pop("wrappers")
+    wrappers, robot = episode["wrappers"], options.robot_of(env_id, episode)
     loaded = options.loaded_policy(
-        policy, env_id, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers
+        policy, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers
     )
     options.note_unsupported([policy], env_id)
     chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
@@ -87,13 +101,14 @@ def dlcc(
         "draws": draws,
         "probability": probability,
         "confidence": confidence,
+        "search": search.value,
         "name": policy,
     }
     results = []
     for name in chosen:
-        with progress(f"{name} criterion") as step:
-            subject = loaded if isolate or wrappers else policy
-            results.append(evaluate_dlcc(subject, env_id, criterion=name, progress=step, **settings, **episode))
+        subject = loaded if isolate or wrappers else policy
+        evaluated = {key: value for key, value in episode.items() if key != "wrappers"}
+        results.append(evaluate_dlcc(subject, env_id, criterion=name, progress=True, **settings, **evaluated))
     text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
     if out is not None:
         from cablebot_gym.plotting.figures import save_figures
@@ -105,8 +120,25 @@ def dlcc(
         print(text)
     else:
         print_payloads(results, inapplicable)
+        for result in results:
+            if result.violation_seed is not None and not result.stochastic:
+                print(f"{result.criterion}: this command repeats the failure:")
+                print(f"  {_failure_command(result, policy, episode)}")
         if isolate:
             print(f"seed {episode['seed']}")
+
+
+def _failure_command(result: DLCCResult, policy: str, episode: dict[str, Any]) -> str:
+    """The command line that repeats and records the episode with the limiting violation."""
+    return options.command_again(
+        "rollout",
+        result.env_id,
+        policy=policy,
+        payload=repr(result.failed_payload or 0.0),
+        criterion=None if result.criterion == "task" else result.criterion,
+        out="failure.csv",
+        episode=episode | {"seed": result.violation_seed},
+    )
 
 
 def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
@@ -126,6 +158,7 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
     words += [f"behind {', '.join(first.wrappers)}"] if first.wrappers else []
     words += [first.uncertainty] if first.uncertainty is not None else []
     words += ["stochastic policy"] if first.stochastic else []
+    words += [] if first.ranked else ["unranked"]
     draws = "" if first.assured is None else f", {options.counted(first.draws, 'draw')}"
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     for result in results:
@@ -157,6 +190,8 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     if (resolution := max(result.resolution for result in results)) > 0:
         size, checked = float(f"{resolution * 1e3:.2g}"), "without" if first.discretisation is None else "with"
         notes.append(f"resolution {size:g} g, {checked} the discretisation error of the physics steps")
+    if not first.ranked:
+        notes.append("unranked: a bisection tries few payloads and can miss a failure between them")
     if first.assured is not None:
         notes += [f"payload: {first.assurance}"] if any(result.payload is not None for result in results) else []
         notes += [_unloaded(result) for result in results if result.payload is None and result.draws > 1]
@@ -165,12 +200,6 @@ def _notes(results: list[DLCCResult]) -> list[str]:
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
     if any(result.declared for result in results):
         notes.append("declared: only the policy itself says that its actions are not saturated")
-    for result in results:
-        if result.violation_seed is not None and result.assured is not None and not result.stochastic:
-            repeated = f"--payload {result.failed_payload!r} --seed {result.violation_seed}"
-            notes.append(
-                f"{result.criterion}: cablebot rollout with the same options and {repeated} repeats the failure"
-            )
     if any(result.scan_ended for result in results):
         notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
     return notes

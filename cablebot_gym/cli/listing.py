@@ -62,6 +62,7 @@ def _data() -> dict[str, Any]:
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     """Default and unit of each JSON field of a trajectory, the duration first."""
+    from cablebot_gym.task import to_jsonable
     from cablebot_gym.trajectories import BetweenDwells
 
     if isinstance(trajectory, BetweenDwells):
@@ -75,7 +76,7 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
             unit = _UNITS["trajectory"].get(field.name, "")
             unit = unit.partition(",")[0] if getattr(trajectory, "coordinates", None) == 2 else unit
             # A field whose default is None gets its value from the other fields.
-            default = None if field.default is None else getattr(trajectory, field.name)
+            default = None if field.default is None else to_jsonable(getattr(trajectory, field.name))
             found[field.name] = {"default": default, "unit": unit}
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import command_line, notes_console
 
 if TYPE_CHECKING:
     from cablebot_gym.policies import Policy
+    from cablebot_gym.robots import Robot
 
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all.")
@@ -27,6 +28,10 @@ _POLICY = typer.Option(
 )
 PolicyName = Annotated[str, _POLICY]
 PolicyNameOrNone = Annotated[str | None, _POLICY]
+Payload = Annotated[
+    float | None,
+    typer.Option("--payload", help="Payload [kg]. The default is the least one of the robot's payload range, else 0."),
+]
 Draws = Annotated[
     int | None,
     typer.Option(
@@ -78,13 +83,21 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
 
 
 _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
+    "robot": (
+        str | None,
+        None,
+        typer.Option(
+            help="TOML file of a robot of the kind of ID, with its default motion, error bounds and payloads."
+        ),
+    ),
     "trajectory": (
         str | None,
         None,
         typer.Option(
             callback=_read_data,
-            help='Name of a trajectory, or JSON such as \'{"name": "circle-spatial", "duration": 1.5}\'. '
-            "`cablebot list` shows the fields. The default is the paper's circle between two dwells.",
+            help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, or '
+            "file.py:name of a Trajectory or of a function that makes one. `cablebot list` shows names and fields. The "
+            "default is that of the robot: the paper's circle between two dwells.",
         ),
     ),
     "payload_known": (
@@ -97,11 +110,17 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         1.0,
         typer.Option(help="Payload of the policy's model over the nominal payload."),
     ),
-    "position_bound": (float, 10.0, typer.Option(help="Largest allowed position error [mm].")),
+    "position_bound": (
+        float | None,
+        None,
+        typer.Option(help="Largest allowed position error [mm]. The default is that of the robot: 10."),
+    ),
     "rotation_bound": (
-        float,
-        10.0,
-        typer.Option(help="Largest allowed rotation error [mrad]. Only the task criterion checks it."),
+        float | None,
+        None,
+        typer.Option(
+            help="Largest allowed rotation error [mrad], of the task criterion. The default is that of the robot: 10."
+        ),
     ),
     "uncertainty": (
         str | None,
@@ -145,24 +164,23 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
 SEED_BITS = 53
 """Size of a secret seed, which every JSON parser reads exactly [bits]."""
 
-BOUNDS = ("position_bound", "rotation_bound")
-"""Options that a command receives as ``error_bounds``, which are in SI units."""
+BOUNDS = {"position_bound": "mm", "rotation_bound": "mrad"}
+"""Options that a command receives as ``error_bounds`` in SI units, and their own units."""
 
 LEAST_BOUND = 0.1
 """Least value of these options [mm, mrad]: a smaller one was meant in metres."""
 
 
-def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator that adds the options of an episode to a command.
 
     The command has a parameter ``episode``: the values as keywords of the environment, its seed, and ``wrappers`` of
     the policy.
 
     Args:
-        names: names of the options; all if empty.
-        without: names of options to leave out.
+        names: names of the options, with both of :data:`BOUNDS`; all if empty.
     """
-    chosen = [name for name in names or _EPISODE_OPTIONS if name not in without]
+    chosen = [name for name in names or _EPISODE_OPTIONS]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @wraps(command)
@@ -173,12 +191,15 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
             if "wrapper" in episode:
                 named, last = episode.pop("wrapper"), episode.pop("normalize")
                 episode["wrappers"] = [*(named or []), *([last] if last else [])]
-            if BOUNDS[0] in episode:
-                position, rotation = (
-                    number(f"--{name.replace('_', '-')}", episode.pop(name), least=LEAST_BOUND, unit=unit) / 1000
-                    for name, unit in zip(BOUNDS, ("mm", "mrad"), strict=True)
+            bounds = {name: episode.pop(name) for name in BOUNDS}
+            episode["error_bounds"] = {
+                name.removesuffix("_bound"): number(
+                    f"--{name.replace('_', '-')}", value, least=LEAST_BOUND, unit=BOUNDS[name]
                 )
-                episode["error_bounds"] = {"position": position, "rotation": rotation}
+                / 1000
+                for name, value in bounds.items()
+                if value is not None
+            }
             command(**values, episode=episode)
 
         parameters = []
@@ -196,25 +217,64 @@ def episode_options(*names: str, without: tuple[str, ...] = ()) -> Callable[[Cal
     return decorate
 
 
+def command_again(command: str, *arguments: object, episode: Mapping[str, Any], **options: Any) -> str:
+    """The command line of a command with the options of an episode that differ from their defaults.
+
+    Args:
+        command: command of ``cablebot``.
+        arguments: its positional arguments.
+        episode: the parameter ``episode`` of the present command, see :func:`episode_options`.
+        options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
+    """
+    episode = dict(episode)
+    others: dict[str, Any] = {
+        f"{name}_bound": f"{1000 * value:g}" for name, value in episode.pop("error_bounds", {}).items()
+    }
+    others["payload_unknown"] = not episode.pop("payload_known", True)
+    others["wrapper"] = episode.pop("wrappers", [])
+    changed = {
+        name: value
+        for name, value in episode.items()
+        if value != _EPISODE_OPTIONS[name][1] and (name, value) != ("seed", 0)
+    }
+    return command_line(command, *arguments, **options, **changed, **others)
+
+
+def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
+    """The robot in ``--robot``, or that of the environment. Checks the motion too.
+
+    An isolated policy gets the present search path of modules, so the file of a motion has to be imported before.
+
+    Raises:
+        ValueError: if the id is unknown, the robot does not fit, or there is no such motion.
+    """
+    from cablebot_gym.envs import check_robot, env_robot
+    from cablebot_gym.envs.settings import default_trajectory
+    from cablebot_gym.robots import find_robot
+    from cablebot_gym.trajectories import find_trajectory
+
+    check_robot(env_id, episode.get("robot"))
+    robot = find_robot(episode.get("robot") or env_robot(env_id))
+    find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.coordinates)
+    return robot
+
+
 def loaded_policy(
     name: str,
-    env_id: str,
+    robot: Robot,
     *,
     isolate: bool = False,
     deadline: float | None = None,
     sandbox: bool = False,
     wrappers: Sequence[str] = (),
 ) -> Policy:
-    """The policy with a name, made for the robot of an environment, in a process of its own with ``isolate``.
+    """The policy with a name, made for a robot, in a process of its own with ``isolate``.
 
     Raises:
         ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without ``isolate``.
     """
-    from cablebot_gym.envs import env_robot
     from cablebot_gym.policies import IsolatedPolicy, load_policy
-    from cablebot_gym.robots import find_robot
 
-    robot = find_robot(env_robot(env_id))
     if isolate:
         limits = {} if deadline is None else {"deadline": deadline}
         return IsolatedPolicy(name, robot, sandbox=sandbox, wrappers=wrappers, **limits)
@@ -225,8 +285,8 @@ def loaded_policy(
     return load_policy(name, robot, wrappers=wrappers)
 
 
-def loaded_policies(names: list[str], env_id: str, wrappers: Sequence[str]) -> list[Policy]:
-    """The policies with these names. The wrappers apply to those that are not installed.
+def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> list[Policy]:
+    """The policies with these names, made for a robot. The wrappers apply to those that are not installed.
 
     Raises:
         ValueError: if a policy cannot be loaded, or if there are wrappers and only installed policies.
@@ -237,8 +297,7 @@ def loaded_policies(names: list[str], env_id: str, wrappers: Sequence[str]) -> l
     if wrappers and all(installed):
         raise ValueError(f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}")
     return [
-        loaded_policy(name, env_id, wrappers=() if own else wrappers)
-        for name, own in zip(names, installed, strict=True)
+        loaded_policy(name, robot, wrappers=() if own else wrappers) for name, own in zip(names, installed, strict=True)
     ]
 
 

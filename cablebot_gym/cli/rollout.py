@@ -7,17 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyName, episode_options
-from cablebot_gym.utils.console import progress
+from cablebot_gym.cli.options import EnvId, Payload, PolicyName, episode_options, robot_of
 
 
-@episode_options(without=BOUNDS)
+@episode_options()
 def rollout(
     env_id: EnvId,
     policy: PolicyName,
     out: Annotated[Path, typer.Option(help="File of the recording, ending in .npz or .csv.")],
     episode: dict[str, Any],
-    payload: Annotated[float, typer.Option(help="Payload [kg].")] = 0.0,
+    payload: Payload = None,
+    criterion: Annotated[str, typer.Option(help="Success criterion: task or paper.")] = "task",
 ) -> None:
     """Run one episode of a policy and record every control step in a file.
 
@@ -32,10 +32,10 @@ def rollout(
 
     check_suffix(out)
     check_writable_file(out)
-    with progress(policy, "steps") as step:
-        record = record_rollout(policy, env_id, payload=payload, progress=step, **episode)
+    payload = robot_of(env_id, episode).defaults.payload(0.0) if payload is None else payload
+    record = record_rollout(policy, env_id, payload=payload, criterion=criterion, progress=True, **episode)
     record.save(out)
     verdict = record.verdict
     outcome = "carried" if verdict.carried else f"not carried: {verdict.violation}"
     ended = f" (ended early: {record.reason})" if record.reason else ""
-    print(f"{env_id}, {policy}, {payload:g} kg, task criterion: {outcome}{ended}; recorded in {out}")
+    print(f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}{ended}; recorded in {out}")

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyNameOrNone, episode_options, loaded_policies, split_names
+from cablebot_gym.cli.options import (
+    EnvId,
+    Payload,
+    PolicyNameOrNone,
+    episode_options,
+    loaded_policies,
+    robot_of,
+    split_names,
+)
 from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.video import SPEED
 
 if TYPE_CHECKING:
     from cablebot_gym.video.recording import Episode
 
-Payload = Annotated[float, typer.Option("--payload", help="Payload [kg].")]
 Speed = Annotated[float, typer.Option("--speed", help="Playback speed; 1 is real time.")]
 Size = Annotated[
     str | None, typer.Option("--size", help="Size of the picture of each policy, such as 1280x960 [pixels].")
@@ -25,14 +33,14 @@ Policies = Annotated[
 ]
 
 
-@episode_options(without=BOUNDS)
+@episode_options()
 def video(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
     episode: dict[str, Any],
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
-    payload: Payload = 1.0,
+    payload: Payload = None,
     speed: Speed = SPEED,
     size: Size = None,
 ) -> None:
@@ -51,11 +59,11 @@ def video(
     frame_size = picture_size(size)
     check_video(out)
     check_speed(speed)
-    episodes = record_episodes(env_id, policy, policies, payload=payload, **episode)
+    episodes = record_episodes(env_id, policy, policies, payload=payload, episode=episode)
     with progress("rendering", "frames") as step:
         write_video(out, episodes, speed=speed, size=frame_size, progress=step)
     for title, rollout in episodes:
-        print(f"{title}, {payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
+        print(f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
     notes_console().print(f"wrote {out}")
 
 
@@ -75,25 +83,49 @@ def picture_size(text: str | None) -> tuple[int, int]:
     return check_size((int(width), int(height)))
 
 
-def record_episodes(env_id: str, policy: str | None, policies: str | None, **keywords: Any) -> list[Episode]:
+def record_episodes(
+    env_id: str,
+    policy: str | None,
+    policies: str | None,
+    *,
+    payload: float | None,
+    episode: Mapping[str, Any],
+    start: bool = False,
+) -> list[Episode]:
     """Records one episode of the policy in ``--policy`` or of each one in ``--policies``.
 
+    Args:
+        env_id: environment id.
+        policy: value of ``--policy``.
+        policies: value of ``--policies``.
+        payload: value of ``--payload``.
+        episode: options of the episode.
+        start: whether to record an episode without torques instead, for its start.
+
     Raises:
-        ValueError: if both options are given, or neither.
+        ValueError: if both policy options are given, or neither.
     """
+    import numpy as np
+
+    from cablebot_gym.envs import described
     from cablebot_gym.evaluation.rollout import record_rollout
     from cablebot_gym.rendering.painter import import_pygame
 
+    robot = robot_of(env_id, episode)
+    place = described(env_id, robot.name)
+    keywords = {"payload": robot.defaults.payload(0.0) if payload is None else payload, **episode}
+    wrappers = keywords.pop("wrappers")
+    if start:
+        import_pygame()
+        return [(place, record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords))]
     names = split_names(policies or policy)
     if (policy is None) == (policies is None) or not names:
         raise ValueError(
             "give either --policy with one name, or --policies with several. Example: --policies fl,trajopt"
         )
     import_pygame()
-    loaded = loaded_policies(names, env_id, keywords.pop("wrappers", ()))
+    loaded = loaded_policies(names, robot, wrappers)
     episodes = []
     for name, one in zip(names, loaded, strict=True):
-        title = f"{name} on {env_id}"
-        with progress(title, "steps") as step:
-            episodes.append((title, record_rollout(one, env_id, name=name, progress=step, **keywords)))
+        episodes.append((f"{name} on {place}", record_rollout(one, env_id, name=name, progress=True, **keywords)))
     return episodes

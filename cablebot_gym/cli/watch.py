@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from cablebot_gym.cli.options import BOUNDS, EnvId, PolicyNameOrNone, episode_options
-from cablebot_gym.cli.video import Payload, Policies, Size, Speed, picture_size, record_episodes
+from cablebot_gym.cli.options import EnvId, Payload, PolicyNameOrNone, command_again, episode_options
+from cablebot_gym.cli.video import Policies, Size, Speed, picture_size, record_episodes
 from cablebot_gym.video import SPEED
 
 
-@episode_options(without=BOUNDS)
+@episode_options()
 def watch(
     env_id: EnvId,
     episode: dict[str, Any],
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
-    payload: Payload = 1.0,
+    payload: Payload = None,
     speed: Speed = SPEED,
     size: Size = None,
 ) -> None:
@@ -32,11 +32,11 @@ def watch(
 
     frame_size = picture_size(size)
     check_speed(speed)
-    episodes = record_episodes(env_id, policy, policies, payload=payload, **episode)
+    episodes = record_episodes(env_id, policy, policies, payload=payload, episode=episode)
     try:
         play(episodes, speed=speed, size=frame_size)
     except NoDisplayError as error:
-        alternative = f"cablebot video {env_id} video.gif"
-        raise ValueError(
-            f"there is no display for a window. Write a video instead, with the same options: {alternative}"
-        ) from error
+        given = {"policy": policy, "policies": policies, "payload": payload, "size": size}
+        given |= {} if speed == SPEED else {"speed": speed}
+        alternative = command_again("video", env_id, "video.gif", episode=episode, **given)
+        raise ValueError(f"there is no display for a window. Write a video instead: {alternative}") from error

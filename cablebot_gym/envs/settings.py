@@ -112,9 +112,9 @@ class Settings:
         return self.period / self.substeps
 
 
-def default_trajectory(robot: Robot) -> str:
-    """Name of the default reference motion of a robot: the paper's circle between two dwells."""
-    return "circle-planar" if robot.planar else "circle-spatial"
+def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
+    """Default reference motion of a robot: its own one, or the name of the paper's circle between two dwells."""
+    return robot.defaults.trajectory or ("circle-planar" if robot.planar else "circle-spatial")
 
 
 def make_settings(

@@ -203,7 +203,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `initial_error_range` | None | n half widths of a uniform error, drawn in each episode, added to the start pose |
     | `uncertainty`* | None | difference between the true and the nominal robot, see below |
     | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds of the tracking errors |
-    | `robot` | by id | a name, `Robot.to_dict()` data or a `Robot` |
+    | `robot` | by id | a name, a `.toml` file, `Robot.to_dict()` data or a `Robot` |
     | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
     | `control_frequency` | 500 | actions per second [Hz] |
     | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |

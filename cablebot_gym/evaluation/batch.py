@@ -51,7 +51,8 @@ Row = tuple[float, int]
 """Nominal payload [kg] and seed of an episode."""
 
 Progress = Callable[[int, int], None]
-"""Callback after every control step: number of finished steps, expected number of steps."""
+"""Callback after every control step: number of finished steps, expected number of steps. Functions that take one accept
+True for a bar, or lines in a log, on standard error."""
 
 
 class Observer(Protocol):
@@ -169,7 +170,7 @@ class Batch:
         wrappers: wrappers of the training of the policy, the innermost first, see
             :func:`~cablebot_gym.policies.load_policy`.
         criterion: ``task`` or ``paper``.
-        error_bounds: bounds of the tracking errors; None for the default.
+        error_bounds: bounds of the tracking errors; None for those of the robot.
         uncertainty: model errors and disturbances that the policy does not know.
         draws: number of episodes at each payload; None for the default.
         seed: seed that alone determines the draws.
@@ -202,12 +203,13 @@ class Batch:
             raise ValueError("policies are evaluated with observations in SI units: remove normalised_observation")
         if keywords.get("observation_dtype", "float64") != "float64":
             raise ValueError("policies are evaluated with observations in float64: remove observation_dtype")
-        self.criterion, self.error_bounds = find_criterion(criterion), deepcopy(find_error_bounds(error_bounds))
+        self.criterion = find_criterion(criterion)
         self.seed = whole("seed", seed)
         """Seed of the evaluation."""
         self._env_id = env_id
         check_robot(env_id, keywords.get("robot"))
         self._robot = deepcopy(find_robot(keywords.get("robot") or env_robot(env_id)))
+        self.error_bounds = deepcopy(find_error_bounds(error_bounds, self._robot))
         self._uncertainty = find_uncertainty(uncertainty, self._robot)
         self._uncertainty_name = uncertainty if isinstance(uncertainty, str | None) else "custom"
         # With wide error bounds the environment must not terminate an episode before a violation.

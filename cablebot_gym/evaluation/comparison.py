@@ -1,4 +1,4 @@
-"""Comparison of policies with one payload over the same draws: tracking errors, torques and tensions."""
+"""Comparison of policies over the same draws, with one or more payloads: tracking errors, torques and tensions."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
+from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import name_of
 from cablebot_gym.policies.wrapped import Wrapper
-from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
-from cablebot_gym.utils.checks import number
+from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.utils.checks import number, numbers
+from cablebot_gym.utils.console import chosen_progress
 
 CONFIDENCE = 0.95
 """Confidence of every interval."""
@@ -93,6 +95,13 @@ class PolicyMetrics:
             error = float(values.std(ddof=1)) / math.sqrt(len(values))
             width = float(stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2)) * error
         return Estimate(mean=mean, low=mean - width, high=mean + width)
+
+    @property
+    def success(self) -> Estimate:
+        """Fraction of the draws that carry the payload, with the confidence interval of Clopper and Pearson."""
+        fraction, draws = float(self.carried.mean()), len(self.carried)
+        low, high = (fraction, fraction) if draws == 1 else interval(int(self.carried.sum()), draws, CONFIDENCE)
+        return Estimate(mean=fraction, low=low, high=high)
 
 
 QUANTITIES = tuple(
@@ -178,6 +187,35 @@ class Comparison:
         return "\n".join(lines)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PayloadComparison:
+    """Comparisons of the same policies with increasing payloads. ``print(comparison)`` shows a summary."""
+
+    comparisons: tuple[Comparison, ...]
+    """One comparison for each payload."""
+
+    @property
+    def payloads(self) -> Array:
+        """Nominal payloads, (k,) [kg]."""
+        return np.array([one.payload for one in self.comparisons])
+
+    @property
+    def policies(self) -> tuple[str, ...]:
+        """Names of the policies."""
+        return tuple(metrics.policy for metrics in self.comparisons[0].metrics)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able data: the payloads and the comparison with each of them."""
+        return {"payloads": self.payloads.tolist(), "comparisons": [one.to_dict() for one in self.comparisons]}
+
+    def to_json(self) -> str:
+        """The comparison as JSON, indented."""
+        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.comparisons))
+
+
 def compare_policies(
     policies: Sequence[Any],
     env_id: str,
@@ -189,7 +227,7 @@ def compare_policies(
     seed: int = 0,
     names: Sequence[str] | None = None,
     wrappers: Sequence[Sequence[Wrapper]] | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **keywords: Any,
 ) -> Comparison:
     """Runs all policies with one payload over the same draws.
@@ -198,7 +236,7 @@ def compare_policies(
         policies: names, objects with ``predict``, or callables. Reductions are relative to the first policy.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
-        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad.
+        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad, or for those of the robot.
         uncertainty: model errors and disturbances that the policies do not know, see
             :func:`cablebot_gym.uncertainty.find_uncertainty`.
         draws: number of episodes of each policy; None for the default number under a random uncertainty, else 1.
@@ -206,7 +244,7 @@ def compare_policies(
         names: names of the policies in the result; None for their own names.
         wrappers: wrappers of the training of each policy, the innermost first, see
             :data:`cablebot_gym.policies.wrapped.Wrapper`; None for no wrappers.
-        progress: callback after every control step.
+        progress: callback after every control step; True shows it on standard error.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
 
     Raises:
@@ -224,15 +262,59 @@ def compare_policies(
     if len(worn) != len(labels):
         raise ValueError(f"wrappers must have one list for each of the {len(labels)} policies, not {len(worn)}")
     payload = number("payload", payload, least=0, unit="kg")
-    bounds, metrics, count = find_error_bounds(error_bounds), [], StepCount(progress, 0)
-    shared = {"error_bounds": bounds, "uncertainty": uncertainty, "draws": draws, "seed": seed, "keywords": keywords}
-    for policy, label, own in zip(policies, labels, worn, strict=True):
-        batch = Batch(policy, env_id, name=label, wrappers=own, **shared)
-        count.expected = len(labels) * batch.task.steps
-        recorder, rows = Recorder(range(batch.draws), _RECORDED), [(payload, one) for one in batch.seeds]
-        verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
-        metrics.append(_metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"]))
-    return Comparison(payload=payload, error_bounds=bounds, metrics=tuple(metrics), **batch.description())
+    metrics = []
+    shared = {
+        "error_bounds": error_bounds,
+        "uncertainty": uncertainty,
+        "draws": draws,
+        "seed": seed,
+        "keywords": keywords,
+    }
+    with chosen_progress(progress, "comparing") as step:
+        count = StepCount(step, 0)
+        for policy, label, own in zip(policies, labels, worn, strict=True):
+            batch = Batch(policy, env_id, name=label, wrappers=own, **shared)
+            count.expected = len(labels) * batch.task.steps
+            recorder, rows = Recorder(range(batch.draws), _RECORDED), [(payload, one) for one in batch.seeds]
+            verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
+            metrics.append(_metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"]))
+    return Comparison(payload=payload, error_bounds=batch.error_bounds, metrics=tuple(metrics), **batch.description())
+
+
+def compare_over_payloads(
+    policies: Sequence[Any],
+    env_id: str,
+    *,
+    payloads: Sequence[float],
+    progress: Progress | bool | None = None,
+    **keywords: Any,
+) -> PayloadComparison:
+    """Runs :func:`compare_policies` with each payload. All payloads share the draws.
+
+    Args:
+        policies: names, objects with ``predict``, or callables.
+        env_id: one of :data:`cablebot_gym.ENV_IDS`.
+        payloads: nominal payloads, increasing [kg].
+        progress: callback after every control step; True shows it on standard error.
+        keywords: further keywords of :func:`compare_policies`.
+
+    Raises:
+        ValueError: if an argument is invalid.
+        cablebot_gym.policies.protocol.PolicyError: if a policy raises or returns anything but finite actions.
+    """
+    grid = numbers("payloads", payloads, least=0, unit="kg")
+    if grid.ndim != 1 or not len(grid) or np.any(np.diff(grid) <= 0):
+        raise ValueError(f"payloads must be increasing numbers, such as [0, 1, 2], not {payloads!r}")
+    found: list[Comparison] = []
+    with chosen_progress(progress, "comparing") as step:
+
+        def count(done: int, expected: int) -> None:
+            if step is not None:
+                step(done + len(found) * expected, len(grid) * expected)
+
+        for payload in grid.tolist():
+            found.append(compare_policies(policies, env_id, payload=payload, progress=count, **keywords))
+    return PayloadComparison(comparisons=tuple(found))
 
 
 def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:

@@ -29,13 +29,20 @@ from cablebot_gym.evaluation.statistics import plausible_successes, required_suc
 from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
 from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.checks import choice, number
+from cablebot_gym.utils.console import chosen_progress
 
 SCAN_POINTS = 64
 """Number of payloads in the scan, including both ends, and in the dense check below the payload."""
 
 REFINED_POINTS = 32
 """Largest number of payloads in a refinement."""
+
+SEARCHES = ("scan", "bisection")
+"""Kinds of search. Only a scan gives a ranked result."""
+
+BISECTION_POINTS = 5
+"""Number of payloads that a bisection tries first, including both ends."""
 
 SEARCH_DRAWS = 16
 """Number of draws of each payload of the scan, if there are several. The confirmation has other draws."""
@@ -73,9 +80,10 @@ def evaluate_dlcc(
     probability: float = 0.95,
     confidence: float = 0.95,
     seed: int = 0,
+    search: str = "scan",
     name: str | None = None,
     wrappers: Sequence[Wrapper] = (),
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **keywords: Any,
 ) -> DLCCResult:
     """Evaluates the DLCC of a policy: the largest payload in the feasible interval that contains zero.
@@ -86,13 +94,17 @@ def evaluate_dlcc(
     steps. Under a random ``uncertainty`` the scan has :data:`SEARCH_DRAWS` draws; the payload is then confirmed with
     ``draws`` other ones, which all payloads share.
 
+    ``search="bisection"`` is for policies that take seconds for an episode. It tries :data:`BISECTION_POINTS` payloads
+    and bisects the lowest gap below a failed one, without further checks except the repetition of the last two
+    episodes. It can miss a failure between two payloads, so its result is marked as unranked.
+
     Args:
         policy: an object with ``predict``, a callable ``observation -> action``, a class that makes one of them, or a
             name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         criterion: ``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position, slack).
-        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad.
-        payload_max: end of the scan [kg]; None for 20 kg (spatial) or 10 kg (planar).
+        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad, or for those of the robot.
+        payload_max: end of the scan [kg]; None for 20 kg (spatial), 10 kg (planar), or the end of the robot's range.
         resolution: largest gap to the least failed payload [kg]; None for :data:`DEFAULT_RESOLUTION`, or
             :data:`DRAWN_RESOLUTION` with several draws.
         uncertainty: model errors and disturbances that the policy does not know, see
@@ -107,7 +119,8 @@ def evaluate_dlcc(
         wrappers: wrappers of the training of the policy, the innermost first: classes or functions, their names, or the
             file of a ``VecNormalize``. They wrap a stand-in of the environment, see
             :data:`cablebot_gym.policies.wrapped.Wrapper`.
-        progress: callback after every control step.
+        search: ``scan``, or ``bisection`` for slow policies.
+        progress: callback after every control step; True shows it on standard error.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
 
     Returns:
@@ -120,6 +133,7 @@ def evaluate_dlcc(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises, returns anything but finite actions, or does
             not act the same when its episodes are repeated.
     """
+    choice("search", search, SEARCHES)
     number("probability", probability, above=0, below=1)
     number("confidence", confidence, above=0.5, below=1)
     batch = Batch(
@@ -135,16 +149,18 @@ def evaluate_dlcc(
         keywords=keywords,
     )
     robot = batch.task.robot
-    top = PAYLOAD_MAX["planar" if robot.planar else "spatial"] if payload_max is None else payload_max
-    top = number("payload_max", top, above=0, unit="kg")
+    _, usual = robot.defaults.payload_range or (0.0, PAYLOAD_MAX["planar" if robot.planar else "spatial"])
+    top = number("payload_max", usual if payload_max is None else payload_max, above=0, unit="kg")
     several = batch.draws > 1
-    default = DRAWN_RESOLUTION if several else DEFAULT_RESOLUTION
+    ranked = search == SEARCHES[0]
+    default = DEFAULT_RESOLUTION if ranked and not several else DRAWN_RESOLUTION
     resolution = number("resolution", default if resolution is None else resolution, above=0, unit="kg")
-    search = _Search(batch, top, resolution, probability, confidence, progress)
-    search.run()
-    below, above = search.gap()
-    discretisation = search.discretisation(below, above)
-    rollout, below, above = search.record(below, above)
+    with chosen_progress(progress, f"{batch.name}, {batch.criterion} criterion") as step:
+        finder = _Search(batch, top, resolution, probability, confidence, step, thorough=ranked)
+        finder.run()
+        below, above = finder.gap()
+        discretisation = finder.discretisation(below, above)
+        rollout, below, above = finder.record(below, above)
     has_rotation = batch.criterion == "task" and not robot.planar
     position, rotation = batch.error_bounds.position, batch.error_bounds.rotation if has_rotation else None
     bounds = {"position": position, "rotation": rotation}
@@ -160,18 +176,19 @@ def evaluate_dlcc(
         failed_payload=None if above is None else above.payload,
         violation=None if above is None else above.violation,
         scan_ended=above is None,
+        ranked=ranked,
         margins=_margins(below, bounds) if below else {},
-        feasible=search.feasible(below),
+        feasible=finder.feasible(below),
         payload_max=top,
         error_bounds=bounds,
         stochastic=batch.stochastic,
         declared=batch.criterion == "paper" and not held,
-        assured=search.assured if batch.random else None,
+        assured=finder.assured if batch.random else None,
         probability=probability if several else None,
         confidence=confidence if several else None,
         failures=above.failures if above and len(above.verdicts) > 1 else {},
         violation_seed=None if above is None else above.seeds[above.violation_draw or 0],
-        success=search.success(),
+        success=finder.success(),
         rollout=rollout,
         fallbacks=batch.fallbacks,
         wrappers=batch.wrappers,
@@ -197,18 +214,21 @@ class _Search:
         probability: float,
         confidence: float,
         progress: Progress | None,
+        *,
+        thorough: bool,
     ) -> None:
         self._batch, self._resolution, self._probability = batch, resolution, probability
         self._required, self.assured = required_successes(batch.draws, probability, confidence)
         jitter, draws = (np.random.SeedSequence(batch.seed, spawn_key=(key,)) for key in (1, 2))
         self._random = np.random.default_rng(jitter)
-        several = batch.draws > 1
-        self._scan_seeds = derived_seeds(draws, SEARCH_DRAWS) if several else batch.seeds
-        self._points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
-        self._grid = [0.0, *self._between(0.0, top, SCAN_POINTS - 2, 0.25), top]
-        narrowing = math.log(max(1.0, 1.5 * top / SCAN_POINTS / resolution)) / math.log((self._points + 1) / 1.2)
+        several, self._thorough = batch.draws > 1, thorough
+        self._scan_seeds = derived_seeds(draws, SEARCH_DRAWS) if several and thorough else batch.seeds
+        self._points = max(2, min(REFINED_POINTS, BATCH // batch.draws)) if thorough else 1
+        points = SCAN_POINTS if thorough else BISECTION_POINTS
+        self._grid = [0.0, *self._between(0.0, top, points - 2, 0.25), top]
+        narrowing = math.log(max(1.0, 1.5 * top / points / resolution)) / math.log((self._points + 1) / 1.2)
         self._alone = plausible_successes(self._required, batch.draws, ALONE, RISK)
-        batches = 4 + several + self._alone + max(1, math.ceil(narrowing))
+        batches = (4 if thorough else 3) + several + self._alone + max(1, math.ceil(narrowing))
         self._count = StepCount(progress, batches * batch.task.steps)
         self._scan: list[Trial] = []
         self._trials: dict[float, Trial] = {}
@@ -221,14 +241,15 @@ class _Search:
         verdicts = batch.run(rows, count=self._count, order=order)
         self._scanned = rows, verdicts, order
         self._scan = self._trials_of(self._grid, self._scan_seeds, verdicts)
-        if batch.draws == 1:
+        if batch.draws == 1 or not self._thorough:
             self._trials = {trial.payload: trial for trial in self._scan}
-        chosen = self._random.permutation(len(rows))[: 0 if batch.stochastic else SCAN_POINTS].tolist()
+        again_count = SCAN_POINTS if self._thorough and not batch.stochastic else 0
+        chosen = self._random.permutation(len(rows))[:again_count].tolist()
         dense_rows: list[Row] = []
         while True:
             payloads = [payload for payload in self._next() if payload not in self._trials]
             below, _ = self.gap()
-            check = not dense_rows and below is not None and below.payload > 0
+            check = self._thorough and not dense_rows and below is not None and below.payload > 0
             if check and below is not None:
                 seeds = batch.seeds if batch.draws > 1 else batch.seeds * SCAN_POINTS
                 drawn = self._random.uniform(0.0, below.payload, len(seeds)).tolist()
@@ -272,8 +293,9 @@ class _Search:
         return tuple((one.payload, one.carried / len(one.verdicts)) for one in self._scan) if several else ()
 
     def discretisation(self, below: Trial | None, above: Trial | None) -> float | None:
-        """Largest deviation of the payload with finer physics steps from the payload [kg]; None with several draws."""
-        if self._batch.draws > 1:
+        """Largest deviation of the payload with finer physics steps from the payload [kg]; None if it is not checked:
+        with several draws, and by bisection."""
+        if self._batch.draws > 1 or not self._thorough:
             return None
         if below is None:
             return 0.0

@@ -32,7 +32,7 @@ class DLCCResult:
     """Larger one of ``discretisation`` and the gap between ``payload`` and ``failed_payload`` [kg]."""
     discretisation: float | None
     """Deviation of the payload with ten times as many physics steps from ``payload`` [kg], 0 if it is in the same gap;
-    None with several draws."""
+    None if it is not checked: with several draws, and by bisection."""
     failed_payload: float | None
     """Least failed payload above ``payload`` [kg]; None if there is none."""
     violation: Violation | None
@@ -41,6 +41,8 @@ class DLCCResult:
     scan_ended: bool
     """Whether the scan ended while feasible: every payload up to ``payload_max`` is carried, and ``payload`` is a lower
     bound of the DLCC."""
+    ranked: bool
+    """Whether the payload may be ranked with others: False for ``search="bisection"``, which checks few payloads."""
     margins: dict[str, float]
     """Margins at the payload: fractions of the torque, position and rotation limits, and the least tension [N]. With
     several draws, the least margins over the draws that carry it."""
@@ -141,4 +143,5 @@ class DLCCResult:
         kind = ", stochastic policy" if self.stochastic else ""
         kind += ", unsaturated actions declared by the policy" if self.declared else ""
         kind += f", behind {', '.join(self.wrappers)}" if self.wrappers else ""
+        kind += "" if self.ranked else ", unranked (bisection)"
         return f"{head}, {model}{uncertainty}{kind}: {text}"

@@ -20,6 +20,7 @@ from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.console import chosen_progress
 from cablebot_gym.utils.files import atomic_write
 
 SUFFIXES = (".npz", ".csv")
@@ -143,10 +144,11 @@ def record_rollout(
     env_id: str,
     *,
     payload: float = 0.0,
+    criterion: str = "task",
     seed: int = 0,
     name: str | None = None,
     wrappers: Sequence[Wrapper] = (),
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **keywords: Any,
 ) -> Rollout:
     """Records one episode over the full motion, or until the environment terminates it.
@@ -155,11 +157,12 @@ def record_rollout(
         policy: an object with ``predict``, a callable, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
+        criterion: criterion of the verdict, ``task`` or ``paper``.
         seed: seed of the environment.
         name: name of the policy in messages; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
             :data:`cablebot_gym.policies.wrapped.Wrapper`.
-        progress: callback after the reset and after every control step.
+        progress: callback after the reset and after every control step; True shows it on standard error.
         keywords: keywords of the environment.
 
     Raises:
@@ -168,10 +171,22 @@ def record_rollout(
     """
     settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     payload = number("payload", payload, least=0, unit="kg")
-    batch = Batch(policy, env_id, name=name, wrappers=wrappers, draws=1, seed=seed, keywords=keywords, **settings)
-    recorder, count = Recorder([0]), StepCount(progress, batch.task.steps)
-    count.add(0)
-    verdicts = batch.run([(payload, batch.seed)], observer=recorder, count=count, full_motion=True)
+    batch = Batch(
+        policy,
+        env_id,
+        name=name,
+        wrappers=wrappers,
+        criterion=criterion,
+        draws=1,
+        seed=seed,
+        keywords=keywords,
+        **settings,
+    )
+    recorder = Recorder([0])
+    with chosen_progress(progress, f"{batch.name} on {env_id}", "steps") as step:
+        count = StepCount(step, batch.task.steps)
+        count.add(0)
+        verdicts = batch.run([(payload, batch.seed)], observer=recorder, count=count, full_motion=True)
     return recorder.rollouts(verdicts)[0]
 
 

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
+from cablebot_gym.utils.console import PREPARATION
+
 
 @contextmanager
 def _collection_paused() -> Iterator[None]:
@@ -49,19 +51,23 @@ def load_numba() -> None:
 
 
 class _Announcer(event.Listener):
-    """Logs the first compilation of a kernel of this package, at the level that Python shows by default."""
+    """Logs the first compilation of a kernel of this package, at the level that Python shows by default.
+
+    Compilation counts as a preparation: estimates of the time left exclude it.
+    """
 
     def __init__(self) -> None:
         self._logged = False
 
     def on_start(self, event: event.Event) -> None:
+        PREPARATION.start()
         module = event.data["dispatcher"].py_func.__module__
         if not self._logged and module.startswith("cablebot_gym."):
             self._logged = True
             _LOGGER.warning("compiling for this machine; this takes up to a minute, once per kind of robot and use …")
 
     def on_end(self, event: event.Event) -> None:
-        """Does nothing."""
+        PREPARATION.end()
 
 
 def announce_compilation() -> None:

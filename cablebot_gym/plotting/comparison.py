@@ -1,4 +1,4 @@
-"""Figure of a comparison: errors over time and distribution of the largest errors, as in Fig. 9. Extra ``plot``."""
+"""Figures of comparisons: errors over time and their distribution, as in Fig. 9, or over payload. Extra ``plot``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.comparison import Comparison
+from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
 from cablebot_gym.task import payload_model_text
@@ -65,24 +65,62 @@ def draw_comparison(comparison: Comparison) -> Figure:
         largest.set(xlabel=f"largest {name} error [{unit}]", ylabel="fraction of draws", ylim=(0, 1.02))
     grid[-1, 0].set_xlabel("time [s]")
     add_legend(figure, grid[0, 0])
-    draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
-    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
-    environment = described(comparison.env_id, comparison.task.robot.name)
-    head = f"{environment}, payload {comparison.payload:g} kg, {model}; {draws}"
     band = ["mean over draws, band from the 5th to the 95th percentile"] if comparison.draws > 1 else []
     if band and any(metrics.ended.any() for metrics in comparison.metrics):
         band[0] += "; draws that ended early are excluded after their end"
-    set_title(figure, head, *band)
+    set_title(figure, _conditions(comparison, f"payload {comparison.payload:g} kg, "), *band)
     return figure
 
 
-def save_comparison(comparison: Comparison, folder: Path) -> Path:
+def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
+    """Draws the largest errors, the torque and the success rate over the payload.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    first, payloads = comparison.comparisons[0], comparison.payloads
+    rows = [("max_error", "position error,\nlargest [mm]", 1e3)]
+    rows += [] if first.task.robot.planar else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
+    rows += [("rms_torque", "torque, root\nmean square [N·m]", 1.0), ("success", "success rate [%]", 100.0)]
+    figure = new_figure(1.4 + 1.9 * len(rows))
+    panels = figure.subplots(len(rows), 1, sharex=True)
+    for axes, (name, label, factor) in zip(panels, rows, strict=True):
+        for index, policy in enumerate(comparison.policies):
+            metrics = [one.metrics[index] for one in comparison.comparisons]
+            found = [one.success if name == "success" else one.estimate(name) for one in metrics]
+            mean, low, high = factor * np.array([(one.mean, one.low, one.high) for one in found]).T
+            colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
+            if first.draws > 1:
+                axes.fill_between(payloads, low, high, color=colour, alpha=0.2, linewidth=0)
+            axes.plot(payloads, mean, style, color=colour, linewidth=1.8, marker=".", label=f" {policy}")
+        axes.set_ylabel(label)
+    for axes, bound, unit in zip(panels[:-2], vars(first.error_bounds).values(), ("mm", "mrad"), strict=False):
+        axes.axhline(1e3 * bound, color="black", linewidth=1.0)
+        axes.set_title(f"bound {1e3 * bound:g} {unit}: black line", fontsize=10, loc="right", color=GREY)
+    for axes in panels[:-1]:
+        axes.set_ylim(bottom=0)
+    panels[-1].set(xlabel="payload [kg]", ylim=(-4, 104))
+    add_legend(figure, panels[0])
+    band = ["mean over draws, with 95 % confidence"] if first.draws > 1 else []
+    set_title(figure, _conditions(first), *band)
+    return figure
+
+
+def _conditions(comparison: Comparison, payload: str = "") -> str:
+    """Environment, payload, payload model and draws."""
+    draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
+    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
+    return f"{described(comparison.env_id, comparison.task.robot.name)}, {payload}{model}; {draws}"
+
+
+def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) -> Path:
     """Writes ``comparison.png``. An interrupted call leaves no partial file.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure, path = draw_comparison(comparison), folder / "comparison.png"
+    path = folder / "comparison.png"
+    figure = draw_comparison(comparison) if isinstance(comparison, Comparison) else draw_payload_comparison(comparison)
     atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
     return path
 

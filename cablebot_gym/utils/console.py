@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
@@ -22,9 +25,17 @@ FIRST_LINE = 2.0
 LINE_GROWTH = 1.3
 """Ratio of the elapsed times of two successive lines of progress, which are at least :data:`FIRST_LINE` apart."""
 
+LONGEST_SILENCE = 60.0
+"""Longest time between two lines of progress [s]."""
 
 LEAST = 0.03
 """Finished fraction from which the time left is estimated."""
+
+LEAST_WORK = 10.0
+"""Time of work from which the time left is estimated even if less than :data:`LEAST` is finished [s]."""
+
+_PULSE = 0.5
+"""Time between two looks at the clock while a computation reports nothing [s]."""
 
 
 class Step(Protocol):
@@ -50,7 +61,7 @@ def notes_console() -> Console:
     """Console for progress and messages on standard error, without markup, emoji and wrapping."""
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
+    return Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True, force_jupyter=False)
 
 
 def print_table(
@@ -79,38 +90,130 @@ def print_table(
     console.print(table)
 
 
+class Preparation:
+    """Counts the time of preparations, such as compilation, which the estimates of the time left do not include."""
+
+    def __init__(self) -> None:
+        self._depth, self._since, self._spent = 0, 0.0, 0.0
+
+    def start(self) -> None:
+        """Starts a preparation, which may be a part of another one."""
+        if not self._depth:
+            self._since = time.monotonic()
+        self._depth += 1
+
+    def end(self) -> None:
+        """Ends a preparation."""
+        self._depth -= 1
+        if not self._depth:
+            self._spent += time.monotonic() - self._since
+
+    @property
+    def worked(self) -> float:
+        """Time without preparations, from an arbitrary zero [s]."""
+        return (self._since if self._depth else time.monotonic()) - self._spent
+
+
+PREPARATION = Preparation()
+"""The preparations of this process."""
+
+
+class _Clock:
+    """Times of one computation."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+        self._first, self._since, self._last = -1.0, 0.0, 0.0
+        self._done = self._expected = 0.0
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the start, with preparations [s]."""
+        return time.monotonic() - self._start
+
+    def update(self, done: float, expected: float) -> None:
+        """Notes the progress. Work starts at the last report of the first value: results may be there already."""
+        if self._first in (-1.0, done):
+            self._first, self._since = done, PREPARATION.worked
+        self._done, self._expected, self._last = done, expected, PREPARATION.worked
+
+    @property
+    def left(self) -> str:
+        """Text of the time left; empty while it is unknown."""
+        finished, rest = self._done - self._first, self._expected - self._done
+        now = PREPARATION.worked
+        if min(rest, finished) <= 0 or (finished <= LEAST * (finished + rest) and now - self._since < LEAST_WORK):
+            return ""
+        # The next unit is expected at the mean pace; if it is late, as if it were finished now.
+        in_time = (self._last - self._since) * rest / finished - (now - self._last)
+        late = (now - self._since) * (rest - 1) / (finished + 1)
+        return f"{_duration(max(in_time, late))} left"
+
+
+def _is_terminal(console: Console) -> bool:
+    """Whether bars can be drawn. rich alone would draw them in a log or a notebook that sets ``FORCE_COLOR``."""
+    return console.is_terminal and sys.stderr.isatty()
+
+
 @contextmanager
 def progress(text: str, unit: str = "%") -> Iterator[Step]:
-    """Shows the progress of a computation and the time left: as a bar on a terminal, else as a line now and then.
+    """Shows the progress of a computation, and elapsed and remaining time: as a bar on a terminal, else as lines.
+
+    The lines come at growing intervals of at most :data:`LONGEST_SILENCE`, also while the computation reports nothing.
 
     Args:
         text: description of the computation.
         unit: unit that is counted, such as ``cells``; ``%`` shows the percentage instead.
     """
-    console = notes_console()
-    if not console.is_terminal:
-        yield _line_printer(text, unit, console.print)
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    console, clock = notes_console(), _Clock()
+    if not _is_terminal(console):
+        with _lines(clock, console.print) as say:
+            description = text
+            say(text)
 
-    count = "{task.percentage:3.0f} %" if unit == "%" else f"{{task.completed:.0f}} of {{task.total:.0f}} {unit}"
+            def report(done: float, expected: float, text: str = "") -> None:
+                nonlocal description
+                description = text or description
+                clock.update(done, expected)
+                if done < expected:
+                    count = f"{done / expected:.0%}" if unit == "%" else f"{done:,.0f} of {expected:,.0f} {unit}"
+                    say(f"{description}: {count}")
+
+            yield report
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    count = "{task.percentage:3.0f} %" if unit == "%" else f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}"
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn(count))
-    left = (TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("left"))
+    left = (TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, *left, console=console, transient=True) as bar:
-        task = bar.add_task(text, total=1.0)
+        task = bar.add_task(text, total=1.0, left="")
 
         def step(done: float, expected: float, text: str = "") -> None:
-            bar.update(task, completed=done, total=expected, description=text or None)
+            clock.update(done, expected)
+            bar.update(task, completed=done, total=expected, description=text or None, left=clock.left)
 
+        yield step
+
+
+@contextmanager
+def chosen_progress(choice: Any, text: str, unit: str = "%") -> Iterator[Any]:
+    """The callback for an argument ``progress``: that of :func:`progress` for True, else the argument, or None."""
+    if choice is not True:
+        yield choice or None
+        return
+    with progress(text, unit) as step:
         yield step
 
 
 @contextmanager
 def activity() -> Iterator[Callable[[str], None]]:
     """Shows the activity of a computation of unknown length. Yields a function that takes the present activity."""
-    console, start = notes_console(), time.monotonic()
-    if not console.is_terminal:
-        yield lambda text: console.print(f"{time.monotonic() - start:.0f} s: {text}")
+    console = notes_console()
+    if not _is_terminal(console):
+        with _lines(_Clock(), console.print) as say:
+            say("starting")
+            yield lambda text: say(text, at_once=True)
         return
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -120,26 +223,70 @@ def activity() -> Iterator[Callable[[str], None]]:
         yield lambda text: bar.update(task, description=text)
 
 
-def _line_printer(text: str, unit: str, say: Callable[[str], None]) -> Step:
-    """Progress as lines of a log. Results that are done at the first step do not affect the time left."""
-    start, description = time.monotonic(), text
-    due, first = start + FIRST_LINE, -1.0
+class _Say(Protocol):
+    """Sets the present activity of a log."""
 
-    def step(done: float, expected: float, text: str = "") -> None:
-        nonlocal due, first, description
-        description = text or description
-        first = done if first < 0 else first
-        now = time.monotonic()
-        if now < due or not first + LEAST * (expected - first) < done < expected:
-            return
-        due = max(now + FIRST_LINE, start + LINE_GROWTH * (now - start))
-        count = f"{done / expected:.0%}" if unit == "%" else f"{done:.0f} of {expected:.0f} {unit}"
-        say(f"{description}: {count}, {_duration((now - start) * (expected - done) / (done - first))} left")
+    def __call__(self, text: str, *, at_once: bool = False) -> None:
+        """The next line has this text. It is written when it is due, or ``at_once``."""
 
-    return step
+
+@contextmanager
+def _lines(clock: _Clock, write: Callable[[str], None]) -> Iterator[_Say]:
+    """Writes the present activity with elapsed and remaining time when a line is due, in a thread of its own."""
+    ended, lock = threading.Event(), threading.Lock()
+    present, due = "", FIRST_LINE
+
+    def write_line() -> None:
+        nonlocal due
+        elapsed = clock.elapsed
+        due = elapsed + min(max(FIRST_LINE, (LINE_GROWTH - 1) * elapsed), max(FIRST_LINE, LONGEST_SILENCE))
+        write(", ".join(part for part in (present, f"{_duration(elapsed)} elapsed", clock.left) if part))
+
+    def say(text: str, *, at_once: bool = False) -> None:
+        nonlocal present
+        with lock:
+            present = text
+            if at_once or clock.elapsed >= due:
+                write_line()
+
+    def watch() -> None:
+        while not ended.wait(_PULSE):
+            with lock:
+                if clock.elapsed >= due:
+                    write_line()
+
+    thread = threading.Thread(target=watch, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield say
+    finally:
+        ended.set()
+        thread.join()
+
+
+def command_line(command: str, *arguments: object, **options: Any) -> str:
+    """A complete command line to paste into a shell.
+
+    Args:
+        command: command of ``cablebot``.
+        arguments: its positional arguments.
+        options: values by the option's name in Python. True is a flag without value, a mapping becomes JSON, and a list
+            repeats the option. None, False and empty values are left out.
+    """
+    words = ["cablebot", command, *map(str, arguments)]
+    for name, given in options.items():
+        for value in given if isinstance(given, list) else [given]:
+            if value is None or value is False or value in ("", {}):
+                continue
+            words.append(f"--{name.replace('_', '-')}")
+            if value is not True:
+                words.append(json.dumps(value, ensure_ascii=False) if isinstance(value, Mapping) else str(value))
+    return shlex.join(words)
 
 
 def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{max(1.0, seconds):.0f} s"
+    if seconds < 600:
+        return f"{seconds / 60:.1f} min"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"

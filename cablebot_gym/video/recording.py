@@ -1,4 +1,4 @@
-"""Videos of episodes of policies, side by side, in a file or in a window."""
+"""Videos and pictures of episodes of policies, side by side, in a file or in a window."""
 
 from __future__ import annotations
 
@@ -31,6 +31,9 @@ END_TIME = 1.0
 SUFFIXES = (".mp4", ".gif")
 """File name suffixes of the video formats."""
 
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".webp")
+"""File name suffixes of the formats of pictures."""
 
 Episode = tuple[str, Rollout]
 """A title and the recorded episode below it."""
@@ -91,6 +94,44 @@ class VideoPainter:
         return np.concatenate([np.minimum(moving, self.duration), np.full(round(END_TIME * rate), self.duration)])
 
 
+def check_picture(path: Path, time: float | None) -> None:
+    """Checks that a picture can be written to a path, and its time.
+
+    Raises:
+        ValueError: if the suffix is unknown, the path is not writable, or the time is negative.
+        ImportError: if Pillow is missing; the message gives the extra to install.
+    """
+    _check_file(path, PICTURE_SUFFIXES, "picture")
+    if time is not None:
+        number("time", time, least=0, unit="s")
+
+
+def write_picture(
+    path: Path, episodes: Sequence[Episode], *, time: float | None = None, size: tuple[int, int] = SIZE
+) -> None:
+    """Writes a picture of episodes side by side to a ``.png``, ``.jpg`` or ``.webp`` file. The write is atomic.
+
+    Args:
+        path: file to write; its suffix determines the format.
+        episodes: titles and episodes to show, at least one.
+        time: time of the picture [s]; None for the end of the longest episode.
+        size: width and height of the picture of each episode [pixels].
+
+    Raises:
+        ValueError: if the format, the time or the size is invalid, or the time is after the end of all episodes.
+        ImportError: if a package is missing; the message gives the extra to install.
+    """
+    check_picture(path, time)
+    painter = VideoPainter(episodes, size)
+    if time is not None and time > painter.duration + 1e-9:
+        raise ValueError(f"time must be at most {painter.duration:g} s, when the last episode ends, not {time:g}")
+    from PIL import Image
+
+    image = Image.fromarray(painter.array(painter.duration if time is None else time))
+    kind = {".jpg": "jpeg"}.get(path.suffix, path.suffix[1:])
+    atomic_write(path, lambda temporary: image.save(temporary, format=kind))
+
+
 def check_video(path: Path) -> None:
     """Checks that a video can be written to a path.
 
@@ -98,11 +139,15 @@ def check_video(path: Path) -> None:
         ValueError: if the suffix is unknown or the path is not writable; the message lists the known suffixes.
         ImportError: if the package that writes the format is missing; the message gives the extra to install.
     """
-    if path.suffix not in SUFFIXES:
-        raise ValueError(f"cannot write a video to {str(path)!r}: the file name has to end in {' or '.join(SUFFIXES)}")
+    _check_file(path, SUFFIXES, "video")
+
+
+def _check_file(path: Path, suffixes: tuple[str, ...], kind: str) -> None:
+    if path.suffix not in suffixes:
+        raise ValueError(f"cannot write a {kind} to {str(path)!r}: the file name has to end in {' or '.join(suffixes)}")
     check_writable_file(path)
     try:
-        import_module("PIL.Image" if path.suffix == ".gif" else "imageio_ffmpeg")
+        import_module("imageio_ffmpeg" if path.suffix == ".mp4" else "PIL.Image")
     except ImportError as error:
         raise ImportError(f"{path.suffix} files require the extra: pip install 'cablebot-gym[render]'") from error
 

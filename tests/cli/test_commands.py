@@ -122,16 +122,67 @@ def test_missing_extra_ends_with_the_command_that_installs_it(cablebot, monkeypa
     assert f"pip install 'cablebot-gym[{extra}]'" in cablebot(*typed).message(2)
 
 
-def test_progress_in_a_log_has_the_time_left(monkeypatch, capsys):
+@pytest.fixture
+def clock(monkeypatch):
+    """Time in seconds that a test sets; the thread that writes due lines sleeps."""
     now = [0.0]
     monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(console, "_PULSE", 1e6)
+    return now
+
+
+def test_progress_in_a_log_has_elapsed_and_remaining_time(clock, capsys):
     with console.progress("recording", "episodes") as step:
         for done in range(100, 201):  # 100 are stored already
             step(done, 200)
-            now[0] += 1.0
+            clock[0] += 1.0
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "recording: 104 of 200 episodes, 96 s left"
+    assert lines[1] == "recording: 104 of 200 episodes, 4 s elapsed, 96 s left"
     assert 8 < len(lines) < 20
+
+
+def test_time_left_excludes_compilation_and_everything_before_the_first_step(clock, capsys):
+    with console.progress("task criterion") as step:
+        clock[0] += 60.0  # the policy plans
+        step(1, 100)
+        for done in range(2, 12):
+            if done == 5:
+                console.PREPARATION.start()
+                clock[0] += 500.0
+                console.PREPARATION.end()
+            clock[0] += 1.0
+            step(done, 100)
+    assert capsys.readouterr().err.splitlines()[-1] == "task criterion: 5%, 9.4 min elapsed, 95 s left"
+
+
+def test_time_left_shrinks_until_the_next_cell_is_late(clock):
+    watch, left = console._Clock(), []
+    watch.update(0, 5)
+    clock[0] += 40.0
+    watch.update(1, 5)
+    for _ in range(3):
+        clock[0] += 20.0
+        left.append(watch.left)
+    assert left == ["2.3 min left", "2.0 min left", "2.5 min left"]
+
+
+def test_computation_that_reports_nothing_writes_lines(monkeypatch, capsys):
+    monkeypatch.setattr(console, "FIRST_LINE", 0.01)
+    monkeypatch.setattr(console, "_PULSE", 0.01)
+    with console.activity():
+        time.sleep(0.5)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) > 2
+    assert set(lines) == {"starting, 1 s elapsed"}
+
+
+def test_command_line_is_quoted_and_complete():
+    options = {"trajectory": {"name": "line-planar"}, "payload_unknown": True, "out": Path("my runs"), "seed": 0}
+    typed = console.command_line("dlcc", "ID", **options, isolate=False, deadline=None, only=["a", "b"])
+    assert typed == (
+        """cablebot dlcc ID --trajectory '{"name": "line-planar"}' --payload-unknown --out 'my runs' --seed 0 """
+        "--only a --only b"
+    )
 
 
 # --- processes --------------------------------------------------------------------------------------------------------

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from cli.conftest import names
 from scipy.stats import binomtest
 
-from cablebot_gym.cli.compare import print_comparison
+from cablebot_gym.cli.compare import payload_grid, print_comparison
 from cablebot_gym.evaluation import compare_policies
 
-SPATIAL = "CableBot-Spatial-v0"
+PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 MOTION = {"name": "dwell-spatial", "duration": 0.05}
 HANG = '{"name": "dwell-spatial", "duration": 0.05}'
 PAIR = ("compare", SPATIAL, "--trajectory", HANG, "--uncertainty", "table6", "--draws", "3", "--policies")
@@ -95,3 +97,33 @@ def test_one_draw_of_a_planar_robot_has_no_interval_and_no_rotation(capsys):
     text = capsys.readouterr().out
     assert "payload known, 1 draw of no uncertainty" in text
     assert not any(word in text for word in ("±", "confidence", "rotation"))
+
+
+def test_payloads_give_a_table_json_and_figure_over_the_payload(cablebot, tmp_path):
+    typed = ("compare", PLANAR, "--policies", "fl,robust", "--payloads", "0:3:1.5", "--out", tmp_path)
+    ended = cablebot(*typed)
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in ended.out.splitlines() if "│" in line]
+    labels = [cell for payload in ("0", "1.5", "3") for cell in (payload, "fl", "", "robust")]
+    assert [cell for row in rows for cell in row[:2]] == labels
+    data = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
+    alone = cablebot("compare", PLANAR, "--policies", "fl,robust", "--payload", "1.5", "--json").data
+    assert (data["payloads"], data["comparisons"][1]) == ([0.0, 1.5, 3.0], alone)
+    assert (tmp_path / "comparison.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("text", "payloads"),
+    [
+        ("0:9:0.5", [0.5 * index for index in range(19)]),
+        ("1:1:1", [1.0]),
+        ("0:0.3:0.1", [0, 0.1, 0.2, 0.3]),
+        ("2,4", [2, 4]),
+    ],
+)
+def test_payload_grid_has_both_ends(text, payloads):
+    assert payload_grid(text) == payloads
+
+
+@pytest.mark.parametrize("text", ["", "0:9", "0:9:0", "9:0:1", "0:9:-1", "0:1e9:1", "a,b", "2,1"])
+def test_payloads_that_are_no_grid_are_refused(cablebot, no_work, text):
+    cablebot("compare", PLANAR, "--policies", "fl", "--payloads", text).message(2)

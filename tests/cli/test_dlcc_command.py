@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shlex
+import sys
 
 import pytest
 from cli.conftest import LOST, names
 
+from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.robots import PLANAR as PLANAR_ROBOT
+
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PARTS = ("motors", "transmission")
 HANG = '{"name": "dwell-spatial", "duration": 0.05}'
 QUICK = ("dlcc", SPATIAL, "--policy", "fl", "--trajectory", HANG, "--payload-max", "16", "--resolution", "0.5")
 """An evaluation that takes no time."""
@@ -129,7 +136,6 @@ def test_table_over_draws_has_their_number_and_what_they_assure(cablebot):
     text = " ".join(cablebot(*few, "--draws", "5", "--payload-max", "20").out.split())
     assert "payload: 50/95 lower tolerance bound, 5 draws" in text
     assert re.search(r"resolution [\d.]+ g, without the discretisation error", text)
-    assert re.search(r"task: cablebot rollout with the same options and --payload [\d.]+ --seed \d+ repeats the", text)
 
 
 def test_unsaturated_actions_that_only_the_policy_declares_are_marked(cablebot, toys):
@@ -164,3 +170,52 @@ def test_isolated_policy_gives_the_same_result_and_a_secret_seed(cablebot):
     assert shown.splitlines()[-1] == "seed 3"
     assert "--deadline needs --isolate" in cablebot(*ONE, "--deadline", "30").message(2)
     assert "--deadline must" in cablebot(*ONE, "--isolate", "--deadline", "0").message(2)
+
+
+def test_printed_command_repeats_the_failure(cablebot, tmp_path):
+    """With every option that is not the default, quoted for a shell."""
+    line = '{"name": "line-planar", "duration": 0.25}'
+    options = ("--trajectory", line, "--position-bound", "0.004", "--uncertainty", "table6", "--payload-unknown")
+    evaluation = ("dlcc", PLANAR, "--policy", "fl", *options, "--draws", "4", "--resolution", "0.5", "--json")
+    violation = cablebot(*evaluation, "--criterion", "paper").data[0]["violation"]
+    shown = cablebot(*evaluation[:-1], "--criterion", "paper").out
+    typed = next(text for text in shown.splitlines() if text.startswith("  cablebot rollout"))
+    assert "--position-bound 0.004 --payload-unknown" in typed
+    ended = cablebot(*shlex.split(typed)[1:])
+    assert f"paper criterion: not carried: {Violation(**violation)}" in ended.out
+
+
+def test_bisection_finds_the_payload_with_few_episodes_and_is_unranked(cablebot):
+    scan = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05").data[0]
+    found = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection").data[0]
+    assert (scan["ranked"], found["ranked"]) == (True, False)
+    assert found["payload"] == pytest.approx(scan["payload"], abs=0.1)
+    assert "unranked: a bisection" in cablebot(*ONE[:-1], "--search", "bisection").out
+
+
+OWN_MOTION = """
+from cablebot_gym.trajectories import Dwell
+class Own(Dwell):  # the process of the policy has to find it
+    def __init__(self):
+        super().__init__(pose=(0.0, 0.0), duration=0.05, name="own")
+def motion():
+    return Own()
+"""
+
+
+def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    data = PLANAR_ROBOT.replace(name="mine").to_dict()
+    table = "".join(f"{name} = {json.dumps(value)}\n" for name, value in data.items() if value and name not in PARTS)
+    parts = [
+        f"[{name}]\n" + "".join(f"{key} = {value}\n" for key, value in data[name].items() if value) for name in PARTS
+    ]
+    text = (
+        table + "".join(parts) + '[defaults]\ntrajectory = "own_motion_of_dlcc.py:motion"\npayload_range = [0.1, 0.2]\n'
+    )
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "own_motion_of_dlcc.py").write_text(OWN_MOTION, encoding="utf-8")
+    typed = ("dlcc", PLANAR, "--policy", "fl", "--robot", tmp_path / "mine.toml", "--criterion", "task", "--isolate")
+    result = cablebot(*typed, "--json").data[0]
+    assert (result["environment"]["robot"]["name"], result["environment"]["trajectory"]["name"]) == ("mine", "own")
+    assert (result["payload"], result["scan_ended"]) == (0.2, True)

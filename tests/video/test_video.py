@@ -154,3 +154,32 @@ def test_watch_command_plays_in_a_window(cablebot, monkeypatch):
     assert cablebot("watch", PLANAR, *arguments)[0] == 0
     [([(title, rollout)], keywords)] = calls
     assert (title, rollout.payload, keywords) == (f"fl on {PLANAR}", 1.5, {"speed": 0.5, "size": (400, 300)})
+
+
+def test_picture_shows_policies_at_a_time_and_the_start_pose(cablebot, tmp_path):
+    common = ("--payload", "1.0", "--size", "320x240")
+    for name, more in {"late": ("--time", "0.8"), "end": ()}.items():
+        status, out, _ = cablebot(
+            "picture", SPATIAL, tmp_path / f"{name}.png", "--policies", "fl,robust", *common, *more
+        )
+        assert (status, out.count("task criterion: carried")) == (0, 2)
+    assert cablebot("picture", SPATIAL, tmp_path / "start.png", *common)[0] == 0
+    late, end, start = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("late", "end", "start"))
+    assert (late.shape, start.shape) == ((240, 640, 3), (240, 320, 3))
+    painter = VideoPainter([(f"fl on {SPATIAL}", record_rollout("fl", SPATIAL, payload=1.0))], SMALL)
+    assert np.array_equal(late[:, :320], painter.array(0.8))
+    assert not np.array_equal(late, end)
+
+
+@pytest.mark.parametrize(
+    ("out", "more", "message"),
+    [
+        ("a.gif", (), "has to end in .png or .jpg or .webp"),
+        ("a.png", ("--time", "-1"), "--time must be a finite number at least 0 s"),
+        ("a.png", ("--time", "9"), "--time must be at most 1.6 s"),
+    ],
+)
+def test_mistake_in_a_picture_is_reported(cablebot, tmp_path, monkeypatch, out, more, message):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = cablebot("picture", PLANAR, out, "--policy", "fl", *more)
+    assert (status, message in err) == (2, True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from cablebot_gym.utils.checks import choice
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.utils.console import command_line, notes_console, progress
 
 
 def train(
@@ -84,7 +83,7 @@ def train(
             else:
                 result = training.train(env_id, algorithm=algo, **common, **options)
         except Interrupted as stop:
-            again = shlex.join(["cablebot", "train", env_id, "--out", str(out), "--resume"])
+            again = command_line("train", env_id, out=out, resume=True)
             notes_console().print(f"stopped after {stop.timesteps} timesteps; to resume: {again}")
             raise
     print(json.dumps(result.to_dict(), indent=2) if as_json else result)

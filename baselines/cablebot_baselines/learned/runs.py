@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import platform
-import shlex
 import shutil
 import signal
 import threading
@@ -37,6 +36,7 @@ from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import BetweenDwells, Dwell, Trajectory
 from cablebot_gym.utils.checks import whole
+from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
 
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
@@ -140,12 +140,8 @@ class TrainingResult:
 
     def command(self) -> str:
         """The command line that repeats the run, without ``--out``."""
-        words = ["cablebot", "train", self.settings["env_id"]]
-        for name in _OPTIONS:
-            value = self.settings.get(name)
-            if value not in (None, {}):
-                words += [_option(name), json.dumps(value) if name == "evaluation" else str(value)]
-        return shlex.join(words)
+        options = {_option(name).removeprefix("--"): self.settings.get(name) for name in _OPTIONS}
+        return command_line("train", self.settings["env_id"], **options)
 
     def __str__(self) -> str:
         base, best = kg(self.base_payload_kg), self.best
@@ -267,6 +263,7 @@ class Run:
         """Evaluates the base law alone."""
         self.report("evaluating the base law", 0)
         self.state.base_payload_kg = self._dlcc(self._base.base_alone)
+        self.report("training", 0)
 
     def evaluate(self, network: Network, **record: Any) -> float | None:
         """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier network was as good."""

@@ -11,7 +11,7 @@ import typer
 
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.texts import OPTIONS
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.utils.console import command_line, notes_console, progress
 
 
 def reproduce(
@@ -55,8 +55,8 @@ def reproduce(
                 say=say,
             )
     except KeyboardInterrupt:
-        rest = ",".join(missing(out, names))
-        say(f"finished parts are in {out}; continue with --out {out} --only {rest}")
+        rest = {"only": ",".join(missing(out, names)), "out": out, "workers": workers} | interpretation.changed()
+        say(f"finished parts are in {out}; continue with: {command_line('reproduce', **rest)}")
         raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))

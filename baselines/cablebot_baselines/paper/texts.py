@@ -7,13 +7,12 @@ import math
 from cablebot_baselines.paper.interpretation import AS_PRINTED, Interpretation, Source
 from cablebot_baselines.paper.part import Number
 from cablebot_baselines.paper.published import load_table
+from cablebot_gym.utils.console import command_line
 
 
 def command(interpretation: Interpretation, *only: str) -> str:
     """Command that runs these parts, or all parts if no name is given, under an interpretation."""
-    words = ["cablebot reproduce", *(f"--only {name}" for name in only)]
-    words += [f"--{name.replace('_', '-')} {value}" for name, value in interpretation.changed().items()]
-    return " ".join(words)
+    return command_line("reproduce", only=list(only), **interpretation.changed())
 
 
 OPTIONS = load_table("options.toml")
