@@ -31,14 +31,14 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     calls = []
     monkeypatch.setattr(best_known, "find_best_known", lambda *given, **more: calls.append((given, more)) or found)
     options = ("--rotation-bound", "30", "--control-frequency", "250", "--trajectory", "line-spatial", "--no-cache")
+    options += ("--robot", "mine.toml")
     assert cablebot("best-known", SPATIAL, *options, "--json").data == {"payload": 1.0}
     found.verified = False
     assert cablebot("best-known", SPATIAL).status == 1
     (given, more), _ = calls
     assert (given, more.pop("progress") is not None) == ((SPATIAL,), True)
-    bounds = {"position": 0.01, "rotation": 0.03}
-    expected = {"trajectory": "line-spatial", "error_bounds": bounds, "control_frequency": 250.0, "cache": False}
-    assert more == expected
+    expected = {"trajectory": "line-spatial", "error_bounds": {"rotation": 0.03}, "control_frequency": 250.0}
+    assert more == expected | {"robot": "mine.toml", "cache": False}
 
 
 @pytest.mark.slow

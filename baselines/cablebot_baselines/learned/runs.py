@@ -263,7 +263,7 @@ class Run:
         """Evaluates the base law alone."""
         self.report("evaluating the base law", 0)
         self.state.base_payload_kg = self._dlcc(self._base.base_alone)
-        self.report("training", 0)
+        self.report("starting", 0)  # the time left counts from here
 
     def evaluate(self, network: Network, **record: Any) -> float | None:
         """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier network was as good."""
