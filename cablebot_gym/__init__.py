@@ -23,6 +23,7 @@ INTERNAL = (
     "cablebot_gym.policies.loading",
     "cablebot_gym.policies.process",
     "cablebot_gym.policies.sb3",
+    "cablebot_gym.policies.stand_in",
     "cablebot_gym.report",
 )
 """Internal modules and packages. The names without a leading underscore in all other modules form the public API."""

@@ -284,8 +284,7 @@ class WrappedPolicy:
     """A policy behind the wrappers of its training, which get a stand-in and never the judge's environment.
 
     The wrappers are made anew for each batch of episodes, at the first call with ``state=None``, and wrap an
-    environment without physics: see :class:`~cablebot_gym.policies.stand_in.StandIn`. The state that ``predict``
-    returns holds them, so it has to be passed to the next call.
+    environment without physics. The state that ``predict`` returns holds them, so it has to be passed to the next call.
 
     Args:
         policy: the policy, which gets wrapped observations and returns the actions that the wrappers expect.

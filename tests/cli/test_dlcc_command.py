@@ -175,12 +175,12 @@ def test_isolated_policy_gives_the_same_result_and_a_secret_seed(cablebot):
 def test_printed_command_repeats_the_failure(cablebot, tmp_path):
     """With every option that is not the default, quoted for a shell."""
     line = '{"name": "line-planar", "duration": 0.25}'
-    options = ("--trajectory", line, "--position-bound", "0.004", "--uncertainty", "table6", "--payload-unknown")
+    options = ("--trajectory", line, "--position-bound", "4", "--uncertainty", "table6", "--payload-unknown")
     evaluation = ("dlcc", PLANAR, "--policy", "fl", *options, "--draws", "4", "--resolution", "0.5", "--json")
     violation = cablebot(*evaluation, "--criterion", "paper").data[0]["violation"]
     shown = cablebot(*evaluation[:-1], "--criterion", "paper").out
     typed = next(text for text in shown.splitlines() if text.startswith("  cablebot rollout"))
-    assert "--position-bound 0.004 --payload-unknown" in typed
+    assert "--position-bound 4 --payload-unknown" in typed
     ended = cablebot(*shlex.split(typed)[1:])
     assert f"paper criterion: not carried: {Violation(**violation)}" in ended.out
 
@@ -219,3 +219,28 @@ def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, 
     result = cablebot(*typed, "--json").data[0]
     assert (result["environment"]["robot"]["name"], result["environment"]["trajectory"]["name"]) == ("mine", "own")
     assert (result["payload"], result["scan_ended"]) == (0.2, True)
+
+
+WRAPPERS = """
+import gymnasium as gym
+
+class Weak(gym.ActionWrapper):
+    def action(self, action):
+        return 0 * action
+"""
+
+
+def test_wrappers_reach_the_policy_and_the_result(cablebot, tmp_path):
+    file = tmp_path / "toy_weak.py"
+    file.write_text(WRAPPERS, encoding="utf-8")
+    (tmp_path / "law.py").write_text("from cablebot_baselines.classical import FeedbackLinearization\n" + MAKE)
+    (result,) = cablebot(*ONE, "--wrapper", str(file)).data
+    assert (result["payload"], result["wrappers"]) == (None, [str(file)])
+    pair = ("--policies", f"fl,{tmp_path}/law.py", "--trajectory", HANG, "--json")
+    law, weak = cablebot("compare", SPATIAL, *pair, "--wrapper", str(file)).data["policies"]
+    assert law["estimates"]["max_error"]["mean"] < weak["estimates"]["max_error"]["mean"]
+    ended = cablebot("compare", SPATIAL, "--policies", "fl,robust", "--normalize", "x.pkl")
+    assert (ended.status, "do not apply to installed policies" in ended.err) == (2, True)
+
+
+MAKE = "def make(robot):\n    return FeedbackLinearization(robot)\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import zipfile
@@ -127,6 +128,16 @@ def nothing(robot):
 def raising(robot):
     raise KeyError("weights")
 
+class Alone(Made):
+    def __init__(self, gain=2.0):
+        self.robot = gain
+
+class Many(Made):
+    def __init__(self, robot, gains):
+        pass
+
+made = Alone()
+
 """
 
 
@@ -139,6 +150,26 @@ def test_factory_of_a_module_makes_a_policy(module):
     assert isinstance(policy, CallablePolicy)
     np.testing.assert_array_equal(policy.predict(np.zeros((3, 2)))[0], [[6], [6], [6]])
     assert isinstance(load_policy("cablebot_baselines.classical:FL", PLANAR), FeedbackLinearization)
+    assert load_policy(f"{name}:Alone", SPATIAL).robot == 2.0
+    assert load_policy(f"{name}:made", SPATIAL).robot == 2.0
+
+
+def test_robot_may_be_named_or_be_that_of_an_environment():
+    for robot in ("CableBot-Spatial-v0", "spatial"):
+        assert load_policy("fl", robot).robot is SPATIAL
+    with pytest.raises(
+        ValueError, match=r"unknown environment or robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S"
+    ):
+        load_policy("fl", "CableBot-Spatal-v0")
+
+
+def test_class_is_made_for_the_robot_of_the_evaluation():
+    batch = Batch(Constant, PLANAR_ID)
+    assert (batch.name, batch.policy.robot.name) == ("Constant", "planar")
+    with pytest.raises(
+        TypeError, match=r"calls Constant\(\), which needs robot: PolicyFactory\(lambda: Constant\(robot"
+    ):
+        PolicyFactory(Constant)
 
 
 @pytest.mark.parametrize(
@@ -146,6 +177,7 @@ def test_factory_of_a_module_makes_a_policy(module):
     [
         ("nothing", r"the factory must return a policy; .*; NoneType is neither"),
         ("raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
+        ("Many", r"it takes \(robot, gains\), but is called with the robot: def make\(robot\): return Many\(…\)"),
         ("missing", "has no attribute 'missing'; it has "),
     ],
 )
@@ -299,6 +331,15 @@ def test_model_of_normalised_observations_reads_them_also_in_physical_units(tmp_
     np.testing.assert_array_equal(Batch(model, PLANAR_ID).policy.predict(raw, deterministic=True)[0], action)
     with pytest.raises(ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"):
         Batch(model, "CableBot-Spatial-v0")
+
+
+def test_file_of_sbx_names_the_command_that_installs_it(tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setitem(sys.modules, "sbx", None)
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as file:
+        file.writestr("data", json.dumps({"policy_class": {"__module__": "sbx.ppo.policies"}}))
+    with pytest.raises(ValueError, match=r"model.zip' was saved by SBX: pip install sbx-rl"):
+        load_policy(str(tmp_path / "model.zip"), PLANAR)
 
 
 def test_model_for_another_workspace_is_accepted(tmp_path):

@@ -25,6 +25,11 @@ def test_file_is_imported_with_its_siblings_from_any_folder(file):
     assert import_object("math:pi") > 3
 
 
+def test_file_with_a_single_function_needs_no_name(file):
+    file.write_text("GAIN = 7\ndef _helper(): ...\ndef make(robot): return GAIN\n")
+    assert import_object(str(file))(None) == 7
+
+
 @pytest.mark.parametrize(
     ("ending", "message"),
     [
