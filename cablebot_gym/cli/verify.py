@@ -62,7 +62,7 @@ def verify(
     shutil.rmtree(work / FOLDER, ignore_errors=True)  # the next verification draws another seed
     (work / RUN).unlink(missing_ok=True)
     if reasons:
-        notes_console().print(f"cablebot: entry {folder.absolute().name!r} is refused: {reasons[0]}", style="red")
+        notes_console().print(f"cablebot: refused: {reasons[0]}", style="red")
         raise typer.Exit(1)
     protection = f"in {found['sandbox']}, without network" if found["sandbox"] else "with network and all files"
     print(f"{folder}: {found['outcome']}; {counted(len(records), 'payload')} rerun {protection}, seed {seed}")

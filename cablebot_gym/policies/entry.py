@@ -110,16 +110,6 @@ class Entry:
             raise ValueError(f"entry {self.name!r} does not match its card in {', '.join(differing[:5])}")
         return (folder / CARD, *(root / name for name in present))
 
-    def spec(self, folder: Path) -> str:
-        """The policy as a name that can be loaded in this process. Its modules come first in the search path."""
-        if self.policy.endswith(".zip"):
-            return str(folder / POLICY / self.policy)
-        sys.dont_write_bytecode = True  # an entry has no file that is not on its card
-        root = str(self.root(folder).absolute())
-        if root not in sys.path:
-            sys.path.insert(0, root)
-        return self.policy
-
 
 def is_entry(name: str) -> bool:
     """Whether the name of a policy is the folder of an entry."""
@@ -140,6 +130,28 @@ def read_entry(folder: Path) -> Entry:
         return entry
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{str(folder / CARD)!r} is no card of an entry: {error}") from error
+
+
+def entry_spec(name: str) -> str:
+    """The policy of an entry as a name that can be loaded in this process, which has to be the policy's own.
+
+    Its modules come first in the search path. Every other name of a policy is returned unchanged.
+
+    Raises:
+        ValueError: if the card is invalid, or if there are no files.
+        ImportError: if the package of the policy is not installed.
+    """
+    if not is_entry(name):
+        return name
+    folder = Path(name)
+    entry = read_entry(folder)
+    if entry.policy.endswith(".zip"):
+        return str(folder / POLICY / entry.policy)
+    sys.dont_write_bytecode = True  # an entry has no file that is not on its card
+    root = str(entry.root(folder).absolute())
+    if root not in sys.path:
+        sys.path.insert(0, root)
+    return entry.policy
 
 
 def package_root(top: str) -> tuple[Path, Path] | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cablebot_gym.envs import ENV_ROBOTS
-from cablebot_gym.policies.entry import is_entry, read_entry
+from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, name_of, raised, required
 from cablebot_gym.policies.sb3 import fitted, load_sb3
 from cablebot_gym.policies.wrapped import Wrapper
@@ -80,7 +80,7 @@ def holds_unsaturated_actions(name: str) -> bool:
 
 
 def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
-    """A policy from an installed name, a ``.zip`` file, ``package.module:factory``, or the folder of an entry.
+    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
 
     A factory, a function or a class, is called with the nominal robot, or with nothing if it needs nothing. A file is
     passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of them return None, the file is loaded as a
@@ -101,7 +101,7 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
     """
     robot = as_robot(robot)
     if is_entry(name):
-        return load_policy(read_entry(Path(name)).spec(Path(name)), robot, wrappers=wrappers)
+        raise ValueError(f"entry {name!r} runs in a process of its own only: `cablebot dlcc --isolate` does it")
     entry = policy_entry(name)
     if entry is not None:
         return fitted(entry.factory(robot), robot, f"policy {name!r}", wrappers)

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.policies.entry import entry_spec
 from cablebot_gym.policies.loading import load_policy, policy_entry
 from cablebot_gym.policies.protocol import PolicyError, PolicyFactory, declarations, predicted, raised, reset_policy
 from cablebot_gym.policies.real_time import RealTime
@@ -55,6 +56,7 @@ class _Server:
     ) -> bytes:
         """Loads the policy, for real time if there is a control period, and returns its declarations as JSON."""
         sys.path[:] = path
+        spec = entry_spec(spec)
         self._policy, self._cables, self._state = load_policy(spec, robot, wrappers=wrappers), robot.cables, None
         note, names = getattr(self._policy, "note", ""), getattr(self._policy, "wrappers", ())
         if real_time is not None:

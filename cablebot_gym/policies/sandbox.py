@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -23,6 +23,9 @@ _SYSTEM = (
     *("/etc/ld.so.cache", "/etc/alternatives", "/etc/localtime", "/sys/devices/system/cpu"),
 )
 """Files of the operating system that the policy can read, if they exist."""
+
+_UNFINISHED = shutil.ignore_patterns("*.tmp.*", "*.pyc.*")
+"""Compiled code that another process is writing."""
 
 _OPT_OUT = "CABLEBOT_SANDBOX"
 """Environment variable; ``off`` runs entries without a sandbox, in worker processes too."""
@@ -99,19 +102,28 @@ def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
     check_sandbox()
     home, working = Path.home(), Path.cwd()
     (folder / "home").mkdir()
-    options = ["bwrap", *_NAMESPACES, "--proc", "/proc", "--dev", "/dev"]
-    options += ["--bind", str(folder / "home"), str(home)] if home != Path("/") else []
     prefixes = {Path(prefix).absolute() for prefix in (sys.prefix, sys.exec_prefix, sys.base_prefix)}
-    for path in dict.fromkeys([*map(Path, _SYSTEM), *sorted(prefixes), *_sources(spec, working, prefixes)]):
-        options += ["--ro-bind-try", str(path), str(path)]
+    options = ["bwrap", *_NAMESPACES, "--proc", "/proc", "--dev", "/dev"]
+    # The working directory may be below /usr, as in containers.
+    options += _readable(map(Path, _SYSTEM))
+    empty = {working: ["--tmpfs", str(working)], home: ["--bind", str(folder / "home"), str(home)]}
+    empty = {path: words for path, words in empty.items() if not any(Path(one).is_relative_to(path) for one in _SYSTEM)}
+    options += [word for path in sorted(empty) for word in empty[path]]  # a folder before those in it
+    options += _readable(path for path in sorted(prefixes) if not any(path.is_relative_to(one) for one in _SYSTEM))
+    options += _readable(_sources(spec, working, prefixes))
     compiled = (kernel.advance_one_planar, outcome.outcome)
     for index, cache_path in enumerate(sorted({Path(str(one.stats.cache_path)) for one in compiled})):
         if cache_path.is_dir():  # numba reads compiled code only from folders to which it can write
             copy = folder / f"compiled-{index}"
-            shutil.copytree(cache_path, copy, ignore=shutil.ignore_patterns("*.pyc"), copy_function=shutil.copyfile)
+            shutil.copytree(cache_path, copy, ignore=_UNFINISHED, copy_function=shutil.copyfile)
             options += ["--bind", str(copy), str(cache_path)]
-    options += ["--bind", str(folder), str(folder), "--dir", str(working), "--chdir", str(working)]
+    options += ["--bind", str(folder), str(folder), "--chdir", str(working)]
+    options += ["--remount-ro", str(working)] if working in empty and working != home else []
     return [*options, "--remount-ro", "/", "--", *command]
+
+
+def _readable(paths: Iterable[Path]) -> list[str]:
+    return [word for path in dict.fromkeys(paths) for word in ("--ro-bind-try", str(path), str(path))]
 
 
 def _sources(spec: str, working: Path, prefixes: set[Path]) -> Iterator[Path]:
@@ -127,5 +139,6 @@ def _sources(spec: str, working: Path, prefixes: set[Path]) -> Iterator[Path]:
     for folder in folders:
         if not folder.is_dir() or any(folder.glob("*.dist-info")):  # a .zip of modules; a folder of pip
             yield folder
-        else:  # other subfolders may have results
-            yield from (one for one in sorted(folder.iterdir()) if one.is_file() or (one / "__init__.py").is_file())
+        else:  # other subfolders may have results, and hidden files passwords
+            found = (one for one in sorted(folder.iterdir()) if one.is_file() or (one / "__init__.py").is_file())
+            yield from (one for one in found if not one.name.startswith("."))

@@ -19,7 +19,8 @@ from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.kinematics import Array, rotation_matrix
-from cablebot_gym.policies import Policy, load_policy
+from cablebot_gym.policies import IsolatedPolicy, Policy, load_policy
+from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.protocol import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.robots import Robot
@@ -109,7 +110,8 @@ def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Repla
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an invalid action.
     """
     first = cells[0][0]
-    policy = load_policy(first.policy, first.robot)
+    load = IsolatedPolicy if is_entry(first.policy) else load_policy
+    policy: Policy = load(first.policy, first.robot)
     episodes = [(cell, payload) for cell, dlcc in cells for payload in _payloads(dlcc)]
     env = gym.make_vec(
         first.env_id,

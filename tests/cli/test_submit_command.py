@@ -185,7 +185,7 @@ def test_larger_claim_is_refused_and_its_folder_is_unverified(command, source):
 
     change(entry / "results.json", larger)
     message = command("verify", entry, "--no-sandbox").message(1)
-    assert "entry 'mine' is refused" in message
+    assert message.startswith("cablebot: refused: CableBot-Planar-v0, circle-planar")
     assert "claimed; rerun: it carries" in message
 
 
@@ -198,5 +198,5 @@ def test_entry_needs_a_sandbox_or_consent_and_results(command, cablebot, source,
     texts = dict(zip((name.removeprefix("--") for name in CARD[::2]), CARD[1::2], strict=True))
     make_entry(Path("entries/mine"), "mine.py:Law", [PLANAR], texts)
     message = command("verify", "entries/mine", "--no-sandbox").message(1)
-    assert "entry 'mine' is refused: 'entries/mine/results.json' holds no results" in message
+    assert "refused: 'entries/mine/results.json' holds no results" in message
     assert record(Path("entries/mine"))["sandbox"] is None

@@ -17,7 +17,13 @@ from cablebot_gym.robots import PLANAR
 def view(tmp_path, monkeypatch):
     """Returns the paths that a policy sees, by whether it can write to them; its working directory has results."""
     monkeypatch.setattr(sandbox, "check_sandbox", lambda: None)
-    for name in ("work/results/run.json", "work/mine.py", "work/pack/__init__.py", "work/entries/law/results.json"):
+    for name in (
+        "work/results/run.json",
+        "work/mine.py",
+        "work/.env",
+        "work/pack/__init__.py",
+        "work/entries/law/results.json",
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("", encoding="utf-8")
     (tmp_path / "work/entries/law/entry.json").write_text("{}", encoding="utf-8")
