@@ -1,8 +1,9 @@
 """Smoke test of an installed wheel: tries every environment, policy and command in a minute or two.
 
-Needs only the package. It rejects a checkout, which would hide files that are missing in the wheel.
+Needs only the package. It rejects a checkout, which would hide files that are missing in the wheel. With `--extras` it
+instead trains, draws figures and runs cells of the benchmark, which needs the extras sb3 and plot.
 
-    python scripts/smoke.py
+    python scripts/smoke.py [--extras]
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+import tempfile
 import warnings
 from importlib.metadata import entry_points, version
 from pathlib import Path
@@ -78,12 +80,53 @@ def check_commands() -> None:
     print(f"commands: {', '.join(names)}")
 
 
+TRAINING = """
+CableBot-Planar-v0:
+  n_timesteps: 512
+  n_envs: 32
+  n_steps: 8
+  batch_size: 64
+  policy: MlpPolicy
+  policy_kwargs: "dict(net_arch=[8])"
+  learning_rate: lin_1e-3
+  normalize: true
+  env_kwargs: {terminate_on_violation: true}
+  env_wrapper:
+    - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3.0}
+    - cablebot_baselines.learned.wrappers.Steered:
+        base: {law: fl, gains: [2500, 100]}
+        steering: {kind: shift, action_period: 0.04, degree: 2}
+        features: [time_since_start, actions, error, model_payload]
+"""
+
+
+def check_extras() -> None:
+    """Trains a policy, evaluates it with figures, and runs cells of the benchmark."""
+    program = Path(sys.executable).with_name("cablebot")
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "ppo.yaml").write_text(TRAINING, encoding="utf-8")
+        for arguments in (
+            "train CableBot-Planar-v0 --algo ppo --config ppo.yaml --out run --eval-every 512",
+            "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
+            "benchmark --suite smoke --policies fl,apg-circle --out benchmark",
+        ):
+            subprocess.run([program, *arguments.split()], check=True, cwd=folder, stdout=subprocess.DEVNULL)
+            print(f"cablebot {arguments}: ok")
+        assert list(Path(folder, "figures").rglob("*.png")) or list(Path(folder, "figures").rglob("*.svg"))
+
+
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--extras", action="store_true", help="train, draw and benchmark instead")
+    chosen = parser.parse_args()
     reject_checkout()
     names = ("gymnasium", "numpy", "numba", "scipy", "typer", "rich")
+    names += ("stable-baselines3", "matplotlib", "torch") if chosen.extras else ()
     print(f"cablebot_gym {cablebot_gym.__version__} with", ", ".join(f"{name} {version(name)}" for name in names))
-    for env_id in cablebot_gym.ENV_IDS:
-        check_environment(env_id)
-    check_policies()
-    check_commands()
+    if chosen.extras:
+        check_extras()
+    else:
+        for env_id in cablebot_gym.ENV_IDS:
+            check_environment(env_id)
+        check_policies()
+        check_commands()

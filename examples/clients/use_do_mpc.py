@@ -52,7 +52,7 @@ def policy(observation):
         mpc.set_initial_guess()
     wanted = mpc.make_step(mpc.x0)[:, 0]
     mass = PLANAR.mass + now["model_payload"][0]
-    needed = inverse_dynamics(PLANAR, mass, now["pose"], now["velocity"], wanted)
+    needed = inverse_dynamics(PLANAR, mass, now["pose"], now["velocity"], wanted, minimum=5.0)
     return normalised_action(PLANAR, needed.torques, needed.speeds)
 
 

@@ -15,7 +15,8 @@ from cablebot_gym.robots import PLANAR
 ENV_ID = cablebot_gym.ENV_IDS[0]
 layout = gym.make(ENV_ID).unwrapped.layout
 one, zero = np.eye(2), np.zeros((2, 2))
-gain, _, _ = control.lqr(np.block([[zero, one], [zero, zero]]), np.vstack([zero, one]), np.eye(4), 1e-6 * one)
+weights = np.diag([1.0, 1.0, 1e-4, 1e-4]), 1e-7 * one
+gain, _, _ = control.lqr(np.block([[zero, one], [zero, zero]]), np.vstack([zero, one]), *weights)
 
 
 def lqr(observation):
@@ -23,7 +24,7 @@ def lqr(observation):
     error = np.concatenate([now["pose"] - now["reference_pose"], now["velocity"] - now["reference_velocity"]])
     acceleration = now["reference_acceleration"] - gain @ error
     mass = PLANAR.mass + now["model_payload"][0]
-    needed = inverse_dynamics(PLANAR, mass, now["pose"], now["velocity"], acceleration)
+    needed = inverse_dynamics(PLANAR, mass, now["pose"], now["velocity"], acceleration, minimum=5.0)
     return normalised_action(PLANAR, needed.torques, needed.speeds)
 
 

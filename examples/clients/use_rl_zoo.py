@@ -17,7 +17,8 @@ ENV_ID = "CableBot-Planar-v0"
 
 arguments = ["--algo", "ppo", "--env", ENV_ID, "--gym-packages", "cablebot_gym", "--seed", "0", "--device", "cpu"]
 arguments += ["--conf-file", str(HYPERPARAMS / "ppo.yaml"), "--log-folder", "logs", "--tensorboard-log", "tensorboard"]
-arguments += ["--n-timesteps", "16384", "--eval-freq", "8192", "--eval-episodes", "4"]
+arguments += ["--n-timesteps", "4096", "--eval-freq", "2048", "--eval-episodes", "4", "--n-eval-envs", "1"]
+arguments += ["--hyperparams", "n_envs:8", "n_steps:128", "batch_size:512"]  # the file has 1024 environments
 subprocess.run([sys.executable, "-m", "rl_zoo3.train", *arguments], check=True)
 (file,) = Path("logs").rglob("evaluations.npz")
 evaluations = np.load(file)
