@@ -125,6 +125,7 @@ class IsolatedPolicy:
     ) -> None:
         self.name = self.spec = spec
         robot, names = as_robot(robot), tuple(map(str, wrappers))
+        self._wrappers = names
         self._sandbox = sandbox or (is_entry(spec) and not opted_out())
         if self._sandbox:
             prepare_sandbox(robot)
@@ -219,7 +220,7 @@ class IsolatedPolicy:
     def _start(self) -> dict[str, Any]:
         """Starts a process in place of the present one, loads the policy and returns its declarations."""
         self.close()
-        self._process = _Process(self.spec if self._sandbox else None)
+        self._process = _Process((self.spec, *self._wrappers) if self._sandbox else None)
         self._fresh, self._called, self._started = True, False, self._waited
         body = self._ask(self._load, _TEXT)
         flags = _json(body)
@@ -324,10 +325,11 @@ class _Process:
     """A process, the thread that talks to it, and the thread that drains its standard error.
 
     Args:
-        sandboxed_spec: name of the policy for which the process is put into a sandbox; None for no sandbox.
+        sandboxed_specs: names of the policy and of its wrappers for which the process is put into a sandbox; None for
+            no sandbox.
     """
 
-    def __init__(self, sandboxed_spec: str | None = None) -> None:
+    def __init__(self, sandboxed_specs: Sequence[str] | None = None) -> None:
         folder = tempfile.mkdtemp(prefix=FOLDER)
         path = os.pathsep.join(entry for entry in sys.path if entry)
         environment = {
@@ -336,9 +338,9 @@ class _Process:
             if name.upper() in _ENVIRONMENT or name.startswith(_ENVIRONMENT_PREFIXES)
         } | {"PYTHONPATH": path, "TMPDIR": folder, "TEMP": folder, "TMP": folder}
         command = [sys.executable, "-P", "-c", "from cablebot_gym.policies.process import main; main()"]
-        self._sandboxed = sandboxed_spec is not None
+        self._sandboxed = sandboxed_specs is not None
         self._popen = subprocess.Popen(
-            command if sandboxed_spec is None else sandboxed(command, sandboxed_spec, Path(folder)),
+            command if sandboxed_specs is None else sandboxed(command, sandboxed_specs, Path(folder)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -6,13 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, is_entry
+from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.robots import Robot
 
 _NAMESPACES = ("--unshare-all", "--die-with-parent", "--cap-drop", "ALL")
@@ -82,7 +83,7 @@ def opted_out() -> bool:
     return os.environ.get(_OPT_OUT) == "off"
 
 
-def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
+def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[str]:
     """A command line that runs a command in the sandbox.
 
     The command has no network, sees no other process, and writes to no folder but ``folder``, an empty home, and a copy
@@ -90,7 +91,7 @@ def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
 
     Args:
         command: the command.
-        spec: name of the policy, as on the command line.
+        specs: names of the policy and of its wrappers, as on the command line.
         folder: folder for temporary files.
 
     Raises:
@@ -110,7 +111,7 @@ def sandboxed(command: list[str], spec: str, folder: Path) -> list[str]:
     empty = {path: words for path, words in empty.items() if not any(Path(one).is_relative_to(path) for one in _SYSTEM)}
     options += [word for path in sorted(empty) for word in empty[path]]  # a folder before those in it
     options += _readable(path for path in sorted(prefixes) if not any(path.is_relative_to(one) for one in _SYSTEM))
-    options += _readable(_sources(spec, working, prefixes))
+    options += _readable(_sources(specs, working, prefixes))
     compiled = (kernel.advance_one_planar, outcome.outcome)
     for index, cache_path in enumerate(sorted({Path(str(one.stats.cache_path)) for one in compiled})):
         if cache_path.is_dir():  # numba reads compiled code only from folders to which it can write
@@ -126,12 +127,17 @@ def _readable(paths: Iterable[Path]) -> list[str]:
     return [word for path in dict.fromkeys(paths) for word in ("--ro-bind-try", str(path), str(path))]
 
 
-def _sources(spec: str, working: Path, prefixes: set[Path]) -> Iterator[Path]:
+def _sources(specs: Sequence[str], working: Path, prefixes: set[Path]) -> Iterator[Path]:
     """Files and folders outside Python's own that the policy can read: those of modules, and its own."""
-    entry, path = is_entry(spec), Path(os.path.abspath(spec.rpartition(":")[0] or spec))
-    if entry or path.suffix == ".zip":
-        yield from ([path / name for name in (CARD, POLICY, PACKAGES)] if entry else [path])
-    folders = [path.parent] if path.suffix == ".py" else []
+    entry, folders = is_entry(specs[0]), []
+    for spec in specs:
+        path = Path(os.path.abspath(spec))
+        if is_entry(spec):
+            yield from (path / name for name in (CARD, POLICY, PACKAGES))
+        elif path.suffix in (".zip", ".pkl"):
+            yield from (one for one in (path, statistics_beside(path)) if one is not None)
+        elif path.suffix.partition(":")[0] == ".py":
+            folders.append(path.parent)
     for text in sys.path:
         folder = Path(os.path.abspath(text or working))
         if not (entry and folder == working) and not any(folder.is_relative_to(prefix) for prefix in prefixes):

@@ -33,7 +33,7 @@ def view(tmp_path, monkeypatch):
     def seen(spec):
         private = tmp_path / spec.replace("/", "-")
         private.mkdir()
-        command = sandbox.sandboxed(["true"], spec, private)
+        command = sandbox.sandboxed(["true"], [spec], private)
         assert command[-2:] == ["--", "true"]
         bound = list(zip(command, command[1:], command[2:], strict=False))
         read = {Path(to) for option, _, to in bound if option == "--ro-bind-try"}
