@@ -80,7 +80,8 @@ def test_motion_after_the_duration_warns():
 @pytest.mark.parametrize(("frequency", "duration"), [(20.0, 0.05), (500.0, 1.0)])
 def test_motions_of_the_library_do_not_warn(kind, coordinates, frequency, duration):
     for name in trajectory_names(coordinates):
-        fields = {} if name.startswith("loop") else {"duration": duration}  # the accelerations of loops set theirs
+        # The accelerations of loops set their durations, and the motions of chains.
+        fields = {} if name.startswith(("loop", "chain")) else {"duration": duration}
         motion = find_trajectory({"name": name, **fields}, coordinates)
         gym.make(f"CableBot-Flex{kind}-v0", trajectory=motion, control_frequency=frequency).reset()
 
