@@ -337,13 +337,14 @@ def _cable_columns(cables: int) -> tuple[tuple[str, slice], ...]:
 def info_dict(info: Array, cables: int) -> dict[str, Any]:
     """Values by name of an info array: Python floats and (m,) of one row, (N,) and (N, m) of several rows.
 
-    Arrays are views, except ``slack`` and ``violated``, which are boolean.
+    Arrays of one row are views, except ``slack`` and ``violated``, which are boolean. Those of several rows are copies
+    without gaps: JAX takes no others.
     """
     single = info.ndim == 1
-    scalars = info[:_FIRST_CABLE].tolist() if single else info.T  # tolist() converts all scalars at once
+    scalars = info[:_FIRST_CABLE].tolist() if single else info.T.copy()  # tolist() converts all scalars at once
     named: dict[str, Any] = dict(zip(INFO_SCALARS, scalars, strict=False))
     for name, columns in _cable_columns(cables):
-        named[name] = info[columns] if single else info[:, columns]
+        named[name] = info[columns] if single else info[:, columns].copy()
     named["violated"] = named["violated"] > _TRUE
     named["slack"] = named["slack"] > _TRUE
     return named

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections import defaultdict
 from pathlib import Path
@@ -15,6 +16,7 @@ from cablebot_gym.cli.listing import tables
 from generate.pages import RESULTS, Pages, table
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
+CLIENTS = Path(__file__).parents[1] / "clients.json"
 
 
 def write(pages: Pages) -> None:
@@ -24,6 +26,7 @@ def write(pages: Pages) -> None:
     pages.write("requirements.inc", requirements())
     pages.write("commands.inc", commands())
     pages.write("replays.inc", replays())
+    pages.write("clients.inc", clients())
 
 
 def requirements() -> str:
@@ -32,6 +35,26 @@ def requirements() -> str:
     rows = [["extra", "needs"], ["Python", f"`{project['requires-python']}`"]]
     for extra, needed in {"the package itself": project["dependencies"], **project["optional-dependencies"]}.items():
         rows.append([extra, ", ".join(f"`{one}`" for one in needed)])
+    return table(rows)
+
+
+def clients() -> str:
+    """Other libraries that work with the environments: what `.ci/clients` ran last, and its figure or error."""
+    rows = [["client", "version", "Gymnasium", "what it printed", "time [s]"]]
+    for name, ran in json.loads(CLIENTS.read_text(encoding="utf-8")).items():
+        printed = ran["figure"] if ran["error"] is None else f"**error**: {ran['error']}"
+        script = (
+            f"[{ran['client']}](https://pypi.org/project/{ran['client']}/)" if ran["client"] != "CleanRL" else "CleanRL"
+        )
+        rows.append(
+            [
+                f"{script} (`use_{name}.py`)",
+                ran["version"] or "–",
+                ran.get("gymnasium", "–"),
+                printed,
+                str(ran["seconds"] or "–"),
+            ]
+        )
     return table(rows)
 
 

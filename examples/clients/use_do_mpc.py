@@ -36,7 +36,7 @@ template = mpc.get_tvp_template()
 
 def references(time):
     for step in range(AHEAD + 1):
-        template["_tvp", step, "reference"] = motion(float(time) + step / FREQUENCY).position
+        template["_tvp", step, "reference"] = motion(np.squeeze(time).item() + step / FREQUENCY).position
     return template
 
 

@@ -1,5 +1,7 @@
 # /// script
-# dependencies = ["cablebot-gym", "tianshou"]
+# dependencies = ["cablebot-gym", "tianshou>=2"]
+# [tool.clients]
+# constraints = "constraints-clients.txt"
 # ///
 """Tianshou 2: PPO by the high-level interface."""
 

@@ -353,6 +353,7 @@ def test_info_holds_arrays_of_numbers_that_torch_and_jax_take(mode):
     infos.append(infos[-1].pop("final_info", {}))
     infos[1].pop("final_obs", None)  # an array of arrays, as in Gymnasium
     assert {value.dtype.kind for info in infos for value in info.values()} == {"b", "f", "i"}
+    assert all(value.flags.c_contiguous for info in infos for value in info.values())  # JAX
 
 
 def test_environment_that_has_ended_can_be_stepped_without_effect_on_the_others():
