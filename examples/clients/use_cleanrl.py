@@ -6,7 +6,8 @@
 # ///
 """CleanRL: its scripts are files, not a package; run this in a clone of the repository.
 
-The scripts are written for Gymnasium 0.29. Since Gymnasium 1.0, one of their wrappers needs the observation space.
+The scripts are written for Gymnasium 0.29. Since Gymnasium 1.0, one of their wrappers needs the
+observation space.
 """
 
 import subprocess
@@ -16,7 +17,9 @@ from pathlib import Path
 old = "np.clip(obs, -10, 10))"
 script = Path("cleanrl/ppo_continuous_action.py").read_text(encoding="utf-8")
 assert script.count(old) == 1
-Path("ppo.py").write_text(script.replace(old, "np.clip(obs, -10, 10), env.observation_space)"), encoding="utf-8")
+Path("ppo.py").write_text(
+    script.replace(old, "np.clip(obs, -10, 10), env.observation_space)"), encoding="utf-8"
+)
 
 arguments = [
     "--env-id",
@@ -27,5 +30,7 @@ arguments = [
     "16384",
     "--no-cuda",
 ]
-ran = subprocess.run([sys.executable, "ppo.py", *arguments], check=True, stdout=subprocess.PIPE, text=True)
+ran = subprocess.run(
+    [sys.executable, "ppo.py", *arguments], check=True, stdout=subprocess.PIPE, text=True
+)
 print("16384 steps;", ran.stdout.splitlines()[-1], "(steps per second)")

@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym", "do-mpc"]
 # ///
-"""do-mpc: a predictive controller of the motion, whose accelerations the inverse dynamics turn into actions."""
+"""do-mpc: a predictive controller. The inverse dynamics turn its accelerations into actions."""
 
 import do_mpc
 import gymnasium as gym
@@ -57,4 +57,5 @@ def policy(observation):
 
 
 rollout = record_rollout(policy, ENV_ID, payload=0.5, control_frequency=FREQUENCY)
-print(f"0.5 kg: largest position error {1e3 * rollout.verdict.position_peak:.2f} mm, {rollout.verdict.violation}")
+outcome = rollout.verdict.violation or "carried"
+print(f"0.5 kg: largest position error {1e3 * rollout.verdict.position_peak:.2f} mm, {outcome}")

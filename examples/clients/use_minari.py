@@ -25,7 +25,11 @@ for payload in (0.0, 1.0):
         observation, _, terminated, truncated, _ = env.step(action)
         ended = terminated or truncated
 env.create_dataset(
-    "cablebot-planar/fl-v0", eval_env=ENV_ID, algorithm_name="fl", author="you", author_email="you@example.org"
+    "cablebot-planar/fl-v0",
+    eval_env=ENV_ID,
+    algorithm_name="fl",
+    author="you",
+    author_email="you@example.org",
 )
 dataset = minari.load_dataset("cablebot-planar/fl-v0")
 print(f"{dataset.total_episodes} episodes, {dataset.total_steps} steps")

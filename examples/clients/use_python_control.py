@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym", "control"]
 # ///
-"""python-control: an LQR law for the tracking error, whose accelerations the inverse dynamics turn into actions."""
+"""python-control: an LQR law. The inverse dynamics turn its accelerations into actions."""
 
 import control
 import gymnasium as gym
@@ -21,7 +21,9 @@ gain, _, _ = control.lqr(np.block([[zero, one], [zero, zero]]), np.vstack([zero,
 
 def lqr(observation):
     now = layout.split(observation)
-    error = np.concatenate([now["pose"] - now["reference_pose"], now["velocity"] - now["reference_velocity"]])
+    error = np.concatenate(
+        [now["pose"] - now["reference_pose"], now["velocity"] - now["reference_velocity"]]
+    )
     acceleration = now["reference_acceleration"] - gain @ error
     mass = PLANAR.mass + now["model_payload"][0]
     needed = inverse_dynamics(PLANAR, mass, now["pose"], now["velocity"], acceleration, minimum=5.0)

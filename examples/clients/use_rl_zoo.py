@@ -15,10 +15,11 @@ from cablebot_baselines.learned.runs import HYPERPARAMS
 
 ENV_ID = "CableBot-Planar-v0"
 
-arguments = ["--algo", "ppo", "--env", ENV_ID, "--gym-packages", "cablebot_gym", "--seed", "0", "--device", "cpu"]
-arguments += ["--conf-file", str(HYPERPARAMS / "ppo.yaml"), "--log-folder", "logs", "--tensorboard-log", "tensorboard"]
-arguments += ["--n-timesteps", "4096", "--eval-freq", "2048", "--eval-episodes", "4", "--n-eval-envs", "1"]
-arguments += ["--hyperparams", "n_envs:8", "n_steps:128", "batch_size:512"]  # the file has 1024 environments
+options = f"--algo ppo --env {ENV_ID} --gym-packages cablebot_gym --seed 0 --device cpu --n-eval-envs 1"
+options += " --n-timesteps 4096 --eval-freq 2048 --eval-episodes 4"
+options += " --log-folder logs --tensorboard-log tensorboard"
+options += " --hyperparams n_envs:8 n_steps:128 batch_size:512"  # the file has 1024 environments
+arguments = [*options.split(), "--conf-file", str(HYPERPARAMS / "ppo.yaml")]
 subprocess.run([sys.executable, "-m", "rl_zoo3.train", *arguments], check=True)
 (file,) = Path("logs").rglob("evaluations.npz")
 evaluations = np.load(file)

@@ -8,7 +8,11 @@
 import ray
 from ray.rllib.algorithms.ppo import PPOConfig
 
-options = {"normalised_observation": True, "terminate_on_violation": True, "observation_dtype": "float32"}
+options = {
+    "normalised_observation": True,
+    "terminate_on_violation": True,
+    "observation_dtype": "float32",
+}
 ray.init(num_cpus=2, include_dashboard=False)
 config = (
     PPOConfig()

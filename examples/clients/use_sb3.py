@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym[sb3]", "stable-baselines3"]
 # ///
-"""Stable-Baselines3 trains on the compiled batch. TensorBoard shows the log: `tensorboard --logdir logs`."""
+"""Stable-Baselines3 trains on the compiled batch; `tensorboard --logdir logs` shows the log."""
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
@@ -11,7 +11,11 @@ from cablebot_gym.evaluation import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"
 
-options = {"normalised_observation": True, "terminate_on_violation": True, "observation_dtype": "float32"}
+options = {
+    "normalised_observation": True,
+    "terminate_on_violation": True,
+    "observation_dtype": "float32",
+}
 envs = VecMonitor(make_sb3_vec_env(ENV_ID, 16, seed=0, **options))
 model = PPO("MlpPolicy", envs, n_steps=128, batch_size=512, seed=0, device="cpu", tensorboard_log="logs")
 model.learn(20_000)

@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym[sb3]", "sb3-contrib"]
 # ///
-"""sb3-contrib: TQC; the saved model is a policy file for `cablebot dlcc CableBot-Planar-v0 --policy tqc.zip`."""
+"""sb3-contrib: TQC. The saved model is a policy file: `cablebot dlcc ID --policy tqc.zip`."""
 
 import gymnasium as gym
 from sb3_contrib import TQC

@@ -13,9 +13,17 @@ from skrl.utils.model_instantiators.torch import deterministic_model, gaussian_m
 
 import cablebot_gym
 
-options = {"normalised_observation": True, "observation_dtype": "float32", "terminate_on_violation": True}
+options = {
+    "normalised_observation": True,
+    "observation_dtype": "float32",
+    "terminate_on_violation": True,
+}
 env = wrap_env(gym.make_vec(cablebot_gym.ENV_IDS[0], 16, **options))
-spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
+spaces = {
+    "observation_space": env.observation_space,
+    "action_space": env.action_space,
+    "device": env.device,
+}
 network = [{"name": "net", "input": "OBSERVATIONS", "layers": [64, 64], "activations": "elu"}]
 models = {
     "policy": gaussian_model(**spaces, network=network, output="ACTIONS"),
