@@ -168,7 +168,7 @@ class Batch:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         name: name of the policy; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
-            :func:`~cablebot_gym.policies.load_policy`.
+            :data:`~cablebot_gym.policies.wrapped.Wrapper`.
         criterion: ``task`` or ``paper``.
         error_bounds: bounds of the tracking errors; None for those of the robot.
         uncertainty: model errors and disturbances that the policy does not know.

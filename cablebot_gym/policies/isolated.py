@@ -102,7 +102,7 @@ class IsolatedPolicy:
             limit. The process of the policy measures the time, so it has to be honest. See
             :class:`~cablebot_gym.policies.real_time.RealTime`.
         wrappers: names of the wrappers of the training, the innermost first, as for
-            :func:`~cablebot_gym.policies.load_policy`. They run in the process of the policy.
+            :data:`~cablebot_gym.policies.wrapped.Wrapper`. They run in the process of the policy.
         sandbox: whether the process runs in a sandbox without network, other processes, and most files, see
             :func:`~cablebot_gym.policies.sandbox.sandboxed`. Entries of others always do, unless
             :func:`~cablebot_gym.policies.sandbox.opt_out` was called.
