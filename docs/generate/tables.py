@@ -40,21 +40,11 @@ def requirements() -> str:
 
 def clients() -> str:
     """Other libraries that work with the environments: what `.ci/clients` ran last, and its figure or error."""
-    rows = [["client", "version", "Gymnasium", "what it printed", "time [s]"]]
+    rows = [["client", "script", "version", "Gymnasium", "what it printed", "time [s]"]]
     for name, ran in json.loads(CLIENTS.read_text(encoding="utf-8")).items():
         printed = ran["figure"] if ran["error"] is None else f"**error**: {ran['error']}"
-        script = (
-            f"[{ran['client']}](https://pypi.org/project/{ran['client']}/)" if ran["client"] != "CleanRL" else "CleanRL"
-        )
-        rows.append(
-            [
-                f"{script} (`use_{name}.py`)",
-                ran["version"] or "–",
-                ran.get("gymnasium", "–"),
-                printed,
-                str(ran["seconds"] or "–"),
-            ]
-        )
+        versions = [ran["version"] or "–", ran.get("gymnasium") or "–"]
+        rows.append([ran["client"], f"`use_{name}.py`", *versions, printed, str(ran["seconds"] or "–")])
     return table(rows)
 
 
