@@ -101,7 +101,7 @@ class IsolatedPolicy:
         real_time: control period after which an action is replaced by the last one of its episode [s]; None for no
             limit. The process of the policy measures the time, so it has to be honest. See
             :class:`~cablebot_gym.policies.real_time.RealTime`.
-        wrappers: names of the wrappers of the training, the innermost first, as for
+        wrappers: names of the wrappers of the training, the innermost first, see
             :data:`~cablebot_gym.policies.wrapped.Wrapper`. They run in the process of the policy.
         sandbox: whether the process runs in a sandbox without network, other processes, and most files, see
             :func:`~cablebot_gym.policies.sandbox.sandboxed`. Entries of others always do, unless
