@@ -57,5 +57,5 @@ def policy(observation):
 
 
 rollout = record_rollout(policy, ENV_ID, payload=0.5, control_frequency=FREQUENCY)
-outcome = rollout.verdict.violation or "carried"
+outcome = rollout.verdict.violation or "no violation"
 print(f"0.5 kg: largest position error {1e3 * rollout.verdict.position_peak:.2f} mm, {outcome}")

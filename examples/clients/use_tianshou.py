@@ -1,5 +1,5 @@
 # /// script
-# dependencies = ["cablebot-gym", "tianshou>=2"]
+# dependencies = ["cablebot-gym", "tianshou[eval]>=2"]
 # [tool.clients]
 # constraints = "constraints-clients.txt"
 # ///
@@ -11,7 +11,7 @@ from tianshou.highlevel.experiment import ExperimentConfig, PPOExperimentBuilder
 
 import cablebot_gym
 
-options = {"normalised_observation": True, "terminate_on_violation": True}
+options = {"normalised_observation": True, "terminate_on_violation": True, "render_mode_watch": None}
 envs = EnvFactoryRegistered(task=cablebot_gym.ENV_IDS[0], venv_type=VectorEnvType.DUMMY, **options)
 training = OnPolicyTrainingConfig(
     max_epochs=2,
