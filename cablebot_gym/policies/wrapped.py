@@ -40,7 +40,7 @@ VECTOR, SINGLE, SB3 = "vector environment", "single environment", "VecEnv"
 """Forms of wrappers."""
 
 
-class NormalisedObservation(VectorObservationWrapper[Array, Array, Array, Array]):
+class NormalisedObservation(VectorObservationWrapper):
     """Observations of order one, as from the environment with ``normalised_observation``."""
 
     def __init__(self, env: Any) -> None:
