@@ -228,7 +228,7 @@ def command_again(command: str, *arguments: object, episode: Mapping[str, Any], 
     """
     episode = dict(episode)
     others: dict[str, Any] = {
-        f"{name}_bound": f"{1000 * value:g}" for name, value in episode.pop("error_bounds", {}).items()
+        f"{name}_bound": f"{1000 * value:.12g}" for name, value in episode.pop("error_bounds", {}).items()
     }
     others["payload_unknown"] = not episode.pop("payload_known", True)
     others["wrapper"] = episode.pop("wrappers", [])

@@ -141,7 +141,7 @@ def test_progress_in_a_log_has_elapsed_and_remaining_time(clock, capsys):
     assert 8 < len(lines) < 20
 
 
-def test_time_left_excludes_compilation_and_everything_before_the_first_step(clock, capsys):
+def test_time_left_counts_work_from_the_first_step_on(clock, capsys):
     with console.progress("task criterion") as step:
         clock[0] += 60.0  # the policy plans
         step(1, 100)
@@ -166,7 +166,7 @@ def test_time_left_shrinks_until_the_next_cell_is_late(clock):
     assert left == ["2.3 min left", "2.0 min left", "2.5 min left"]
 
 
-def test_computation_that_reports_nothing_writes_lines(monkeypatch, capsys):
+def test_silent_computation_writes_lines(monkeypatch, capsys):
     monkeypatch.setattr(console, "FIRST_LINE", 0.01)
     monkeypatch.setattr(console, "_PULSE", 0.01)
     with console.activity():

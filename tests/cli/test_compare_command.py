@@ -125,5 +125,5 @@ def test_payload_grid_has_both_ends(text, payloads):
 
 
 @pytest.mark.parametrize("text", ["", "0:9", "0:9:0", "9:0:1", "0:9:-1", "0:1e9:1", "a,b", "2,1"])
-def test_payloads_that_are_no_grid_are_refused(cablebot, no_work, text):
+def test_invalid_payloads_are_refused(cablebot, no_work, text):
     cablebot("compare", PLANAR, "--policies", "fl", "--payloads", text).message(2)

@@ -43,7 +43,7 @@ def view(tmp_path, monkeypatch):
     return seen
 
 
-def test_policy_sees_modules_of_the_working_directory_and_no_results(view, tmp_path):
+def test_policy_sees_only_modules_of_the_working_directory(view, tmp_path):
     read, written, private = view("mine:make")
     assert {one.name for one in read if one.is_relative_to(tmp_path)} == {"mine.py", "pack"}
     assert Path(cablebot_gym.__file__).parent in read or Path(sys.prefix) in read
@@ -52,13 +52,13 @@ def test_policy_sees_modules_of_the_working_directory_and_no_results(view, tmp_p
     assert all(one in (private, Path.home()) or one.name == "__pycache__" or "numba" in str(one) for one in written)
 
 
-def test_entry_sees_its_card_and_policy_and_neither_its_results_nor_the_working_directory(view, tmp_path):
+def test_entry_sees_only_its_card_and_its_policy(view, tmp_path):
     read, _, _ = view("entries/law")
     own = {one.relative_to(tmp_path).as_posix() for one in read if one.is_relative_to(tmp_path)}
     assert own == {f"work/entries/law/{name}" for name in ("entry.json", "policy", "packages")}
 
 
-def test_machine_without_bubblewrap_says_what_to_install(monkeypatch):
+def test_missing_bubblewrap_is_named_with_its_install_command(monkeypatch):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr(sandbox, "sandbox_problem", sandbox.sandbox_problem.__wrapped__)
     with pytest.raises(ValueError, match=r"there is no sandbox: bubblewrap is not installed .*apt-get install"):

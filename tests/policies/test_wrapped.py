@@ -292,7 +292,7 @@ def module(tmp_path, monkeypatch):
     return path
 
 
-def test_isolated_process_gives_the_same_payload_and_has_no_environment(module):
+def test_isolated_process_gives_the_same_payload_from_the_stand_in_alone(module):
     names = [f"{module}:Spies", f"{module}:Half"]
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:
         isolated = evaluate_dlcc(policy, PLANAR_ID, **FEW)

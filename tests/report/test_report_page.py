@@ -246,7 +246,7 @@ def test_map_has_its_numbers(opened, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_phone_needs_no_sideways_scrolling_and_colours_follow_the_system(opened, scheme):
+def test_page_fits_a_phone_and_colours_follow_the_system(opened, scheme):
     page = opened(360, 740, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
     assert page.evaluate("document.documentElement.dataset.theme") == scheme

@@ -86,7 +86,7 @@ def test_search_finds_the_words_of_users(opened, word):
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_phone_needs_no_sideways_scrolling(opened, page):
+def test_page_fits_a_phone(opened, page):
     """Wide tables and code scroll in their own boxes."""
     assert opened(f"{page}.html", width=390).evaluate("document.documentElement.scrollWidth") <= 390
 
