@@ -1,8 +1,9 @@
 """Geometry of cable robots in batched numpy: rotations, cable lengths, the structure Jacobian S and its rate.
 
-Arrays may have any number of leading batch axes. A planar pose is ``(x, y)``. A spatial pose is
-``(x, y, z, ψ, θ, φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` and z pointing down. Lengths are in m, angles in rad.
-``euler`` are the angles (ψ, θ, φ), shape (..., 3).
+Arrays may have any number of leading batch axes. The pose of a point mass is ``(x, y)`` or ``(x, y, z)``, that of a
+platform in a plane ``(x, y, φ)``, and that of a platform in space ``(x, y, z, ψ, θ, φ)`` with the rotation
+``R = Rz(φ) Ry(θ) Rx(ψ)``. z points down. Lengths are in m, angles in rad. ``euler`` are the angles (ψ, θ, φ),
+shape (..., 3).
 
 All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations serve numbers and
 symbolic derivatives.
@@ -17,9 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[Any]
 """An array of float64, unless a docstring says otherwise."""
-
-SPATIAL_COORDINATES = 6
-"""Number of coordinates of a spatial pose."""
 
 
 def as_numbers(values: ArrayLike) -> Array:
@@ -78,39 +76,69 @@ def _matrix(rows: list[list[Array | float]]) -> Array:
     return matrix
 
 
+def turned(pose: ArrayLike, vectors: ArrayLike) -> Array:
+    """Vectors of the platform frame, shape (..., k, d), in the base frame at poses (..., n).
+
+    d is 2 or 3, the number of coordinates of the position. A point mass does not turn.
+    """
+    pose, vectors = as_numbers(pose), as_numbers(vectors)
+    d = vectors.shape[-1]
+    if pose.shape[-1] == d:
+        return vectors
+    if d == 3:
+        return vectors @ np.swapaxes(rotation_matrix(pose[..., 3:]), -1, -2)
+    cosine, sine = np.cos(pose[..., 2:]), np.sin(pose[..., 2:])
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
 def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
-    """Vectors from base anchor to platform anchor in the base frame, shape (..., m, 2 or 3).
+    """Vectors from base anchor to platform anchor in the base frame, shape (..., m, d).
 
     Args:
-        base: base anchors A_i, shape (m, 2) planar or (m, 3) spatial, or (N, m, …) with one set per pose.
-        platform: platform anchors b_i in the platform frame, same shape; zeros for a planar robot (point mass).
-        pose: X, shape (..., 2) or (..., 6).
+        base: base anchors A_i, shape (m, d) with d = 2 in a plane and 3 in space, or (N, m, d) with one set per pose.
+        platform: platform anchors b_i in the platform frame, same shape; zeros for a point mass.
+        pose: X, shape (..., n) with n = d for a point mass, 3 for a platform in a plane and 6 in space.
     """
-    base, platform, pose = (as_numbers(array) for array in (base, platform, pose))
-    if pose.shape[-1] == SPATIAL_COORDINATES:
-        platform = platform @ np.swapaxes(rotation_matrix(pose[..., 3:]), -1, -2)
-    return pose[..., None, : base.shape[-1]] + platform - base
+    base, pose = as_numbers(base), as_numbers(pose)
+    return pose[..., None, : base.shape[-1]] + turned(pose, platform) - base
 
 
-def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
-    """Cable lengths ``q_i(X) = ‖A_i − (p + R b_i)‖`` [m], shape (..., m). Arguments as in :func:`cable_vectors`."""
-    lengths: Array = np.sqrt(np.sum(cable_vectors(base, platform, pose) ** 2, axis=-1))
+def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel: ArrayLike | None = None) -> Array:
+    """Cable lengths q_i(X) [m], shape (..., m): ``‖A_i − (p + R b_i)‖`` without swivel pulleys.
+
+    With swivel pulleys, q_i is the length on the pulley from the swivel axis on, plus the free length.
+
+    Args:
+        base: base anchors, as in :func:`cable_vectors`.
+        platform: platform anchors, as in :func:`cable_vectors`.
+        pose: X, shape (..., n).
+        swivel: signed radii ± ρ of the swivel pulleys in space, shape (m,) [m]; None if there are none. The cable runs
+            along the vertical axis through A_i to the pulley, from below if the sign is positive and from above if it
+            is negative. The pulley turns about the axis towards the platform anchor.
+    """
+    vectors = cable_vectors(base, platform, pose)
+    if swivel is not None:
+        return _Swivelled(vectors, as_numbers(swivel)).length
+    lengths: Array = np.sqrt(np.sum(vectors**2, axis=-1))
     return lengths
 
 
-def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Array:
-    """Structure Jacobian ``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_vectors`."""
+def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel: ArrayLike | None = None) -> Array:
+    """Structure Jacobian ``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_lengths`."""
     zero_velocity = np.zeros_like(as_numbers(pose))
-    return jacobian_and_rate(base, platform, pose, zero_velocity)[0]
+    return jacobian_and_rate(base, platform, pose, zero_velocity, swivel)[0]
 
 
-def structure_jacobian_rate(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
-    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n). Arguments as in :func:`cable_vectors`."""
-    return jacobian_and_rate(base, platform, pose, velocity)[1]
+def structure_jacobian_rate(
+    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike, swivel: ArrayLike | None = None
+) -> Array:
+    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n). Arguments as in :func:`cable_lengths`."""
+    return jacobian_and_rate(base, platform, pose, velocity, swivel)[1]
 
 
 def jacobian_and_rate(
-    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike
+    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike, swivel: ArrayLike | None = None
 ) -> tuple[Array, Array]:
     """S and Ṡ, each (..., m, n), computed together at little more than the cost of one.
 
@@ -119,18 +147,21 @@ def jacobian_and_rate(
         platform: platform anchors, as in :func:`cable_vectors`.
         pose: X, shape (..., n).
         velocity: Ẋ, shape (..., n).
+        swivel: signed radii of the swivel pulleys, as in :func:`cable_lengths`.
     """
     base, pose, velocity, platform = (as_numbers(array) for array in (base, pose, velocity, platform))
-    if pose.shape[-1] != SPATIAL_COORDINATES:
-        unit, unit_rate = _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :])
-        return unit, unit_rate
+    d, n = base.shape[-1], pose.shape[-1]
+    if n == d:
+        return _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :], swivel)
+    if d == 2:
+        return _turning_in_plane(base, platform, pose, velocity)
     euler, rates = pose[..., 3:], velocity[..., 3:]
     rotation, to_omega = rotation_matrix(euler), euler_rate_matrix(euler)
-    turned = np.swapaxes(rotation, -1, -2)
+    back = np.swapaxes(rotation, -1, -2)
     omega = (to_omega @ rates[..., None])[..., 0]
     arms = _skew(platform)  # arms @ x = b × x
-    anchor_velocity = velocity[..., None, :3] - (arms @ omega[..., None, :, None])[..., 0] @ turned
-    unit, unit_rate = _unit_and_rate(pose[..., None, :3] + platform @ turned - base, anchor_velocity)
+    anchor_velocity = velocity[..., None, :3] - (arms @ omega[..., None, :, None])[..., 0] @ back
+    unit, unit_rate = _unit_and_rate(pose[..., None, :3] + platform @ back - base, anchor_velocity, swivel)
     # d/dt (Rᵀu) = Rᵀu̇ − ω × Rᵀu, in the platform frame.
     in_frame = unit @ rotation
     in_frame_rate = unit_rate @ rotation - in_frame @ np.swapaxes(_skew(omega), -1, -2)
@@ -140,8 +171,70 @@ def jacobian_and_rate(
     return jacobian, np.concatenate([unit_rate, angular_rate], axis=-1)
 
 
-def _unit_and_rate(vectors: Array, point_velocity: Array) -> tuple[Array, Array]:
+def _turning_in_plane(base: Array, platform: Array, pose: Array, velocity: Array) -> tuple[Array, Array]:
+    """S and Ṡ of platforms in a plane: rows (u, (R b) × u)."""
+    arm, rate = turned(pose, platform), velocity[..., None, 2:]
+    arm_rate = rate * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    unit, unit_rate = _unit_and_rate(pose[..., None, :2] + arm - base, velocity[..., None, :2] + arm_rate, None)
+    moment = arm[..., 0] * unit[..., 1] - arm[..., 1] * unit[..., 0]
+    moment_rate = arm[..., 0] * unit_rate[..., 1] - arm[..., 1] * unit_rate[..., 0]
+    moment_rate = moment_rate + arm_rate[..., 0] * unit[..., 1] - arm_rate[..., 1] * unit[..., 0]
+    jacobian = np.concatenate([unit, moment[..., None]], axis=-1)
+    return jacobian, np.concatenate([unit_rate, moment_rate[..., None]], axis=-1)
+
+
+class _Swivelled:
+    """Cables on swivel pulleys, from the vectors between anchors (..., m, 3) and the signed radii (m,).
+
+    In the plane of the pulley let c be the distance of the platform anchor from the swivel axis, h its height in the
+    direction from which the cable comes, and (ρ, 0) the centre of the pulley. With L² = (c − ρ)² + h² the free length
+    is f = √(L² − ρ²), its direction u = (f (c − ρ) − ρ h, ρ (c − ρ) + f h)/L², and the length on the pulley is
+    ρ (π + atan2(h, c − ρ) − atan2(f, ρ)).
+    """
+
+    def __init__(self, vectors: Array, swivel: Array) -> None:
+        self.vectors = vectors
+        self.side = np.where(swivel < 0, -1.0, 1.0)
+        self.radius = radius = np.abs(swivel)
+        self.reach = np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
+        self.height, self.across = self.side * vectors[..., 2], self.reach - radius
+        self.square = self.across**2 + self.height**2
+        self.free = np.sqrt(self.square - radius**2)
+
+    @property
+    def length(self) -> Array:
+        """Cable lengths, (..., m)."""
+        turn = np.pi + np.arctan2(self.height, self.across) - np.arctan2(self.free, self.radius)
+        length: Array = self.radius * turn + self.free
+        return length
+
+    def unit_and_rate(self, point_velocity: Array) -> tuple[Array, Array]:
+        """Directions of the free cables and their rates, each (..., m, 3)."""
+        radius = self.radius
+        out = (self.free * self.across - radius * self.height) / self.square
+        down = (radius * self.across + self.free * self.height) / self.square
+        level = self.vectors[..., :2] / self.reach[..., None]
+        outward = np.sum(level * point_velocity[..., :2], axis=-1)
+        sideways = level[..., 0] * point_velocity[..., 1] - level[..., 1] * point_velocity[..., 0]
+        # The free cable turns about the point where it leaves the pulley, and with the pulley about the axis.
+        bent = (out * self.side * point_velocity[..., 2] - down * outward) / self.free
+        swung = out * sideways / self.reach
+        unit = np.stack([out * level[..., 0], out * level[..., 1], self.side * down], axis=-1)
+        rate = np.stack(
+            [
+                -down * bent * level[..., 0] - swung * level[..., 1],
+                -down * bent * level[..., 1] + swung * level[..., 0],
+                self.side * out * bent,
+            ],
+            axis=-1,
+        )
+        return unit, rate
+
+
+def _unit_and_rate(vectors: Array, point_velocity: Array, swivel: ArrayLike | None) -> tuple[Array, Array]:
     """Cable directions and their rates."""
+    if swivel is not None:
+        return _Swivelled(vectors, as_numbers(swivel)).unit_and_rate(point_velocity)
     length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
     with np.errstate(divide="ignore", invalid="ignore"):  # the direction of a cable of zero length is NaN
         unit = vectors / length

@@ -14,12 +14,19 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cablebot_gym.kinematics import SPATIAL_COORDINATES, Array, cable_lengths, structure_jacobian
-from cablebot_gym.utils.checks import mapping, number, numbers, record, unknown_name_error
+from cablebot_gym.kinematics import (
+    Array,
+    cable_lengths,
+    cable_vectors,
+    euler_rate_matrix,
+    rotation_matrix,
+    structure_jacobian,
+)
+from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, unknown_name_error
 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""
@@ -41,6 +48,13 @@ PerMotor = float | tuple[float, ...]
 
 Cable = Literal["unilateral", "bilateral"]
 """``unilateral`` cables can only pull. ``bilateral`` cables can push too, as in the paper's equations."""
+
+Kind = Literal["planar", "planar-platform", "point", "spatial"]
+"""Kinds of platforms: a point mass in a plane with the pose (x, y), a platform in a plane (x, y, φ), a point mass in
+space (x, y, z), and a platform in space (x, y, z, ψ, θ, φ)."""
+
+Plane = Literal["horizontal", "vertical"]
+"""Plane in which a planar robot moves. In the vertical plane, y points down and gravity acts along +y."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +85,10 @@ class Transmission:
 
     Rigid (``stiffness`` is None): ``τ = r T + J β̈ + c β̇`` (Eq. 1). Flexible, with a spring between motor and pulley
     (Eq. 4): ``J′ β̈′ + c′ β̇′ + K (β′ − β) = τ`` and ``K (β′ − β) = r T + J β̈ + c β̇``.
+
+    Elastic cables (``axial_stiffness``) are slack until they are stretched. Then T depends on their strain, see
+    :func:`~cablebot_gym.physics.textbook.cable_springs`. Without joint springs, J includes the motor and τ acts on it:
+    ``J β̈ + c β̇ = τ − r T``. With joint springs, J is the inertia between the two springs.
     """
 
     pulley_radius: PerMotor
@@ -91,13 +109,25 @@ class Transmission:
     """Motor inertia J′ of a flexible robot [kg·m²], one value or one per motor; > 0. None if rigid."""
     motor_damping: PerMotor = 0.0
     """Viscous damping c′ at the motor of a flexible robot [N·m·s/rad], one value or one per motor; ≥ 0. 0 if rigid."""
+    axial_stiffness: PerMotor | None = None
+    """Axial stiffness EA of elastic cables [N], one value or one per cable; > 0. None if the cables do not stretch."""
+    axial_damping: PerMotor = 0.0
+    """Axial damping ηA of elastic cables [N·s], one value or one per cable; ≥ 0. 0 if the cables do not stretch."""
+    extra_length: PerMotor = 0.0
+    """Length of each elastic cable between its pulley and its base anchor, which stretches too [m]; ≥ 0."""
 
     def __post_init__(self) -> None:
-        _set_per_motor(self, positive=("pulley_radius", "stiffness", "motor_inertia"))
+        _set_per_motor(self, positive=("pulley_radius", "stiffness", "motor_inertia", "axial_stiffness"))
         if (self.stiffness is None) != (self.motor_inertia is None):
             raise ValueError("a flexible transmission needs stiffness and motor_inertia; a rigid one has neither")
         if self.stiffness is None and np.any(self.motor_damping):
             raise ValueError("a rigid transmission has no motor_damping; use damping")
+        if self.axial_stiffness is None and (np.any(self.axial_damping) or np.any(self.extra_length)):
+            raise ValueError(
+                "axial_damping and extra_length are for elastic cables: set axial_stiffness, or remove them"
+            )
+        if self.axial_stiffness is not None and np.min(self.pulley_inertia) <= 0:
+            raise ValueError("pulley_inertia must be greater than 0 with elastic cables: include the motor's inertia")
 
     def replace(self, **changes: Any) -> Transmission:
         """A copy with the fields in ``changes`` replaced."""
@@ -124,8 +154,9 @@ def _per_motor(part: Literal["motors", "transmission"], field: str) -> cached_pr
 
     def values(robot: Robot) -> Array:
         value = getattr(getattr(robot, part), field)
-        if value is None or (field == "motor_damping" and not robot.flexible):
-            raise ValueError(f"{robot.name} has a rigid transmission without {field}; choose a flexible robot")
+        if value is None or (field == "motor_damping" and not robot.jointed):
+            other = "elastic cables" if field == "axial_stiffness" else "joint springs"
+            raise ValueError(f"{robot.name} has a transmission without {field}; choose a robot with {other}")
         return robot.per_motor(value)
 
     return cached_property(values)
@@ -157,10 +188,16 @@ class Defaults:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """One cable robot. The number of columns of ``base_anchors`` determines its kind.
+    """One cable robot with m cables. The columns of ``base_anchors`` and the presence of ``platform_anchors`` determine
+    its kind, and with it the number n of its coordinates:
 
-    * 2 columns: planar, a point mass in the horizontal plane without gravity (n = 2 coordinates, m ≥ 3 cables).
-    * 3 columns: spatial, a suspended rigid platform (n = 6 coordinates, m = 6 cables).
+    * 2 columns, no platform anchors: ``planar``, a point mass in a plane, n = 2.
+    * 2 columns and platform anchors: ``planar-platform``, a platform that also turns in the plane, n = 3.
+    * 3 columns, no platform anchors: ``point``, a suspended point mass, n = 3.
+    * 3 columns and platform anchors: ``spatial``, a suspended platform, n = 6.
+
+    Gravity acts on all of them except in a horizontal plane. With gravity m ≥ n cables can hold the platform, without
+    it m > n.
 
     Raises:
         ValueError: if a value is not physical, two cables coincide, or no positive tensions hold ``home_pose``.
@@ -179,11 +216,26 @@ class Robot:
     home_pose: tuple[float, ...]
     """Home pose X₀ [m, rad], shape (n,), at which all pulley angles β are zero."""
     platform_anchors: tuple[tuple[float, ...], ...] = ()
-    """Platform anchors b_i in the platform frame [m], shape (m, 3); empty for a planar robot (point mass)."""
-    inertia: tuple[float, ...] = ()
-    """Principal moments of inertia (I_xx, I_yy, I_zz) about the platform axes [kg·m²]; empty for a planar robot."""
+    """Platform anchors b_i in the platform frame [m], shape (m, 2) or (m, 3); empty for a point mass."""
+    inertia: tuple[Any, ...] = ()
+    """Inertia about the centre of mass along the platform axes [kg·m²]: in space the moments (I_xx, I_yy, I_zz) or the
+    tensor with three rows, in a plane (I_zz,); empty for a point mass."""
+    center_of_mass: tuple[float, ...] = ()
+    """Centre of mass in the platform frame [m], shape (2,) or (3,); empty for the origin, as for a point mass. The
+    payload is there, too. The pose is that of the origin."""
+    plane: Plane = "horizontal"
+    """Plane in which a planar robot moves."""
+    swivel_radius: PerMotor = 0.0
+    """Radius ρ of the swivel pulleys of a robot in space [m], one value or one per cable; ≥ 0.
+
+    Each cable runs along the vertical swivel axis through its base anchor to the pulley, which turns about that axis
+    towards the platform anchor. With 0 the cables end in points. A planar robot only accepts 0.
+    """
+    cable_density: PerMotor = 0.0
+    """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag uses it."""
     gravity: float = STANDARD_GRAVITY
-    """Gravitational acceleration along +z of a spatial robot [m/s²]. A planar robot only accepts the default."""
+    """Gravitational acceleration along +z, or along +y in a vertical plane [m/s²]. A robot in a horizontal plane only
+    accepts the default."""
     minimum_tension: float = 1.0
     """Tension T_min that the task criterion requires of every cable at every physics step [N]; ≥ 0.
 
@@ -191,14 +243,19 @@ class Robot:
     2 mm and lengthen by about 0.01 mm; at 0.1 N they lengthen by more than 1 mm.
     """
     workspace: tuple[tuple[float, float], ...] = ()
-    """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors; for a spatial robot, also a
-    depth up to the diagonal of that box and angles within ± 1 rad."""
+    """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and angles within ± 1 rad.
+    Where gravity acts, the box begins at the lowest anchor and is as deep as it is wide along its diagonal."""
     defaults: Defaults = dataclasses.field(default=Defaults(), compare=False, repr=False)
     """Default motion, error bounds and payload range. Robots that differ only in these are equal."""
+    sources: Mapping[str, str] = dataclasses.field(default_factory=dict, compare=False, repr=False)
+    """Source of the values by name of the field, such as ``base_anchors`` or ``motors.stall_torque``. The source of an
+    assumed value starts with ``assumed``."""
 
     def __post_init__(self) -> None:
-        for name in ("base_anchors", "platform_anchors", "inertia", "home_pose", "workspace"):
-            object.__setattr__(self, name, _as_tuples(getattr(self, name)))  # accept lists and arrays
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, (list, tuple, np.ndarray)):  # a robot is hashable
+                object.__setattr__(self, field.name, _as_tuples(value))
         object.__setattr__(self, "motors", record("motors", Motors, self.motors))
         object.__setattr__(self, "transmission", record("transmission", Transmission, self.transmission))
         object.__setattr__(self, "defaults", record("defaults", Defaults, self.defaults))
@@ -216,14 +273,41 @@ class Robot:
         return len(self.base_anchors)
 
     @property
-    def coordinates(self) -> int:
-        """Number of coordinates n of the pose: 2 planar, 6 spatial."""
-        return 2 if self.planar else SPATIAL_COORDINATES
+    def planar(self) -> bool:
+        """Whether the robot moves in a plane."""
+        return len(self.base_anchors[0]) == 2
 
     @property
-    def planar(self) -> bool:
-        """Whether the robot moves in the horizontal plane."""
-        return len(self.base_anchors[0]) == 2
+    def point_mass(self) -> bool:
+        """Whether the platform is a point mass, which does not turn."""
+        return not self.platform_anchors
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of the platform."""
+        if self.planar:
+            return "planar" if self.point_mass else "planar-platform"
+        return "point" if self.point_mass else "spatial"
+
+    @property
+    def dimensions(self) -> int:
+        """Number d of coordinates of the position, the first of the pose: 2 or 3. The others are angles."""
+        return 2 if self.planar else 3
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates n of the pose: 2, 3 or 6, by :attr:`kind`."""
+        return self.dimensions + (0 if self.point_mass else 1 if self.planar else 3)
+
+    @property
+    def weightless(self) -> bool:
+        """Whether no gravity acts along the coordinates, as in a horizontal plane."""
+        return (self.planar and self.plane == "horizontal") or self.gravity == 0
+
+    @cached_property
+    def gravity_vector(self) -> Array:
+        """Gravitational acceleration, shape (d,) [m/s²]."""
+        return _frozen([0.0] * (self.dimensions - 1) + [0.0 if self.weightless else self.gravity])
 
     @cached_property
     def base(self) -> Array:
@@ -232,8 +316,26 @@ class Robot:
 
     @cached_property
     def platform(self) -> Array:
-        """Platform anchors as an array, shape (m, 2) (zeros) or (m, 3)."""
-        return _frozen(np.zeros((self.cables, 2)) if self.planar else self.platform_anchors)
+        """Platform anchors as an array, shape (m, 2) or (m, 3); zeros for a point mass."""
+        return _frozen(self.platform_anchors or np.zeros((self.cables, self.dimensions)))
+
+    @cached_property
+    def inertia_tensor(self) -> Array:
+        """Inertia tensor about the centre of mass, shape (3, 3) [kg·m²]; I_zz alone in a plane, 0 for a point mass."""
+        given = np.asarray(self.inertia, float)
+        if given.shape == (3, 3):
+            return _frozen(given)
+        return _frozen(np.diag([0.0] * (3 - given.size) + given.tolist()))
+
+    @cached_property
+    def moments(self) -> Array:
+        """Moments of inertia, the diagonal of the tensor, shape (3,), or (1,) in a plane, or (0,) [kg·m²]."""
+        return _frozen(np.diag(self.inertia_tensor)[3 - (self.coordinates - self.dimensions) :])
+
+    @cached_property
+    def mass_center(self) -> Array:
+        """Centre of mass in the platform frame, shape (d,) [m]."""
+        return _frozen(self.center_of_mass or np.zeros(self.dimensions))
 
     @cached_property
     def home(self) -> Array:
@@ -246,10 +348,11 @@ class Robot:
         if self.workspace:
             return _frozen(np.transpose(self.workspace))
         low, high = self.base.min(axis=0), self.base.max(axis=0)
-        if self.planar:
-            return _frozen([low, high])
-        depth = float(np.linalg.norm(high[:2] - low[:2]))
-        return _frozen([[*low[:2], high[2], -1.0, -1.0, -1.0], [*high[:2], high[2] + depth, 1.0, 1.0, 1.0]])
+        if not self.weightless or not self.planar:
+            depth = float(np.linalg.norm((high - low)[:-1]))
+            low, high = np.append(low[:-1], high[-1]), np.append(high[:-1], high[-1] + depth)
+        angles = np.ones(self.coordinates - self.dimensions)
+        return _frozen([np.concatenate([low, -angles]), np.concatenate([high, angles])])
 
     def per_motor(self, value: PerMotor) -> Array:
         """A value of the motors or the transmission as an array, shape (m,)."""
@@ -269,6 +372,12 @@ class Robot:
     """Motor damping c′ of a flexible robot, shape (m,) [N·m·s/rad]."""
     coulomb_friction = _per_motor("transmission", "coulomb_friction")
     """Coulomb friction τ_c, shape (m,) [N·m]."""
+    axial_stiffness = _per_motor("transmission", "axial_stiffness")
+    """Axial stiffness EA of elastic cables, shape (m,) [N]."""
+    axial_damping = _per_motor("transmission", "axial_damping")
+    """Axial damping ηA of elastic cables, shape (m,) [N·s]."""
+    extra_length = _per_motor("transmission", "extra_length")
+    """Length of the elastic cables between pulley and base anchor, shape (m,) [m]."""
     motor_lag = _per_motor("motors", "lag")
     """Time constants of the lag of the requested torque, shape (m,) [s]."""
     stall_torque = _per_motor("motors", "stall_torque")
@@ -279,10 +388,32 @@ class Robot:
         """Slope τ_s/ω_n of the torque-speed line, k₂ of Eq. 37, shape (m,) [N·m·s/rad]."""
         return _frozen(self.stall_torque / self.per_motor(self.motors.free_speed))
 
+    @cached_property
+    def swivel(self) -> Array | None:
+        """Signed radii ± ρ of the swivel pulleys, shape (m,) [m], see :func:`~cablebot_gym.kinematics.cable_lengths`;
+        None if all are zero.
+
+        A cable reaches a pulley that is above its platform anchor at the home pose from below, else from above.
+        """
+        if not np.any(self.swivel_radius):
+            return None
+        below = cable_vectors(self.base, self.platform, self.home)[:, 2] >= 0
+        return _frozen(np.where(below, 1.0, -1.0) * self.swivel_radius)
+
     @property
-    def flexible(self) -> bool:
+    def jointed(self) -> bool:
         """Whether there are springs between motors and pulleys."""
         return self.transmission.stiffness is not None
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the cables stretch."""
+        return self.transmission.axial_stiffness is not None
+
+    @property
+    def flexible(self) -> bool:
+        """Whether the motors can turn while the platform rests: with joint springs or elastic cables."""
+        return self.jointed or self.elastic
 
     @property
     def joints(self) -> Literal["rigid", "flexible"]:
@@ -294,8 +425,13 @@ class Robot:
         return dataclasses.replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """The robot as JSON-able data, which :meth:`from_dict` reads. Usual defaults are left out."""
+        """The robot as JSON-able data, which :meth:`from_dict` reads, without sources and without unused options."""
         data = dataclasses.asdict(self)
+        del data["sources"]
+        for part, names in ((data, _OPTIONAL), (data["transmission"], _OPTIONAL_OF_TRANSMISSION)):
+            for name in names:
+                if part[name] in ((), 0.0, None, "horizontal"):
+                    del part[name]
         if self.defaults == Defaults():
             del data["defaults"]
         return data
@@ -310,10 +446,24 @@ class Robot:
         return record("robot", cls, data)
 
 
+_OPTIONAL = ("center_of_mass", "plane", "swivel_radius", "cable_density")
+_OPTIONAL_OF_TRANSMISSION = ("axial_stiffness", "axial_damping", "extra_length")
+"""Fields that :meth:`Robot.to_dict` leaves out where they have no effect."""
+
+
 def _frozen(values: Any) -> Array:
     """Read-only array in immutable memory, which no flag makes writable."""
     array = np.asarray(values, dtype=float)
     return np.frombuffer(array.tobytes()).reshape(array.shape)
+
+
+KIND_TEXTS: dict[Kind, str] = {
+    "planar": "a point mass in a plane",
+    "planar-platform": "a platform in a plane",
+    "point": "a point mass in space",
+    "spatial": "a platform in space",
+}
+"""Kinds as text."""
 
 
 def _check_fields(robot: Robot) -> None:
@@ -321,23 +471,49 @@ def _check_fields(robot: Robot) -> None:
     given = robot.base_anchors
     m = len(given) if isinstance(given, tuple) else 0
     numbers("base_anchors", given, shapes=[(m, 2), (m, 3)], form="one (x, y) or one (x, y, z) per cable")
-    n, planar = robot.coordinates, robot.planar
-    if not planar and m != SPATIAL_COORDINATES:
-        raise ValueError(f"base_anchors: a spatial robot has six cables, not {m}")
-    ends, moments = ("empty for a planar robot",) * 2 if planar else ("one (x, y, z) per cable", "(I_xx, I_yy, I_zz)")
-    numbers("platform_anchors", robot.platform_anchors, shapes=[(0,) if planar else (m, 3)], form=ends)
-    numbers("inertia", robot.inertia, shapes=[(0,) if planar else (3,)], form=moments, above=0)
+    d, planar = robot.dimensions, robot.planar
+    axes = "(x, y)" if planar else "(x, y, z)"
+    numbers(
+        "platform_anchors",
+        robot.platform_anchors,
+        shapes=[(0,), (m, d)],
+        form=f"one {axes} per cable, or empty for a point mass",
+    )
+    n, point = robot.coordinates, robot.point_mass
+    if planar or point:
+        form = "empty for a point mass" if point else "(I_zz,)"
+        numbers("inertia", robot.inertia, shapes=[(0,) if point else (1,)], form=form, above=0)
+    else:
+        form = "(I_xx, I_yy, I_zz), or three rows of the tensor"
+        numbers("inertia", robot.inertia, shapes=[(3,), (3, 3)], form=form)
     numbers("home_pose", robot.home_pose, shapes=[(n,)], form=f"{n} coordinates")
     numbers("workspace", robot.workspace, shapes=[(0,), (n, 2)], form=f"{n} pairs (low, high), or empty")
+    form = "empty for a point mass" if point else f"{axes}, or empty"
+    numbers("center_of_mass", robot.center_of_mass, shapes=[(0,)] if point else [(0,), (d,)], form=form)
     number("mass", robot.mass, above=0, unit="kg")
     number("gravity", robot.gravity, least=0, unit="m/s²")
-    if planar and robot.gravity != STANDARD_GRAVITY:
-        raise ValueError("gravity does not act on a planar robot, which moves in the horizontal plane: remove it")
+    choice("plane", robot.plane, get_args(Plane))
+    if not planar and robot.plane != "horizontal":
+        raise ValueError("plane is for planar robots, with base_anchors (x, y): remove it")
+    if planar and robot.plane == "horizontal" and robot.gravity != STANDARD_GRAVITY:
+        raise ValueError('gravity does not act in a horizontal plane: remove it, or set plane = "vertical"')
     number("minimum_tension", robot.minimum_tension, least=0, unit="N")
+    for name in ("swivel_radius", "cable_density"):
+        numbers(name, getattr(robot, name), shapes=[(), (m,)], form="one number or one per cable", least=0)
+    if planar and np.any(robot.swivel_radius):
+        raise ValueError("swivel_radius is for robots in space: remove it, and use the point where the cable leaves")
     for part in (robot.motors, robot.transmission):
         for field in dataclasses.fields(part):
             if np.shape(getattr(part, field.name)) not in ((), (m,)):
                 raise ValueError(f"{field.name} must be one number or one for each of the {m} motors")
+    mapping("sources", robot.sources, robot.sources)
+    fewest = n + robot.weightless
+    if m < fewest:
+        remedy = "add cables" if point else "add cables, or remove platform_anchors and inertia for a point mass"
+        without = " without gravity" if robot.weightless else ""
+        raise ValueError(
+            f"base_anchors: {KIND_TEXTS[robot.kind]}{without} needs at least {fewest} cables, not {m}; {remedy}"
+        )
 
 
 def _check_units(robot: Robot) -> None:
@@ -346,11 +522,13 @@ def _check_units(robot: Robot) -> None:
     radius, remedy = float(robot.pulley_radius.min()), "lengths are in metres: divide millimetres by 1000"
     if size > LARGEST_SIZE * radius:
         raise ValueError(f"base_anchors are {size:g} m wide and pulley_radius is {radius:g} m; {remedy}")
-    if robot.pulley_radius.max() > LARGEST_PULLEY:
-        raise ValueError(f"pulley_radius is {robot.pulley_radius.max():g} m; {remedy}")
-    if not robot.planar:
-        reach = float(np.max(np.linalg.norm(robot.platform, axis=1)))
-        gyration = math.sqrt(max(robot.inertia) / robot.mass)
+    for name, pulleys in (("pulley_radius", robot.pulley_radius), ("swivel_radius", np.asarray(robot.swivel_radius))):
+        if pulleys.max() > LARGEST_PULLEY:
+            raise ValueError(f"{name} is {pulleys.max():g} m; {remedy}")
+    if not robot.point_mass:
+        moments = np.linalg.eigvalsh(robot.inertia_tensor)
+        reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
+        gyration = math.sqrt(max(moments.max(), 0.0) / robot.mass)
         if reach > LARGEST_REACH * gyration:
             raise ValueError(
                 f"platform_anchors reach {reach:g} m from the centre of mass, and the radius of gyration is "
@@ -360,12 +538,22 @@ def _check_units(robot: Robot) -> None:
 
 def _check_geometry(robot: Robot) -> None:
     """Checks that a body and cables of this form exist and that the cables hold the home pose."""
-    if not robot.planar and 2 * max(robot.inertia) > sum(robot.inertia) + 1e-9 * max(robot.inertia):
-        raise ValueError(f"inertia {robot.inertia}: no principal moment may exceed the sum of the other two")
+    tensor = robot.inertia_tensor
+    if robot.kind == "spatial":
+        if not np.allclose(tensor, tensor.T, rtol=1e-9, atol=0):
+            raise ValueError("inertia: the tensor must be symmetric")
+        moments = np.linalg.eigvalsh(tensor)
+        if moments.min() <= 0:
+            raise ValueError(f"inertia {robot.inertia}: all principal moments must be greater than 0")
+        if 2 * moments.max() > moments.sum() + 1e-9 * moments.max():
+            raise ValueError(
+                f"inertia {robot.inertia}: no principal moment may exceed the sum of the other two; products of "
+                "inertia have the sign of the tensor, I_xy = −∫xy dm"
+            )
     low, high = robot.pose_bounds
     if np.any(low >= high):
         raise ValueError("workspace must have low < high; give one if the base anchors lie on a line along an axis")
-    if not robot.planar and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
+    if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
         raise ValueError("workspace: θ must stay within ± π/2, where the Euler angles are singular")
     ends = np.concatenate([robot.base, robot.platform], axis=1)
     for i, j in combinations(range(robot.cables), 2):
@@ -373,23 +561,65 @@ def _check_geometry(robot: Robot) -> None:
             raise ValueError(f"cables {i + 1} and {j + 1} coincide; give them different anchors")
     if np.any(robot.home < low) or np.any(robot.home > high):
         raise ValueError(f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}")
-    if np.any(cable_lengths(robot.base, robot.platform, robot.home) < 1e-6):
+    with np.errstate(invalid="ignore"):  # inside a swivel pulley
+        lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
+    if not np.all(lengths >= 1e-6):
         raise ValueError("a cable has zero length at home_pose; move the pose away from its base anchor")
-    jacobian = structure_jacobian(robot.base, robot.platform, robot.home)
-    if np.linalg.matrix_rank(jacobian, tol=1e-9) < robot.coordinates or not _in_equilibrium(robot, jacobian):
-        problem = "the cables do not surround" if robot.planar else "no positive tensions hold"
+    jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
+    rank = np.linalg.matrix_rank(jacobian, tol=1e-9)
+    if rank < robot.coordinates:
+        raise ValueError(
+            f"{robot.name}: at home_pose {robot.home_pose} the cables act in {rank} of {robot.coordinates} directions, "
+            f"and {_free_direction(robot, jacobian)} is free; move the pose or the anchors"
+        )
+    if not _in_equilibrium(robot, jacobian):
+        problem = (
+            "the cables do not surround" if robot.kind == "planar" and robot.weightless else "no positive tensions hold"
+        )
         raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; move the pose or the anchors")
 
 
+COORDINATE_NAMES: dict[Kind, str] = {"planar": "xy", "planar-platform": "xyφ", "point": "xyz", "spatial": "xyzψθφ"}
+"""Symbols of the coordinates of a pose by kind."""
+
+
+def _free_direction(robot: Robot, jacobian: Array) -> str:
+    """Coordinate with the largest part in the direction that no cable resists."""
+    direction = np.linalg.svd(jacobian)[2][-1]
+    return COORDINATE_NAMES[robot.kind][int(np.argmax(np.abs(direction)))]
+
+
 def _in_equilibrium(robot: Robot, jacobian: Array) -> bool:
-    """Whether positive tensions balance gravity at rest for this S: ``−Sᵀ T = (0, 0, −m g, 0, 0, 0)``."""
-    if robot.planar:  # no open half plane is free of cables
+    """Whether positive tensions balance gravity at rest for this S: ``−Sᵀ T = (0, …, −m g, …, 0)``."""
+    if robot.kind == "planar" and robot.weightless:  # no open half plane is free of cables
         angles = np.sort(np.arctan2(jacobian[:, 1], jacobian[:, 0]))
         gaps = np.diff(np.append(angles, angles[0] + 2 * math.pi))
         return bool(gaps.max() < math.pi - 1e-9)
-    weight = np.zeros(SPATIAL_COORDINATES)
-    weight[2] = robot.mass * robot.gravity
-    return bool(np.linalg.solve(jacobian.T, weight).min() > 1e-9)
+    weight = robot.mass * robot.gravity_vector
+    pulls = np.zeros(robot.coordinates)
+    pulls[: robot.dimensions] = weight
+    if robot.kind == "spatial":
+        turned = rotation_matrix(robot.home[3:])
+        pulls[3:] = euler_rate_matrix(robot.home[3:]).T @ np.cross(robot.mass_center, turned.T @ weight)
+    elif robot.kind == "planar-platform":
+        cosine, sine = math.cos(robot.home[2]), math.sin(robot.home[2])
+        x, y = robot.mass_center
+        pulls[2] = (cosine * x - sine * y) * weight[1] - (sine * x + cosine * y) * weight[0]
+    if robot.cables == robot.coordinates:
+        return bool(np.linalg.solve(jacobian.T, pulls).min() > 1e-9)
+    from scipy.optimize import linprog  # slow to import
+
+    # The largest t ≤ 1 with T_i ≥ t: positive if and only if positive tensions balance the weight.
+    scale = max(float(np.abs(pulls).max()), 1.0)
+    solution = linprog(
+        [0.0] * robot.cables + [-1.0],
+        A_ub=np.column_stack([-np.eye(robot.cables), np.ones(robot.cables)]),
+        b_ub=np.zeros(robot.cables),
+        A_eq=np.column_stack([jacobian.T, np.zeros(robot.coordinates)]),
+        b_eq=pulls / scale,
+        bounds=[(0, None)] * robot.cables + [(None, 1.0)],
+    )
+    return bool(solution.success) and -float(solution.fun or 0.0) > 1e-9
 
 
 def _planar_paper() -> Robot:

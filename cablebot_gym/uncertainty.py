@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import Kind, Robot
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
 
 Distribution = Literal["uniform", "normal"]
@@ -92,14 +92,21 @@ class _Parameter:
     """SI unit."""
     positive: bool
     """Whether the value must be greater than 0."""
-    flexible: bool = False
-    """Whether only flexible robots have the parameter."""
-    spatial: bool = False
-    """Whether only spatial robots have the parameter."""
+    jointed: bool = False
+    """Whether only robots with joint springs have the parameter."""
+    turns: bool = False
+    """Whether only robots whose platform turns have the parameter."""
+    elastic: bool = False
+    """Whether only robots with elastic cables have the parameter."""
     position: bool = False
     """Whether the parameter is a position, which may have either sign."""
     lowers_frequency: bool = False
     """Whether a larger value lowers the natural frequencies of a flexible robot."""
+
+    def belongs_to(self, robot: Robot) -> bool:
+        """Whether a robot has the parameter."""
+        lacking = (self.jointed and not robot.jointed) or (self.elastic and not robot.elastic)
+        return not lacking and not (self.turns and robot.point_mass)
 
 
 PARAMETERS: Mapping[str, _Parameter] = MappingProxyType(
@@ -107,20 +114,21 @@ PARAMETERS: Mapping[str, _Parameter] = MappingProxyType(
         "platform_mass": _Parameter(attribute="mass", unit="kg", positive=True, lowers_frequency=True),
         "payload": _Parameter(attribute="payload", unit="kg", positive=False),
         "platform_inertia": _Parameter(
-            attribute="inertia", unit="kg·m²", positive=True, spatial=True, lowers_frequency=True
+            attribute="moments", unit="kg·m²", positive=True, turns=True, lowers_frequency=True
         ),
         "pulley_inertia": _Parameter(attribute="pulley_inertia", unit="kg·m²", positive=False, lowers_frequency=True),
         "damping": _Parameter(attribute="damping", unit="N·m·s/rad", positive=False),
-        "stiffness": _Parameter(attribute="stiffness", unit="N·m/rad", positive=True, flexible=True),
+        "stiffness": _Parameter(attribute="stiffness", unit="N·m/rad", positive=True, jointed=True),
         "motor_inertia": _Parameter(
-            attribute="motor_inertia", unit="kg·m²", positive=True, flexible=True, lowers_frequency=True
+            attribute="motor_inertia", unit="kg·m²", positive=True, jointed=True, lowers_frequency=True
         ),
-        "motor_damping": _Parameter(attribute="motor_damping", unit="N·m·s/rad", positive=False, flexible=True),
+        "motor_damping": _Parameter(attribute="motor_damping", unit="N·m·s/rad", positive=False, jointed=True),
         "motor_strength": _Parameter(attribute="stall_torque", unit="N·m", positive=True),
         "base_anchors": _Parameter(attribute="base", unit="m", positive=False, position=True),
-        "platform_anchors": _Parameter(attribute="platform", unit="m", positive=False, spatial=True, position=True),
+        "platform_anchors": _Parameter(attribute="platform", unit="m", positive=False, turns=True, position=True),
         "motor_lag": _Parameter(attribute="motor_lag", unit="s", positive=False),
         "coulomb_friction": _Parameter(attribute="coulomb_friction", unit="N·m", positive=False),
+        "axial_stiffness": _Parameter(attribute="axial_stiffness", unit="N", positive=True, elastic=True),
     }
 )
 """The parameters that may be uncertain. ``motor_strength`` scales the stall torque; the free speed does not change."""
@@ -139,7 +147,8 @@ class ExternalWrench:
     force_std: float | tuple[float, ...] = 0.0
     """Standard deviation of the force [N], one value for all axes or one per axis; ≥ 0."""
     moment_mean: float | tuple[float, ...] = 0.0
-    """Mean moment about the axes of the base frame at the centre of mass [N·m]; has no effect on a planar robot."""
+    """Mean moment about the axes of the base frame at the centre of mass [N·m], one value in a plane; not for a point
+    mass."""
     moment_std: float | tuple[float, ...] = 0.0
     """Standard deviation of the moment [N·m]; ≥ 0."""
     correlation_time: float = 0.01
@@ -168,20 +177,21 @@ class ExternalWrench:
         return varies or self.factor[0] < self.factor[1]
 
     def statistics(self, robot: Robot) -> tuple[Array, Array]:
-        """Mean and standard deviation of the components (force, then moment if spatial), each of shape (2,) or (6,).
+        """Mean and standard deviation of the components (force, then moment), each of shape (n,).
 
         Raises:
             ValueError: if the length of a tuple is not the number of axes of the robot.
         """
-        axes = 2 if robot.planar else 3
+        sizes = {"force": robot.dimensions, "moment": robot.coordinates - robot.dimensions}
 
         def components(statistic: str) -> Array:
-            names = [f"{kind}_{statistic}" for kind in (("force",) if robot.planar else ("force", "moment"))]
-            values = [np.asarray(getattr(self, name)) for name in names]
-            for name, value in zip(names, values, strict=True):
-                if value.shape not in ((), (axes,)):
-                    raise ValueError(f"wrench: {name} needs {axes} components for {robot.name!r}")
-            return np.concatenate([np.broadcast_to(value, (axes,)) for value in values])
+            values = []
+            for kind, axes in sizes.items():
+                value = np.asarray(getattr(self, f"{kind}_{statistic}"))
+                if axes and value.shape not in ((), (axes,)):
+                    raise ValueError(f"wrench: {kind}_{statistic} needs {axes} components for {robot.name!r}")
+                values.append(np.broadcast_to(value if axes else 0.0, (axes,)))
+            return np.concatenate(values)
 
         return components("mean"), components("std")
 
@@ -215,8 +225,7 @@ class SensorNoise:
 
     def deviations(self, robot: Robot) -> Array:
         """Standard deviations of the measured quantities: pose, velocity and, if flexible, motor angle and speed."""
-        rotations = robot.coordinates - min(robot.coordinates, 3)
-        positions = robot.coordinates - rotations
+        positions, rotations = robot.dimensions, robot.coordinates - robot.dimensions
         values = [self.position] * positions + [self.rotation] * rotations
         values += [self.velocity] * positions + [self.rotation_rate] * rotations
         if robot.flexible:
@@ -286,7 +295,7 @@ class Uncertainty:
         """
         for name, distribution in self.parameters.items():
             parameter = PARAMETERS[name]
-            if (parameter.flexible and not robot.flexible) or (parameter.spatial and robot.planar):
+            if not parameter.belongs_to(robot):
                 raise ValueError(f"{robot.name!r} has no parameter {name}; leave it out of the uncertainty")
             if name == "payload":  # draw() clips a negative absolute payload to zero
                 if distribution.relative:
@@ -302,7 +311,9 @@ class Uncertainty:
             self.wrench.statistics(robot)
 
     def _check_inertia(self, robot: Robot, distribution: ParameterDistribution) -> None:
-        moments = np.asarray(robot.inertia)
+        if robot.planar:
+            return
+        moments = robot.moments
         least, most = (distribution.applied(moments, np.asarray(end)) for end in (distribution.low, distribution.high))
         # With each=False, all three moments have the same deviation.
         for others, own in ((least, most),) if distribution.each else ((least, least), (most, most)):
@@ -347,23 +358,23 @@ class Uncertainty:
             return self.parameters[name].applied(values, deviations[name]) if name in deviations else values
 
         strength = true_value("motor_strength", robot.stall_torque)
-        springs = {
-            name: true_value(name, getattr(robot, name)) if robot.flexible else np.zeros((count, robot.cables))
-            for name in ("stiffness", "motor_inertia", "motor_damping")
+        others: dict[str, Any] = {name: getattr(robot, name) for name in _NOMINAL}
+        others |= {
+            name: true_value(name, getattr(robot, name)) if owned else np.zeros((count, robot.cables))
+            for owned, names in (
+                (robot.jointed, ("stiffness", "motor_inertia", "motor_damping")),
+                (robot.elastic, ("axial_stiffness", "axial_damping", "extra_length")),
+            )
+            for name in names
         }
+        moments = true_value("platform_inertia", robot.moments)
         if "payload" in deviations:
             payload = self.parameters["payload"].applied(payload, deviations["payload"])
         return TrueRobots(
-            planar=robot.planar,
-            flexible=robot.flexible,
-            cables=robot.cables,
-            coordinates=robot.coordinates,
-            home=robot.home,
-            gravity=robot.gravity,
-            pulley_radius=robot.pulley_radius,
             mass=true_value("platform_mass", robot.mass),
             payload=np.maximum(payload, 0.0),
-            inertia=true_value("platform_inertia", robot.inertia),
+            moments=moments,
+            inertia_tensor=_scaled_tensor(robot, moments),
             base=true_value("base_anchors", robot.base),
             platform=true_value("platform_anchors", robot.platform),
             pulley_inertia=true_value("pulley_inertia", robot.pulley_inertia),
@@ -372,8 +383,21 @@ class Uncertainty:
             motor_lag=true_value("motor_lag", robot.motor_lag),
             stall_torque=strength,
             speed_slope=robot.speed_slope * strength / robot.stall_torque,
-            **springs,
+            **others,
         )
+
+
+def _scaled_tensor(robot: Robot, moments: Array) -> Array:
+    """Inertia tensors (N, 3, 3) with the given moments; products grow as the roots of the moments they belong to."""
+    tensor = np.broadcast_to(robot.inertia_tensor, (len(moments), 3, 3))
+    if robot.point_mass:
+        return tensor
+    factor = np.ones((len(moments), 3))
+    factor[:, 3 - moments.shape[-1] :] = np.sqrt(moments / robot.moments)
+    scaled: Array = tensor * factor[:, :, None] * factor[:, None, :]
+    index = np.arange(3 - moments.shape[-1], 3)
+    scaled[:, index, index] = moments
+    return scaled
 
 
 def _checked_delay(delay: Any) -> int | tuple[int, int]:
@@ -392,26 +416,44 @@ class TrueRobots:
     The values that may be uncertain have a leading axis N.
     """
 
+    kind: Kind
+    """Kind of the platform (nominal)."""
     planar: bool
-    """Whether the robot is planar (nominal)."""
+    """Whether the robot moves in a plane (nominal)."""
+    point_mass: bool
+    """Whether the platform is a point mass (nominal)."""
     flexible: bool
+    """Whether the motors can turn while the platform rests (nominal)."""
+    jointed: bool
     """Whether there are springs between motors and pulleys (nominal)."""
+    elastic: bool
+    """Whether the cables stretch (nominal)."""
     cables: int
     """Number of cables m (nominal)."""
+    dimensions: int
+    """Number of coordinates of the position d (nominal)."""
     coordinates: int
     """Number of coordinates n (nominal)."""
     home: Array
     """Nominal home pose X₀, shape (n,). The pulley angles of the true robot are zero at this pose."""
-    gravity: float
-    """Nominal gravitational acceleration [m/s²]."""
+    weightless: bool
+    """Whether no gravity acts (nominal)."""
+    gravity_vector: Array
+    """Nominal gravitational acceleration, shape (d,) [m/s²]."""
+    mass_center: Array
+    """Nominal centre of mass in the platform frame, shape (d,) [m]."""
+    swivel: Array | None
+    """Nominal signed radii of the swivel pulleys, shape (m,) [m]; None if there are none."""
     pulley_radius: Array
     """Nominal pulley radius r, shape (m,) [m]."""
     mass: Array
     """Platform mass, shape (N,) [kg]."""
     payload: Array
     """Payload, shape (N,) [kg]; ≥ 0."""
-    inertia: Array
-    """Principal moments of inertia, shape (N, 3), or (N, 0) if planar [kg·m²]."""
+    moments: Array
+    """Moments of inertia, shape (N, 3), (N, 1) in a plane, or (N, 0) for a point mass [kg·m²]."""
+    inertia_tensor: Array
+    """Inertia tensor about the centre of mass, shape (N, 3, 3) [kg·m²]."""
     base: Array
     """Base anchors, shape (N, m, 2) or (N, m, 3) [m]."""
     platform: Array
@@ -434,6 +476,19 @@ class TrueRobots:
     """Motor inertia J′, shape (N, m) [kg·m²]; zeros if rigid."""
     motor_damping: Array
     """Motor damping c′, shape (N, m) [N·m·s/rad]; zeros if rigid."""
+    axial_stiffness: Array
+    """Axial stiffness EA, shape (N, m) [N]; zeros if the cables do not stretch."""
+    axial_damping: Array
+    """Axial damping ηA, shape (N, m) [N·s]; zeros if the cables do not stretch."""
+    extra_length: Array
+    """Length of the cables between pulley and base anchor, shape (N, m) [m]; zeros if the cables do not stretch."""
+
+
+_NOMINAL: tuple[str, ...] = (
+    *("kind", "planar", "point_mass", "flexible", "jointed", "elastic", "cables", "dimensions", "coordinates"),
+    *("home", "weightless", "gravity_vector", "mass_center", "swivel", "pulley_radius"),
+)
+"""Attributes of :class:`TrueRobots` that are those of the nominal robot."""
 
 
 RobotArrays = Robot | TrueRobots
@@ -447,8 +502,14 @@ def draw_size(robot: Robot) -> int:
 
 def _columns(robot: Robot) -> dict[str, tuple[int, tuple[int, ...]]]:
     """First column of the uniform numbers and shape of each parameter."""
-    shapes: dict[str, tuple[int, ...]] = {name: (robot.cables,) for name in PARAMETERS}
-    shapes |= {"platform_mass": (), "payload": (), "platform_inertia": (3,)}
+    shapes: dict[str, tuple[int, ...]] = {
+        name: (robot.cables,) for name, parameter in PARAMETERS.items() if not parameter.elastic or robot.elastic
+    }
+    shapes |= {
+        "platform_mass": (),
+        "payload": (),
+        "platform_inertia": (3,) if robot.point_mass else robot.moments.shape,
+    }
     shapes |= {"base_anchors": robot.base.shape, "platform_anchors": robot.platform.shape}
     columns, start = {}, 0
     for name, shape in shapes.items():
@@ -459,7 +520,7 @@ def _columns(robot: Robot) -> dict[str, tuple[int, tuple[int, ...]]]:
 
 def _table6(robot: Robot) -> Uncertainty:
     tenth = ParameterDistribution(low=-0.1, high=0.1, each=False)
-    flexible = {"stiffness": tenth} if robot.flexible else {}
+    flexible = {"stiffness": tenth} if robot.jointed else {}
     wrench = ExternalWrench(force_mean=0.5, force_std=math.sqrt(0.2), correlation_time=0.01, factor=(0.9, 1.1))
     return Uncertainty(parameters={"platform_mass": tenth, **flexible}, wrench=wrench)
 
@@ -485,12 +546,14 @@ def _hardware(robot: Robot) -> Uncertainty:
         "base_anchors": within(-1.5e-3, 1.5e-3, relative=False),
     }
     viscous = within(0.0, 1.3e-3, relative=False)
-    if robot.flexible:
+    if robot.jointed:
         spring = within(-0.05, 0.05)  # with 10 % it would dominate: FlexPlanar laws fail unloaded
         parameters |= {"motor_damping": viscous, "motor_inertia": within(-0.1, 0.1), "stiffness": spring}
     else:
         parameters["damping"] = viscous
-    if not robot.planar:
+    if robot.elastic:
+        parameters["axial_stiffness"] = within(-0.3, 0.3, each=False)
+    if not robot.point_mass:
         parameters["platform_inertia"] = within(-0.1, 0.1, each=False)
         parameters["platform_anchors"] = within(-0.5e-3, 0.5e-3, relative=False)
     return Uncertainty(

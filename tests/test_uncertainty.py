@@ -36,11 +36,13 @@ rigid_and_flexible = each_of(PLANAR, FLEX_SPATIAL)
 
 def has(robot, name):
     """Whether a robot has a parameter."""
-    return not ((PARAMETERS[name].flexible and not robot.flexible) or (PARAMETERS[name].spatial and robot.planar))
+    return PARAMETERS[name].belongs_to(robot)
 
 
 each_parameter = pytest.mark.parametrize("name", PARAMETERS)
-"""The flexible spatial robot has them all."""
+"""The flexible spatial robot with elastic cables has them all."""
+
+ELASTIC = FLEX_SPATIAL.replace(transmission=FLEX_SPATIAL.transmission.replace(axial_stiffness=5e4))
 
 
 def tenth_of(name, width=0.1):
@@ -135,11 +137,11 @@ def test_impossible_distribution_raises(fields, message):
 @each_parameter
 def test_each_draws_one_number_for_each_and_otherwise_one_for_all(name):
     attribute = PARAMETERS[name].attribute
-    nominal = np.zeros(()) if name == "payload" else np.asarray(getattr(FLEX_SPATIAL, attribute))
+    nominal = np.zeros(()) if name == "payload" else np.asarray(getattr(ELASTIC, attribute))
 
     def deviations(each):
         distribution = ParameterDistribution(low=0.0, high=1e-3, relative=False, each=each)
-        found = getattr(drawn(FLEX_SPATIAL, {name: distribution}), attribute) - nominal
+        found = getattr(drawn(ELASTIC, {name: distribution}), attribute) - nominal
         return found.reshape(len(found), -1)
 
     if name != "platform_inertia":  # of the paper's flat platform, none can be drawn alone
@@ -155,7 +157,7 @@ def test_each_draws_one_number_for_each_and_otherwise_one_for_all(name):
 
 @each_parameter
 def test_parameter_changes_its_own_value_and_no_other(name):
-    robot = FLEX_SPATIAL
+    robot = ELASTIC
     usual = drawn(robot, {}, payload=2.0)
     distribution = ParameterDistribution(low=1e-3, high=2e-3, relative=False, each=False)
     changed = drawn(robot, {name: distribution}, payload=2.0)
@@ -169,10 +171,10 @@ def test_parameter_changes_its_own_value_and_no_other(name):
 @each_parameter
 def test_another_uncertain_parameter_does_not_change_a_draw(name):
     attribute = PARAMETERS[name].attribute
-    alone = getattr(drawn(FLEX_SPATIAL, {name: tenth_of(name)}, payload=2.0), attribute)
+    alone = getattr(drawn(ELASTIC, {name: tenth_of(name)}, payload=2.0), attribute)
     everything = {other: tenth_of(other) for other in PARAMETERS}
     for parameters in (everything, dict(reversed(everything.items()))):
-        found = getattr(drawn(FLEX_SPATIAL, parameters, payload=2.0), attribute)
+        found = getattr(drawn(ELASTIC, parameters, payload=2.0), attribute)
         np.testing.assert_array_equal(found, alone)
 
 
@@ -203,15 +205,15 @@ def test_payload_is_drawn_around_the_nominal_one_and_never_below_zero():
 
 
 def test_fastest_robot_bounds_every_drawn_one():
-    before = FLEX_SPATIAL.to_dict()
+    before = ELASTIC.to_dict()
     parameters = {name: tenth_of(name, 0.3) for name in PARAMETERS if name != "payload"}
-    fastest = Uncertainty(parameters=parameters).fastest(FLEX_SPATIAL)
-    found = drawn(FLEX_SPATIAL, parameters)
-    for attribute in ("mass", "inertia", "pulley_inertia", "motor_inertia"):
+    fastest = Uncertainty(parameters=parameters).fastest(ELASTIC)
+    found = drawn(ELASTIC, parameters)
+    for attribute in ("mass", "moments", "pulley_inertia", "motor_inertia"):
         assert np.all(getattr(found, attribute) >= getattr(fastest, attribute)), attribute
     for attribute in ("stiffness", "stall_torque", "motor_damping", "damping", "coulomb_friction", "speed_slope"):
         assert np.all(getattr(found, attribute) <= getattr(fastest, attribute)), attribute
-    assert FLEX_SPATIAL.to_dict() == before
+    assert ELASTIC.to_dict() == before
 
 
 # ------------------------------------------------------------------------------------------- impossible uncertainties
@@ -346,11 +348,11 @@ EVERYTHING = {
 
 def test_uncertainty_survives_json_and_pickle():
     found = Uncertainty(**EVERYTHING)
-    uniform = numbers(FLEX_SPATIAL, 3)
+    uniform = numbers(ELASTIC, 3)
     data = json.loads(json.dumps(to_jsonable(found)))
-    for again in (find_uncertainty(data, FLEX_SPATIAL), pickle.loads(pickle.dumps(found))):
+    for again in (find_uncertainty(data, ELASTIC), pickle.loads(pickle.dumps(found))):
         assert (again, hash(again)) == (found, hash(found))
-        ours, theirs = (one.draw(FLEX_SPATIAL, np.ones(3), uniform) for one in (found, again))
+        ours, theirs = (one.draw(ELASTIC, np.ones(3), uniform) for one in (found, again))
         for parameter in PARAMETERS.values():
             np.testing.assert_array_equal(getattr(ours, parameter.attribute), getattr(theirs, parameter.attribute))
 

@@ -168,9 +168,8 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
 
     rows = [["name", "unit", "robots"]]
     for name, parameter in PARAMETERS.items():
-        rows.append(
-            [name, parameter.unit, "flexible" if parameter.flexible else "spatial" if parameter.spatial else "all"]
-        )
+        owners = [name for name, only in _PARAMETER_OWNERS.items() if getattr(parameter, only)]
+        rows.append([name, parameter.unit, owners[0] if owners else "all"])
     yield "parameters", "Uncertain parameters", rows
 
     rows = [["name", "kind", "environments", "summary"]]
@@ -178,6 +177,13 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
         ids = "all" if set(policy.env_ids) >= set(ENV_IDS) else _short_ids(policy.env_ids)
         rows.append([policy.name, policy.kind, ids, policy.summary])
     yield "installed-policies", "Policies", rows
+
+
+_PARAMETER_OWNERS = {
+    "with joint springs": "jointed",
+    "with elastic cables": "elastic",
+    "with turning platforms": "turns",
+}
 
 
 def _without_repeats(rows: list[list[str]]) -> list[list[str]]:

@@ -290,7 +290,7 @@ class Simulation:
     def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
         for name, parameter in PARAMETERS.items():
-            if (parameter.flexible and not robot.flexible) or (parameter.spatial and robot.planar):
+            if not parameter.belongs_to(self.settings.robot):
                 continue
             nominal = getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
             if name not in self.truth:

@@ -20,8 +20,8 @@ def pack_parameters(robot: RobotArrays) -> Array:
     batch = robot.base.shape[:-2]
     rows = np.zeros((*batch, kernel.parameter_rows(robot.cables)))
     rows[..., kernel.MASS] = robot.mass
-    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = 1.0 if robot.planar else robot.inertia
-    rows[..., kernel.GRAVITY] = robot.gravity
+    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = 1.0 if robot.planar else robot.moments
+    rows[..., kernel.GRAVITY] = robot.gravity_vector[-1]
     cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
     columns = robot.base.shape[-1]
     cables[..., kernel.BASE : kernel.BASE + columns] = robot.base

@@ -1,11 +1,11 @@
 """The equations of motion of the paper with its errata corrected, in batched numpy.
 
 This module is the readable reference for control laws and for tests of the compiled kernel. The payload is a point mass
-at the platform's centre of mass, so it does not change the rotational inertia. All functions have these arguments:
+at the platform's centre of mass, so it does not change the inertia about it. All functions have these arguments:
 
     robot: the robot, or N robots whose uncertain values have a leading axis N.
     mass: mass of the platform and its payload [kg], shape (...).
-    pose: X = (x, y) or (x, y, z, ψ, θ, φ) [m, rad], shape (..., n).
+    pose: X = (x, y), (x, y, φ), (x, y, z) or (x, y, z, ψ, θ, φ) [m, rad], shape (..., n).
     velocity, acceleration: Ẋ and Ẍ, shape (..., n).
 """
 
@@ -33,39 +33,86 @@ is 0.18 m/s of cable on the paper's pulleys."""
 
 def jacobian(robot: RobotArrays, pose: ArrayLike) -> Array:
     """Structure Jacobian S = ∂q/∂X (Eq. 3), shape (..., m, n)."""
-    return kinematics.structure_jacobian(robot.base, robot.platform, pose)
+    return kinematics.structure_jacobian(robot.base, robot.platform, pose, robot.swivel)
 
 
 def jacobian_rate(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """Ṡ, the time derivative of S along Ẋ, shape (..., m, n)."""
-    return kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity)
+    return kinematics.structure_jacobian_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
 
 
 def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
-    """Mass matrix D(X) of Eq. 3, shape (..., n, n): ``blkdiag(m I₃, PᵀIP)``, or ``m I₂`` if planar."""
+    """Mass matrix D(X) of Eq. 3, shape (..., n, n): ``blkdiag(m I₃, PᵀIP)`` in space, ``m I`` for a point mass.
+
+    With the centre of mass c away from the frame's origin, I is the inertia about the origin, and the matrix couples
+    both: ``((m I₃, −m R [c]× P), (·ᵀ, PᵀIP))``. In a plane P = 1, and with s = R c the coupling is m (−s_y, s_x).
+    """
     pose = as_numbers(pose)
     mass = np.broadcast_to(as_numbers(mass), pose.shape[:-1])[..., None, None]
+    d, n = robot.dimensions, robot.coordinates
+    if robot.point_mass:
+        return mass * np.eye(d)
+    matrix = np.zeros((*pose.shape[:-1], n, n), np.result_type(pose, mass))
+    matrix[..., :d, :d] = mass * np.eye(d)
+    offset, inertia = robot.mass_center, robot.inertia_tensor
     if robot.planar:
-        return mass * np.eye(2)
-    matrix = np.zeros((*pose.shape[:-1], 6, 6), np.result_type(pose, mass))
-    matrix[..., :3, :3] = mass * np.eye(3)
+        arm = kinematics.turned(pose, offset[None])[..., 0, :]
+        matrix[..., 2, 2] = inertia[..., 2, 2] + mass[..., 0, 0] * (offset @ offset)
+        matrix[..., 0, 2] = matrix[..., 2, 0] = -mass[..., 0, 0] * arm[..., 1]
+        matrix[..., 1, 2] = matrix[..., 2, 1] = mass[..., 0, 0] * arm[..., 0]
+        return matrix
     to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
-    matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ (np.asarray(robot.inertia)[..., None] * to_omega)
+    if np.any(offset):
+        coupling = -mass * kinematics.rotation_matrix(pose[..., 3:]) @ _cross_matrix(offset) @ to_omega
+        matrix[..., :3, 3:], matrix[..., 3:, :3] = coupling, np.swapaxes(coupling, -1, -2)
+        inertia = _about_origin(inertia, mass, offset)
+    matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ inertia @ to_omega
     return matrix
 
 
+def _about_origin(inertia: Array, mass: Array, offset: Array) -> Array:
+    """Inertia about the frame's origin for a centre of mass at ``offset``: Steiner's theorem."""
+    moved: Array = inertia + mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset))
+    return moved
+
+
+def _cross_matrix(vector: Array) -> Array:
+    """Matrix of ``vector ×``, shape (3, 3)."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
 def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
-    """h(X, Ẋ) = C Ẋ + g of Eq. 3, shape (..., n): ``(0, 0, −m g, Pᵀ{I Ṗ Θ̇ + (PΘ̇) × I(PΘ̇)})``, or 0 if planar."""
+    """h(X, Ẋ) = C Ẋ + g of Eq. 3, shape (..., n).
+
+    In space ``(0, 0, −m g, Pᵀ{I Ṗ Θ̇ + ω × Iω})`` with ω = P Θ̇. The centre of mass c away from the origin adds the force
+    ``m R {ω × (ω × c) + (Ṗ Θ̇) × c}`` and the moment ``−Pᵀ{c × Rᵀ m g}``. In a plane with s = R c:
+    ``(−m g − m φ̇² s, −s × m g)``.
+    """
     pose, velocity, mass = as_numbers(pose), as_numbers(velocity), as_numbers(mass)
-    vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape), np.result_type(pose, mass))
-    if robot.planar:
+    vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape), np.result_type(pose, mass, velocity))
+    d, offset = robot.dimensions, robot.mass_center
+    weight = mass[..., None] * robot.gravity_vector
+    vector[..., :d] = -weight
+    if robot.point_mass:
         return vector
-    inertia, rates = np.asarray(robot.inertia), velocity[..., 3:]
+    if robot.planar:
+        if np.any(offset):
+            arm = kinematics.turned(pose, offset[None])[..., 0, :]
+            vector[..., :2] -= mass[..., None] * velocity[..., 2:] ** 2 * arm
+            vector[..., 2] = arm[..., 1] * weight[..., 0] - arm[..., 0] * weight[..., 1]
+        return vector
+    inertia, rates = robot.inertia_tensor, velocity[..., 3:]
     to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
-    omega = _apply(to_omega, rates)
-    moment = inertia * _apply(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
-    moment = moment + np.cross(omega, inertia * omega)
-    vector[..., 2] = -mass * robot.gravity
+    omega, spin = _apply(to_omega, rates), _apply(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
+    if np.any(offset):
+        inertia = _about_origin(inertia, np.broadcast_to(mass, pose.shape[:-1])[..., None, None], offset)
+    moment = _apply(inertia, spin) + np.cross(omega, _apply(inertia, omega))
+    if np.any(offset):
+        rotation = kinematics.rotation_matrix(pose[..., 3:])
+        centripetal = np.cross(omega, np.cross(omega, offset)) + np.cross(spin, offset)
+        vector[..., :3] += mass[..., None] * _apply(rotation, centripetal)
+        moment = moment - np.cross(offset, _apply(np.swapaxes(rotation, -1, -2), weight))
     vector[..., 3:] = _apply(np.swapaxes(to_omega, -1, -2), moment)
     return vector
 
@@ -84,9 +131,13 @@ def pulley_speed(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Ar
 
 
 def pulley_angle(robot: RobotArrays, pose: ArrayLike) -> Array:
-    """Pulley angle β = −(q(X) − q(X₀))/r [rad], shape (..., m)."""
-    home = kinematics.cable_lengths(robot.base, robot.platform, robot.home)
-    return (home - kinematics.cable_lengths(robot.base, robot.platform, pose)) / robot.pulley_radius
+    """Pulley angle β = −(q(X) − q(X₀))/r [rad], shape (..., m), of cables that do not stretch."""
+    return (cable_lengths(robot, robot.home) - cable_lengths(robot, pose)) / robot.pulley_radius
+
+
+def cable_lengths(robot: RobotArrays, pose: ArrayLike) -> Array:
+    """Cable lengths q(X) between base anchor and platform anchor [m], shape (..., m)."""
+    return kinematics.cable_lengths(robot.base, robot.platform, pose, robot.swivel)
 
 
 def static_torque(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
@@ -95,48 +146,126 @@ def static_torque(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minim
     return robot.pulley_radius * required_tensions(robot, mass, pose, rest, rest, minimum=minimum, strict=False)
 
 
+def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tuple[Array, Array]:
+    """Motor angle β′ and pulley angle β of a robot at rest with tensions T (..., m), each (..., m) [rad].
+
+    Elastic cables have the free length l = (q + extra_length)/(1 + T/EA). Without joint springs both angles are equal.
+    """
+    tensions, pulley = as_numbers(tensions), pulley_angle(robot, pose)
+    torque = robot.pulley_radius * tensions
+    if robot.elastic:
+        strain = tensions / robot.axial_stiffness
+        stretched = (cable_lengths(robot, pose) + robot.extra_length) * strain / (1 + strain)
+        pulley = pulley + stretched / robot.pulley_radius
+        torque = torque * (1 + strain / 2)
+    return (pulley + torque / robot.stiffness if robot.jointed else pulley), pulley
+
+
 def static_motor_angle(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
-    """Motor angle β′ = β + r T/K of a flexible robot at rest [rad], shape (..., m).
+    """Motor angle β′ of a flexible robot at rest [rad], shape (..., m), see :func:`rest_angles`.
 
     ``minimum`` is as in :func:`required_tensions`.
     """
-    return pulley_angle(robot, pose) + static_torque(robot, mass, pose, minimum=minimum) / robot.stiffness
+    return rest_angles(robot, static_torque(robot, mass, pose, minimum=minimum) / robot.pulley_radius, pose)[0]
+
+
+def cable_springs(
+    robot: RobotArrays,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    angle: ArrayLike,
+    speed: ArrayLike,
+    *,
+    cable: Cable = "unilateral",
+) -> tuple[Array, Array]:
+    """Tensions T of elastic cables and their torques on the pulleys, each (..., m).
+
+    ``T = EA ε + ηA (q̇ + r β̇)/l`` with the strain ε = (q + extra_length − l)/l and the free length
+    l = q(X₀) + extra_length − r β. The torque is ``r (T + ½ EA ε²)``. Unilateral cables are slack for ε ≤ 0, and do
+    not push.
+
+    Args:
+        robot: robot with elastic cables.
+        pose: X, shape (..., n).
+        velocity: Ẋ, shape (..., n).
+        angle: pulley angle β, shape (..., m) [rad].
+        speed: pulley speed β̇, shape (..., m) [rad/s].
+        cable: ``unilateral`` cables can only pull.
+    """
+    radius = robot.pulley_radius
+    free = cable_lengths(robot, robot.home) + robot.extra_length - radius * as_numbers(angle)
+    strain = (cable_lengths(robot, pose) + robot.extra_length) / free - 1
+    rate = (_apply(jacobian(robot, pose), as_numbers(velocity)) + radius * as_numbers(speed)) / free
+    tension = robot.axial_stiffness * strain + robot.axial_damping * rate
+    wound = radius * robot.axial_stiffness * strain**2 / 2
+    if cable == "unilateral":
+        tension, wound = np.where(strain > 0, np.maximum(tension, 0.0), 0.0), np.where(strain > 0, wound, 0.0)
+    return tension, radius * tension + wound
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearModel:
+    """Matrices of ``M ẍ + C ẋ + K x = 0`` about the home pose with taut cables.
+
+    x = (X, β, β′), without β if the cables do not stretch and without β′ if there are no joint springs.
+    """
+
+    inertia: Array
+    """M, shape (..., k, k)."""
+    damping: Array
+    """C, shape (..., k, k): friction of motors and pulleys, slope of the torque-speed lines, damping of the cables."""
+    stiffness: Array
+    """K, shape (..., k, k)."""
+
+
+def linear_model(robot: RobotArrays) -> LinearModel:
+    """Linear model of a robot about its home pose, without the stiffness that the cable tensions add."""
+    structure, m, n = jacobian(robot, robot.home), robot.cables, robot.coordinates
+    batch, one = structure.shape[:-2], np.eye(m)
+    size = n + m * (robot.elastic + robot.jointed)
+    home = np.broadcast_to(robot.home, (*batch, n))
+    inertia = np.zeros((*batch, size, size))
+    damping, stiffness = np.zeros_like(inertia), np.zeros_like(inertia)
+    inertia[..., :n, :n] = mass_matrix(robot, robot.mass, home)
+
+    def add(matrix: Array, weight: Array, *parts: tuple[int, Array]) -> None:
+        """Adds BᵀWB for B with the given blocks of columns."""
+        rows = np.zeros((*batch, m, size))
+        for start, block in parts:
+            rows[..., start : start + block.shape[-1]] = block
+        matrix += np.swapaxes(rows, -1, -2) @ (np.broadcast_to(weight, (*batch, m))[..., None] * rows)
+
+    pulley = (n, one) if robot.elastic else (0, -structure / robot.pulley_radius[..., None])
+    motor = (size - m, one) if robot.jointed else pulley
+    add(inertia, robot.pulley_inertia, pulley)
+    add(damping, robot.damping, pulley)
+    add(damping, robot.speed_slope + robot.coulomb_friction / FRICTION_SPEED, motor)
+    if robot.elastic:
+        length = cable_lengths(robot, robot.home) + robot.extra_length
+        stretch = (0, structure), (n, robot.pulley_radius[..., None] * one)
+        add(stiffness, robot.axial_stiffness / length, *stretch)
+        add(damping, robot.axial_damping / length, *stretch)
+    if robot.jointed:
+        twist = motor, (pulley[0], -pulley[1])
+        add(inertia, robot.motor_inertia, motor)
+        add(damping, robot.motor_damping, motor)
+        add(stiffness, robot.stiffness, *twist)
+    return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness)
 
 
 def highest_frequency(robot: RobotArrays) -> float:
-    """Highest natural frequency of a flexible robot about its home pose with taut cables [rad/s].
-
-    The linear system is ``blkdiag(D + Sᵀ(J/r²)S, J′) ẍ + BᵀKB x = 0`` for x = (X, β′), with the twist
-    ``B x = β′ + S X/r`` of the springs.
-    """
-    structure = jacobian(robot, robot.home)
-    turning = structure / robot.pulley_radius[:, None]
-    m, n = structure.shape[-2:]
-    pulleys = np.swapaxes(turning, -1, -2) @ (robot.pulley_inertia[..., None] * turning)
-    home = np.broadcast_to(robot.home, (*structure.shape[:-2], n))
-    inertia = np.zeros((*structure.shape[:-2], n + m, n + m))
-    inertia[..., :n, :n] = mass_matrix(robot, robot.mass, home) + pulleys
-    inertia[..., n:, n:] = robot.motor_inertia[..., None] * np.eye(m)
-    twist = np.concatenate([turning, np.broadcast_to(np.eye(m), (*turning.shape[:-2], m, m))], axis=-1)
-    stiffness = np.swapaxes(twist, -1, -2) @ (robot.stiffness[..., None] * twist)
-    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real.max()))
+    """Highest natural frequency of a flexible robot about its home pose with taut cables [rad/s]."""
+    model = linear_model(robot)
+    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(model.inertia, model.stiffness)).real.max()))
 
 
 def fastest_decay_rate(robot: RobotArrays) -> float:
-    """Largest decay rate of the motor speeds by friction and along the torque-speed line, at home [1/s].
+    """Largest decay rate by friction, along the torque-speed line and of the cables, at home [1/s].
 
-    The slope of the Coulomb friction is largest at standstill, τ_c/ω₀. In a flexible robot it slows a motor alone, in a
-    rigid one the platform and all pulleys, with taut cables.
+    The slope of the Coulomb friction is largest at standstill, τ_c/ω₀.
     """
-    slope = robot.speed_slope + robot.coulomb_friction / FRICTION_SPEED
-    if robot.flexible:
-        return float(np.max((slope + robot.motor_damping) / robot.motor_inertia))
-    turning = jacobian(robot, robot.home) / robot.pulley_radius[:, None]
-    back = np.swapaxes(turning, -1, -2)
-    home = np.broadcast_to(robot.home, (*turning.shape[:-2], robot.coordinates))
-    inertia = mass_matrix(robot, robot.mass, home) + back @ (robot.pulley_inertia[..., None] * turning)
-    resistance = back @ ((slope + robot.damping)[..., None] * turning)
-    return float(np.linalg.eigvals(np.linalg.solve(inertia, resistance)).real.max())
+    model = linear_model(robot)
+    return float(np.linalg.eigvals(np.linalg.solve(model.inertia, model.damping)).real.max())
 
 
 def pulley_acceleration(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -158,8 +287,9 @@ def required_tensions(
 ) -> Array:
     """Tensions required for an acceleration, ``−Sᵀ T = D Ẍ + h`` (Eq. 16), shape (..., m) [N].
 
-    Spatial: the unique solution, which may have either sign; ``minimum`` has no effect. Planar: the smallest tensions
-    that are all at least ``minimum`` [N], see :func:`tension_distribution` (Eq. 11), also for ``strict``.
+    As many cables as coordinates: the unique solution, which may have either sign; ``minimum`` has no effect. More
+    cables: tensions that are all at least ``minimum`` [N]; for a point mass in a plane the smallest ones, see
+    :func:`tension_distribution` (Eq. 11), also for ``strict``, otherwise those of the least norm above the minimum.
     """
     return inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum, strict=strict).tensions
 
@@ -232,7 +362,7 @@ def required_torques(
 
     They include :func:`coulomb_torque`. Of a flexible robot they are the torques of the springs, without it.
     """
-    structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
+    structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
     return _torques(robot, tensions, *_pulley_motion(robot, structure, rate, velocity, acceleration))
 
 
@@ -293,13 +423,15 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Tensions, torques and pulley motion for a motion. The arguments are as in :func:`required_tensions`."""
     pose, velocity, acceleration = (np.asarray(array, float) for array in (pose, velocity, acceleration))
-    structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity)
+    structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
     speed, second = _pulley_motion(robot, structure, rate, velocity, acceleration)
     wrench = load(robot, mass, pose, velocity, acceleration)
-    if robot.planar:
+    if robot.cables == robot.coordinates:
+        tensions = -np.linalg.solve(np.swapaxes(structure, -1, -2), wrench[..., None])[..., 0]
+    elif robot.kind == "planar":
         tensions = tension_distribution(structure, wrench, minimum, strict=strict)
     else:
-        tensions = -np.linalg.solve(np.swapaxes(structure, -1, -2), wrench[..., None])[..., 0]
+        raise NotImplementedError("tension distribution for more cables than coordinates")
     torques = _torques(robot, tensions, speed, second)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, pulley_accelerations=second)
 
