@@ -83,6 +83,7 @@ class Simulation:
         space = self.layout.space()
         self._constants = outcome.Constants(
             flexible=robot.flexible,
+            dimensions=robot.dimensions,
             lanes=self._plant.lanes,
             workspace=np.array(robot.pose_bounds, order="C"),  # numba compiles once per memory order
             bounds=np.array([space.low, space.high]),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.plant import pack_parameters
+from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
 
@@ -47,9 +47,9 @@ def inverse_dynamics(
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
     results = np.empty((4, *shape[:-1], robot.cables))
-    compute = kernel.required_planar if robot.planar else kernel.required_spatial
-    compute(
-        (0,) * robot.cables,  # the kernel reads the number of cables from the tuple length
+    if robot.cables > robot.coordinates and robot.kind != "planar":
+        raise NotImplementedError("tension distribution for more cables than coordinates")
+    kernel.compiled(form_of(robot, kernel.LANES)).required(
         _packed(robot),
         float(minimum),
         np.empty(kernel.parameter_rows(robot.cables) * kernel.LANES),
