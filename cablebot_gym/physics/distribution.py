@@ -38,16 +38,17 @@ from cablebot_gym.physics.compiling import announce_compilation
 announce_compilation()
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
-"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n or is not finite."""
+"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n, or a value is not
+finite and the tensions are the lower bounds."""
 
-SMOOTHING = 1e-3
+SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
 
 _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 _TOLERANCE = 1e-10  # of constraints, relative to 1 + the largest value
 _INDEPENDENT = 1e-10  # least distance of a normal or column from the span of the others, relative to its length
-_WRENCH_FIRST = 1e-5  # weight of tensions against a wrench error, see _approximate
+_WRENCH_FIRST = 1e-3  # weight of tensions against a wrench error, see _approximate
 _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative to the largest value
 
 
@@ -94,6 +95,8 @@ def _project(problem, tolerance):
     """
     normals, limits, x, active, multipliers, basis, triangle, used, components, rest, change = problem
     constraints, size = normals.shape
+    if not math.isfinite(tolerance):
+        return SINGULAR, 0
     used[:] = False
     count = 0
     for _ in range(20 * (constraints + size)):
@@ -283,9 +286,13 @@ def _bound(problem, factors, u, per_unit, low, high):
 
 @_compile
 def _largest(values):
+    """Largest magnitude; NaN if any value is NaN."""
     largest = 0.0
     for value in values:
-        largest = max(largest, abs(value))
+        if not abs(value) <= largest:
+            largest = abs(value)
+            if math.isnan(largest):
+                return largest
     return largest
 
 
@@ -340,6 +347,12 @@ def _start(structure, load, low, high, reference, below, above, rest):
 
 
 @_compile
+def _within(value, low, high):
+    """Value without the rounding that would exceed a bound; the lower bound takes precedence and replaces NaN."""
+    return min(value, high) if min(value, high) > low else low
+
+
+@_compile
 def _least_norm(structure, load, lower, upper, reference, weights, tensions, status):
     items, m, n = structure.shape
     problem, factors, u = _new_problem(m - n, 2 * m), _new_factors(m, n), np.zeros(m + n)
@@ -364,7 +377,7 @@ def _least_norm(structure, load, lower, upper, reference, weights, tensions, sta
             _approximate(spare, spare_factors, s, rest, below, above, weights[item], u)
         status[item] = state
         for i in range(m):
-            tensions[item, i] = reference[item, i] + min(max(u[i], below[i]), above[i])
+            tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
 
 
 @_compile
@@ -413,11 +426,7 @@ def _least_largest(structure, load, lower, upper, slope, offset, smoothing, weig
             _approximate(spare, spare_factors, s, rest, below, above, weights[item], u)
         status[item] = state
         for i in range(m):
-            tensions[item, i] = idle[i] + u[i]
-            if tensions[item, i] < lower[item, i]:
-                tensions[item, i] = lower[item, i]
-            elif tensions[item, i] > upper[item, i] >= lower[item, i]:
-                tensions[item, i] = upper[item, i]
+            tensions[item, i] = _within(idle[i] + u[i], lower[item, i], upper[item, i])
 
 
 @_compile
@@ -425,12 +434,18 @@ def _combine(problem, count, m, coefficients):
     """Combination of cables in the multipliers, scaled to a largest magnitude of 1; returns the scale."""
     active, multipliers = problem[3], problem[4]
     coefficients[:] = 0.0
+    other = 0.0
     for j in range(count):
         if active[j] < m:
             coefficients[active[j]] -= multipliers[j]
         elif active[j] < 2 * m:
             coefficients[active[j] - m] += multipliers[j]
+        else:
+            other = multipliers[j]
     scale = _largest(coefficients)
+    if scale <= 1e-9 * other:  # rounding
+        scale = 0.0
+        coefficients[:] = 0.0
     if scale > 0.0:
         coefficients /= scale
     return scale
@@ -489,9 +504,10 @@ def _feasible(structure, load, lower, upper, reference, status, excess, directio
 
 @_compile
 def _extreme(problem, step, tolerance, scale, x, before):
-    """Moves x, which satisfies the constraints, as far along its last axis as they permit; returns active constraints.
+    """Moves x, which satisfies the constraints, as far along its last axis as they permit.
 
-    It projects a point ahead of x until x stays in place, which is so only at the end.
+    It projects a point ahead of x until x stays in place, which is so only at the end. Returns the number of active
+    constraints; −1 if rounding stops it.
     """
     count = 0
     for _ in range(100):
@@ -500,7 +516,7 @@ def _extreme(problem, step, tolerance, scale, x, before):
         state, count = _project(problem, tolerance)
         if state != HELD:
             x[:] = before
-            return 0
+            return -1
         change = 0.0
         for l in range(len(x)):
             change = max(change, abs(x[l] - before[l]))
@@ -553,7 +569,8 @@ def _interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, 
         found[item, 0] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
         count = _extreme(problem, 100.0 * scale, tolerance, scale, x, before)
         found[item, 1] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
-        _combine(problem, count, m, coefficients[item])
+        if _combine(problem, count, m, coefficients[item]) == 0.0 and count > 0:
+            found[item, 1] = ends[item, 1]
 
 
 # ------------------------------------------------------------------------------------------------ public functions
