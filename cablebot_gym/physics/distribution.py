@@ -56,9 +56,24 @@ _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative 
 
 
 @_compile
+def _copy(source, target):
+    """Copies a vector; a slice would make numba compile its error message, which takes seconds."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@_compile
+def _negate(source, target):
+    """Copies minus a matrix, as :func:`_copy`."""
+    for i in range(len(source)):
+        for j in range(source.shape[1]):
+            target[i, j] = -source[i, j]
+
+
+@_compile
 def _orthogonalise(normal, basis, count, components, rest):
     """Splits a normal into components along ``count`` basis vectors and the rest; two passes for full precision."""
-    rest[:] = normal
+    _copy(normal, rest)
     components[:count] = 0.0
     for _ in range(2):
         for j in range(count):
@@ -363,7 +378,7 @@ def _least_norm(structure, load, lower, upper, reference, weights, tensions, sta
         s = structure[item]
         state = INFEASIBLE
         if _start(s, load[item], lower[item], upper[item], reference[item], below, above, rest):
-            factors[0][:] = -s
+            _negate(s, factors[0])
             state = SINGULAR
             if _factor(factors) == n:
                 _particular(factors, rest, u)
@@ -447,7 +462,8 @@ def _combine(problem, count, m, coefficients):
         scale = 0.0
         coefficients[:] = 0.0
     if scale > 0.0:
-        coefficients /= scale
+        for i in range(m):
+            coefficients[i] /= scale
     return scale
 
 
@@ -485,7 +501,7 @@ def _feasible(structure, load, lower, upper, reference, status, excess, directio
             for i in range(m):
                 excess[item] = max(excess[item], lower[item, i] - upper[item, i])
             continue
-        factors[0][:] = -structure[item]
+        _negate(structure[item], factors[0])
         rank = _factor(factors)
         if rank < n:
             status[item] = SINGULAR
@@ -511,11 +527,11 @@ def _extreme(problem, step, tolerance, scale, x, before):
     """
     count = 0
     for _ in range(100):
-        before[:] = x
+        _copy(x, before)
         x[-1] += step
         state, count = _project(problem, tolerance)
         if state != HELD:
-            x[:] = before
+            _copy(before, x)
             return -1
         change = 0.0
         for l in range(len(x)):
@@ -536,7 +552,7 @@ def _interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, 
     normals, limits, x = problem[0], problem[1], problem[2]
     for item in range(items):
         found[item, 0] = found[item, 1] = np.nan
-        factors[0][:] = -structure[item]
+        _negate(structure[item], factors[0])
         if _factor(factors) < n:
             status[item] = SINGULAR
             continue
@@ -792,7 +808,9 @@ def _finite(lower: Array) -> Array:
 
 def _values(values: ArrayLike, shape: tuple[int, ...], last: int) -> Array:
     """Values as a contiguous array of shape (items, last)."""
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (*shape, last))).reshape(-1, last)
+    array = np.empty((*shape, last))
+    array[...] = values
+    return array.reshape(-1, last)
 
 
 def _arrays(
@@ -806,7 +824,7 @@ def _arrays(
             f"structure {matrices.shape} and load {vectors.shape} do not match: use (..., m, n) and (..., n), m >= n"
         )
     shape = np.broadcast_shapes(matrices.shape[:-2], vectors.shape[:-1], *(np.shape(c)[:-1] for c in cables), *batch)
-    matrices = np.ascontiguousarray(np.broadcast_to(matrices, (*shape, m, n))).reshape(-1, m, n)
+    matrices = _values(matrices, (*shape, m), n).reshape(-1, m, n)
     return shape, matrices, _values(vectors, shape, n), [_values(c, shape, m) for c in cables]
 
 
