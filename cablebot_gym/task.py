@@ -132,9 +132,9 @@ def at_rest(reference: Reference) -> bool:
 def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> Array:
     """Start pose of the episodes of a motion, for every payload, shape (n,).
 
-    It is the first pose of the motion. With gravity and a motion that starts at rest it is lower by
-    half the position bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so
-    its motors hold more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
+    It is the first pose of the motion. With gravity and a motion that starts at rest it is lower by half the position
+    bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so its motors hold
+    more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
     reference.
     """
     start = trajectory(0.0)
@@ -163,9 +163,10 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
     outside = (poses < low - slack) | (poses > high + slack)
     if np.any(outside):
         sample, channel = (int(index) for index in np.argwhere(outside)[0])
+        axis = COORDINATE_NAMES[robot.kind][channel]
         raise ValueError(
             f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[sample]:.3f} s: "
-            f"{COORDINATE_NAMES[robot.kind][channel]} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to "
+            f"{axis} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to "
             f"{high[channel]:.3g}; change the motion or the workspace"
         )
 

@@ -15,28 +15,32 @@ from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
 
-def form_of(robot: Robot, lanes: int) -> kernel.Form:
-    """Form for which the kernel is compiled."""
+def form_of(robot: RobotArrays, lanes: int = kernel.LANES) -> kernel.Form:
+    """Form of a robot, for which the kernel is compiled."""
     tensor = robot.inertia_tensor
+    products = tensor[..., (0, 0, 1), (1, 2, 2)]
     return kernel.Form(
         dimensions=robot.dimensions,
         coordinates=robot.coordinates,
         cables=robot.cables,
         lanes=lanes,
         jointed=robot.jointed,
-        lopsided=robot.kind == "spatial" and bool(np.any(robot.mass_center) or np.any(tensor - np.diag(tensor.diagonal()))),
+        lopsided=robot.kind == "planar-platform" or bool(np.any(robot.mass_center) or np.any(products)),
     )
 
 
 def pack_parameters(robot: RobotArrays) -> Array:
     """Kernel parameters without payload: shape (parameter rows,) for one robot, (N, parameter rows) for N robots."""
     batch = robot.base.shape[:-2]
-    rows = np.zeros((*batch, kernel.parameter_rows(robot.cables)))
+    form = form_of(robot)
+    rows = np.zeros((*batch, kernel.parameter_rows(form)))
     rows[..., kernel.MASS] = robot.mass
     tensor, columns = robot.inertia_tensor, robot.dimensions
     rows[..., kernel.INERTIA : kernel.INERTIA + 3] = np.diagonal(tensor, axis1=-2, axis2=-1)
-    rows[..., kernel.PRODUCTS : kernel.PRODUCTS + 3] = tensor[..., (0, 0, 1), (1, 2, 2)]
-    rows[..., kernel.CENTER : kernel.CENTER + columns] = robot.mass_center
+    if form.lopsided:
+        body = rows[..., kernel.body_parameter(robot.cables) :]
+        body[..., kernel.PRODUCTS : kernel.PRODUCTS + 3] = tensor[..., (0, 0, 1), (1, 2, 2)]
+        body[..., kernel.CENTER : kernel.CENTER + columns] = robot.mass_center
     rows[..., kernel.GRAVITY] = robot.gravity_vector[-1]
     cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
     cables[..., kernel.BASE : kernel.BASE + columns] = robot.base
@@ -54,7 +58,7 @@ def pack_parameters(robot: RobotArrays) -> Array:
     cables[..., kernel.LAG] = robot.motor_lag
     rows[..., kernel.FRICTION_SPEED] = FRICTION_SPEED
     cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
-    rows[..., kernel.FIRST_CABLE_PARAMETER :] = cables.reshape(*batch, -1)
+    rows[..., kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(robot.cables)] = cables.reshape(*batch, -1)
     return rows
 
 
@@ -86,18 +90,18 @@ class Plant:
         tiles = -(-count // self.lanes)
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
-        self._parameters = kernel_memory(tiles, kernel.parameter_rows(robot.cables) * self.lanes)
-        self.record = kernel_memory(tiles, kernel.record_rows(robot.cables) * self.lanes)
+        self._form = form = form_of(robot, self.lanes)
+        self._parameters = kernel_memory(tiles, kernel.parameter_rows(form) * self.lanes)
+        self.record = kernel_memory(tiles, kernel.record_rows(form) * self.lanes)
         """The kernel's record; ``kernel`` defines its rows."""
         self._action = self._action_view()
-        self._scratch = kernel_memory(kernel.scratch_rows(robot.cables) * self.lanes)
+        self._scratch = kernel_memory(kernel.scratch_rows(form) * self.lanes)
         self.trajectory_index = np.zeros(self.width, np.int64)
         """Index of the reference trajectory of each lane, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
         self._lags = self._rubs = False  # whether some robot has had a lag or Coulomb friction so far
-        self._form = form_of(robot, self.lanes)
-        self._advance = kernel.compiled(self._form).advance
+        self._advance = kernel.compiled(form).advance
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -120,7 +124,7 @@ class Plant:
 
     @property
     def _parameter_rows(self) -> int:
-        return kernel.parameter_rows(self.robot.cables)
+        return kernel.parameter_rows(self._form)
 
     def _view(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
         """View of rows of a tiled memory, shape (tiles, rows, lanes)."""
@@ -148,9 +152,9 @@ class Plant:
         """
         rows = np.asarray(rows, float)
         self._write(self._parameters, 0, np.asarray(index), rows)
-        lag, friction = (kernel.FIRST_CABLE_PARAMETER + row for row in (kernel.LAG, kernel.COULOMB_FRICTION))
-        self._lags |= bool(np.any(rows[:, lag :: kernel.CABLE_PARAMETERS]))
-        self._rubs |= bool(np.any(rows[:, friction :: kernel.CABLE_PARAMETERS]))
+        cables = rows[:, kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(self.robot.cables)]
+        self._lags |= bool(np.any(cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]))
+        self._rubs |= bool(np.any(cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS]))
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
         """Sets the external wrench on the platforms of the robots at ``index``. It stays until it is changed.
@@ -172,7 +176,7 @@ class Plant:
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
         """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to control step 0."""
         index = np.asarray(index)
-        self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self.robot.cables))))
+        self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self._form))))
         self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
         self._write(self.record, kernel.VELOCITY, index, np.asarray(velocity, float))
         self.step_index[index] = 0

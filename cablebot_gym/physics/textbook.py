@@ -369,6 +369,30 @@ def tension_distribution(structure: Array, load: Array, minimum: float, *, stric
     return minimum + np.maximum(best, 0.0)
 
 
+def redundant_tensions(
+    robot: RobotArrays, structure: Array, load: Array, minimum: float, *, strict: bool = True
+) -> Array:
+    """Tensions with ``−Sᵀ T = load`` and ``T_i ≥ minimum`` of the least norm above the minimum, shape (..., m).
+
+    Without ``strict``, tensions for the nearest load if there are none, so that a control law can continue. An error of
+    the moment counts as that of a force at the mean distance of the platform anchors.
+
+    Raises:
+        ValueError: if ``strict`` and no tensions of at least ``minimum`` hold the load.
+        LinAlgError: if ``strict`` and S is singular.
+    """
+    from cablebot_gym.physics.distribution import INFEASIBLE, SINGULAR, least_norm  # numba takes a second
+
+    arm = float(np.sqrt(np.mean(np.sum((robot.platform - robot.mass_center) ** 2, axis=-1))))
+    weights = np.repeat([1.0, 1 / arm if arm > 0 else 1.0], [robot.dimensions, robot.coordinates - robot.dimensions])
+    found = least_norm(structure, load, minimum, weights=weights)
+    if strict and np.any(found.status == SINGULAR):
+        raise np.linalg.LinAlgError("the cables do not act in all directions")
+    if strict and np.any(found.status == INFEASIBLE):
+        raise ValueError(f"no tensions of at least {minimum:g} N hold the platform: its pose or its load is infeasible")
+    return found.tensions
+
+
 def smooth_tension_distribution(structure: Array, least: Array, minimum: float, softness: float) -> Array:
     """Smooth tensions of three planar cables; those of :func:`tension_distribution` have kinks.
 
@@ -403,7 +427,7 @@ def required_torques(
     They include :func:`coulomb_torque`. Of a flexible robot they are the torques of the springs, without it.
     """
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
-    return _torques(robot, tensions, *_pulley_motion(robot, structure, rate, velocity, acceleration))
+    return motor_torques(robot, tensions, *_pulley_motion(robot, structure, rate, velocity, acceleration))
 
 
 def _pulley_motion(
@@ -415,7 +439,8 @@ def _pulley_motion(
     return speed, -(_apply(structure, as_numbers(acceleration)) + _apply(rate, velocity)) / robot.pulley_radius
 
 
-def _torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
+def motor_torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
+    """Torques of :func:`required_torques` for pulley speeds and pulley accelerations, each (..., m)."""
     torque: Array = robot.pulley_radius * as_numbers(tensions)
     torque = torque + robot.pulley_inertia * acceleration + robot.damping * speed
     return torque if robot.flexible else torque + coulomb_torque(robot, speed)
@@ -471,8 +496,8 @@ def inverse_dynamics(
     elif robot.kind == "planar":
         tensions = tension_distribution(structure, wrench, minimum, strict=strict)
     else:
-        raise NotImplementedError("tension distribution for more cables than coordinates")
-    torques = _torques(robot, tensions, speed, second)
+        tensions = redundant_tensions(robot, structure, wrench, minimum, strict=strict)
+    torques = motor_torques(robot, tensions, speed, second)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, pulley_accelerations=second)
 
 
