@@ -26,7 +26,7 @@ class ErrorBounds:
     position: float = 0.01
     """R, the bound of the distance to the reference at the same instant [m] (Tables 7–9); > 0."""
     rotation: float = 0.01
-    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a planar robot."""
+    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a point mass."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -132,9 +132,9 @@ def at_rest(reference: Reference) -> bool:
 def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> Array:
     """Start pose of the episodes of a motion, for every payload, shape (n,).
 
-    It is the first pose of the motion. With gravity and a motion that starts at rest it is lower by half the position
-    bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so its motors hold
-    more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
+    It is the first pose of the motion. Under gravity, and for a motion that starts at rest, it is lower by
+    half the position bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so
+    its motors hold more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
     reference.
     """
     start = trajectory(0.0)
@@ -163,11 +163,11 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
     outside = (poses < low - slack) | (poses > high + slack)
     if np.any(outside):
         sample, channel = (int(index) for index in np.argwhere(outside)[0])
-        axis = COORDINATE_NAMES[robot.kind][channel]
+        symbol = COORDINATE_NAMES[robot.kind][channel]
         raise ValueError(
             f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[sample]:.3f} s: "
-            f"{axis} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to "
-            f"{high[channel]:.3g}; change the motion or the workspace"
+            f"{symbol} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to {high[channel]:.3g}; "
+            "change the motion or the workspace"
         )
 
 

@@ -55,12 +55,15 @@ def inverse_dynamics(
     given = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
     if robot.cables > robot.coordinates and robot.kind != "planar":
         structure, load = np.empty((count, robot.cables, robot.coordinates)), np.empty((count, robot.coordinates))
-        moving = np.empty((2, *shape[:-1], robot.cables))
-        compiled.demanded(packed, *memory, *given, structure, load, moving.reshape(2, -1, robot.cables))
-        tensions = textbook.redundant_tensions(robot, structure, load, minimum, strict=False).reshape(moving.shape[1:])
-        torques = textbook.motor_torques(robot, tensions, *moving)
-        return InverseDynamics(tensions=tensions, torques=torques, speeds=moving[0], pulley_accelerations=moving[1])
-    results = np.empty((4, *shape[:-1], robot.cables))
-    compiled.required(packed, float(minimum), *memory, *given, results.reshape(4, -1, robot.cables))
-    tensions, torques, speeds, pulley_accelerations = results
+        speeds, pulley_accelerations = moving = np.empty((2, count, robot.cables))
+        compiled.demanded(packed, *memory, *given, structure, load, moving)
+        tensions = textbook.least_action_tensions(robot, structure, load, speeds, pulley_accelerations, minimum)
+        torques = textbook.motor_torques(robot, tensions, speeds, pulley_accelerations)
+        tensions, torques, speeds, pulley_accelerations = (
+            values.reshape(*shape[:-1], robot.cables) for values in (tensions, torques, speeds, pulley_accelerations)
+        )
+    else:
+        results = np.empty((4, *shape[:-1], robot.cables))
+        compiled.required(packed, float(minimum), *memory, *given, results.reshape(4, -1, robot.cables))
+        tensions, torques, speeds, pulley_accelerations = results
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=pulley_accelerations)

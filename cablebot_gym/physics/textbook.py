@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
+from cablebot_gym.physics.distribution import HELD, least_largest_action
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
@@ -329,7 +330,7 @@ def required_tensions(
 
     As many cables as coordinates: the unique solution, which may have either sign; ``minimum`` has no effect. More
     cables: tensions that are all at least ``minimum`` [N]; for a point mass in a plane the smallest ones, see
-    :func:`tension_distribution` (Eq. 11), also for ``strict``, otherwise those of the least norm above the minimum.
+    :func:`tension_distribution` (Eq. 11), otherwise :func:`least_action_tensions`, both also for ``strict``.
     """
     return inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum, strict=strict).tensions
 
@@ -369,27 +370,41 @@ def tension_distribution(structure: Array, load: Array, minimum: float, *, stric
     return minimum + np.maximum(best, 0.0)
 
 
-def redundant_tensions(
-    robot: RobotArrays, structure: Array, load: Array, minimum: float, *, strict: bool = True
+def least_action_tensions(
+    robot: RobotArrays,
+    structure: Array,
+    load: Array,
+    speed: Array,
+    acceleration: Array,
+    minimum: float,
+    *,
+    strict: bool = False,
 ) -> Array:
-    """Tensions with ``−Sᵀ T = load`` and ``T_i ≥ minimum`` of the least norm above the minimum, shape (..., m).
+    """Tensions of redundant cables with the least largest action that hold a load, shape (..., m) [N].
 
-    Without ``strict``, tensions for the nearest load if there are none, so that a control law can continue. An error of
-    the moment counts as that of a force at the mean distance of the platform anchors.
+    All tensions are at least ``minimum``, see :func:`~cablebot_gym.physics.distribution.least_largest_action`. Without
+    ``strict`` the result for a load beyond the cables and motors leaves the least wrench error, so that a control law
+    can continue.
+
+    Args:
+        robot: the robot.
+        structure: S, shape (..., m, n).
+        load: D Ẍ + h, shape (..., n).
+        speed: pulley speeds β̇, shape (..., m) [rad/s].
+        acceleration: pulley accelerations β̈, shape (..., m) [rad/s²].
+        minimum: least tension [N].
+        strict: whether a load that no tensions above the minimum hold raises an error.
 
     Raises:
         ValueError: if ``strict`` and no tensions of at least ``minimum`` hold the load.
-        LinAlgError: if ``strict`` and S is singular.
     """
-    from cablebot_gym.physics.distribution import INFEASIBLE, SINGULAR, least_norm  # numba takes a second
-
-    arm = float(np.sqrt(np.mean(np.sum((robot.platform - robot.mass_center) ** 2, axis=-1))))
-    weights = np.repeat([1.0, 1 / arm if arm > 0 else 1.0], [robot.dimensions, robot.coordinates - robot.dimensions])
-    found = least_norm(structure, load, minimum, weights=weights)
-    if strict and np.any(found.status == SINGULAR):
-        raise np.linalg.LinAlgError("the cables do not act in all directions")
-    if strict and np.any(found.status == INFEASIBLE):
-        raise ValueError(f"no tensions of at least {minimum:g} N hold the platform: its pose or its load is infeasible")
+    radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
+    offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
+    slope, span = radius / robot.stall_torque, 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
+    weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span**2)
+    found = least_largest_action(structure, load, minimum, slope, offset, weights=weights)
+    if strict and np.any(found.status != HELD):
+        raise ValueError(f"no cable tensions of at least {minimum:g} N give this wrench")
     return found.tensions
 
 
@@ -496,7 +511,7 @@ def inverse_dynamics(
     elif robot.kind == "planar":
         tensions = tension_distribution(structure, wrench, minimum, strict=strict)
     else:
-        tensions = redundant_tensions(robot, structure, wrench, minimum, strict=strict)
+        tensions = least_action_tensions(robot, structure, wrench, speed, second, minimum, strict=strict)
     torques = motor_torques(robot, tensions, speed, second)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, pulley_accelerations=second)
 
