@@ -70,6 +70,7 @@ class _Announcer(event.Listener):
         PREPARATION.end()
 
 
+@cache
 def announce_compilation() -> None:
-    """Installs the announcer. The kernel module calls it once on import."""
+    """Installs the announcer, once. Each module with compiled functions calls it on import."""
     event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
