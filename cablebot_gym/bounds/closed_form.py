@@ -118,7 +118,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
     Raises:
         ValueError: if the trajectory is for another kind of robot, or if there is no control instant.
     """
-    trajectory = find_trajectory(trajectory, robot.coordinates)
+    trajectory = find_trajectory(trajectory, robot.kind)
     frequency = number("frequency", frequency, above=0.5 / trajectory.duration, unit="Hz")
     times = np.arange(round(trajectory.duration * frequency)) / frequency
     return times, trajectory(times)
@@ -126,7 +126,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
 
 def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
     """Grid that approximates all times, with both sides of each instant. It contains half time, where circles jump."""
-    trajectory = find_trajectory(trajectory, robot.coordinates)
+    trajectory = find_trajectory(trajectory, robot.kind)
     grid = number("grid", grid, above=0, unit="Hz")
     count = 2 * max(1, round(grid / 4), round(grid * trajectory.duration / 2))
     instants = np.arange(count) * (trajectory.duration / count)

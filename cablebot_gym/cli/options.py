@@ -255,7 +255,7 @@ def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
 
     check_robot(env_id, episode.get("robot"))
     robot = find_robot(episode.get("robot") or env_robot(env_id))
-    find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.coordinates)
+    find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind)
     return robot
 
 
