@@ -245,7 +245,7 @@ class Robot:
     """
     workspace: tuple[tuple[float, float], ...] = ()
     """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and angles within ± 1 rad.
-    Where gravity acts, the box begins at the lowest anchor and is as deep as it is wide along its diagonal."""
+    If the home pose is below all anchors, the box begins at the lowest one; its depth is its diagonal in plan."""
     defaults: Defaults = dataclasses.field(default=Defaults(), compare=False, repr=False)
     """Default motion, error bounds and payload range. Robots that differ only in these are equal."""
     sources: Mapping[str, str] = dataclasses.field(default_factory=dict, compare=False, repr=False)
@@ -349,7 +349,7 @@ class Robot:
         if self.workspace:
             return _frozen(np.transpose(self.workspace))
         low, high = self.base.min(axis=0), self.base.max(axis=0)
-        if not self.weightless or not self.planar:
+        if (not self.weightless or not self.planar) and self.home_pose[self.dimensions - 1] >= high[-1]:
             depth = float(np.linalg.norm((high - low)[:-1]))
             low, high = np.append(low[:-1], high[-1]), np.append(high[:-1], high[-1] + depth)
         angles = np.ones(self.coordinates - self.dimensions)

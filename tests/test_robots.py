@@ -14,6 +14,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles.plants import UNEQUAL, each_of
+from oracles.platforms import PLATFORMS
 from scipy.optimize import linprog
 
 from cablebot_gym.evaluation import evaluate_dlcc
@@ -61,6 +62,29 @@ def test_free_speed_is_1000_rpm_and_ends_the_torque():
         np.testing.assert_allclose(robot.speed_slope, stall / 104.71975511965978, rtol=1e-15)
 
 
+# --- kinds ---------------------------------------------------------------------------------------------------------
+
+ELASTIC = FLEX_SPATIAL.replace(
+    transmission=FLEX_SPATIAL.transmission.replace(axial_stiffness=5e4), swivel_radius=0.02, center_of_mass=(0, 0, 0.1)
+)
+
+
+@pytest.mark.parametrize("platform", PLATFORMS.values(), ids=PLATFORMS)
+def test_anchors_determine_the_kind_and_the_coordinates(platform):
+    kind, turns = platform.kind, not platform.point_mass
+    assert platform.planar == kind.startswith("planar")
+    assert platform.dimensions == (2 if platform.planar else 3)
+    assert platform.coordinates == platform.dimensions + turns * (1 if platform.planar else 3)
+    assert platform.pose_bounds.shape == (2, platform.coordinates)
+    assert Robot.from_dict(json.loads(json.dumps(platform.to_dict()))) == platform
+
+
+def test_data_of_robots_without_the_options_have_no_new_keys():
+    """Hashes of plans and stored results depend on these data."""
+    keys = {"axial_stiffness", "extra_length", "center_of_mass", "plane", "swivel_radius", "sources"}
+    assert not keys & {*SPATIAL.to_dict(), *SPATIAL.to_dict()["transmission"]}
+
+
 # --- errors -------------------------------------------------------------------------------------------------------
 
 THREE = PLANAR.base_anchors
@@ -89,10 +113,17 @@ UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and p
         (PLANAR, {"base_anchors": 1000 * np.array(THREE)}, "are 1000 m wide and .* divide millimetres by 1000"),
         (SPATIAL, {"platform_anchors": 1000 * np.array(PLATFORM)}, "reach 170.896 m .* divide millimetres by 1000"),
         (PLANAR, {"transmission": {"pulley_radius": 50, "pulley_inertia": 8e-4}}, "pulley_radius is 50 m"),
+        (SPATIAL, {"inertia": ((0.6, 0.1, 0.0), (0.0, 0.6, 0.0), (0.0, 0.0, 1.1))}, "the tensor must be symmetric"),
+        (SPATIAL, {"inertia": (0.58, 0.58, -1.16)}, "all principal moments must be greater than 0"),
+        (SPATIAL, {"plane": "vertical"}, "plane is for planar robots"),
+        (PLANAR, {"swivel_radius": 0.01}, "swivel_radius is for robots in space"),
+        (PLANAR, {"center_of_mass": (0.1, 0.0)}, "center_of_mass must be empty for a point mass"),
+        (PLATFORMS["camera"], {"home_pose": (9.0, 0.0, 3.0)}, "no positive tensions hold home_pose"),
+        (PLATFORMS["crane"], {"center_of_mass": (1.0, 0.0, 0.0)}, "no positive tensions hold home_pose"),
         (SPATIAL, {"minimum_tension": -1.0}, "minimum_tension must be a finite number at least 0"),
         (PLANAR, {"home_pose": (0.4, 0.3), "workspace": WIDE}, "do not surround home_pose"),
         (PLANAR, {"base_anchors": ((-1.0, 0.0), (1.0, 0.0)), "workspace": WIDE}, "needs at least 3 cables, not 2"),
-        (SPATIAL, {"platform_anchors": UPRIGHT}, "no positive tensions hold"),
+        (SPATIAL, {"platform_anchors": UPRIGHT}, "the cables act in 5 of 6 directions, and ψ is free; move the pose"),
         (SPATIAL, {"home_pose": (0.0, 0.0, 0.1, 0.0, 0.8, 0.9)}, "no positive tensions hold home_pose"),
     ],
 )
@@ -246,11 +277,11 @@ def used(robot):
 def arrays_of(robot):
     """All arrays of a robot by name."""
     names = [name for name in dir(robot) if not name.startswith("_")]
-    found = {name: getattr(robot, name) for name in names if robot.flexible or name not in FLEXIBLE_ONLY}
+    found = {name: getattr(robot, name, None) for name in names if robot.elastic or name not in NOT_ALL_HAVE}
     return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
 
 
-FLEXIBLE_ONLY = ("stiffness", "motor_inertia", "motor_damping")
+NOT_ALL_HAVE = ("stiffness", "motor_inertia", "motor_damping", "axial_stiffness")
 COPIES = {
     "itself": used,
     "copy": lambda robot: copy.copy(used(robot)),
@@ -260,7 +291,7 @@ COPIES = {
 
 
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
-@each_of(PLANAR, UNEQUAL, FLEX_SPATIAL)
+@each_of(PLANAR, UNEQUAL, ELASTIC)
 def test_robots_and_their_copies_cannot_be_changed(robot, copied):
     """Policies share a robot, and a copy of an array is writable in NumPy, also after pickling."""
     one = copied(robot)

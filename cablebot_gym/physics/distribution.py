@@ -38,16 +38,17 @@ from cablebot_gym.physics.compiling import announce_compilation
 announce_compilation()
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
-"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n or is not finite."""
+"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n, or a value is not
+finite and the tensions are the lower bounds."""
 
-SMOOTHING = 1e-3
+SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
 
 _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 _TOLERANCE = 1e-10  # of constraints, relative to 1 + the largest value
 _INDEPENDENT = 1e-10  # least distance of a normal or column from the span of the others, relative to its length
-_WRENCH_FIRST = 1e-5  # weight of tensions against a wrench error, see _approximate
+_WRENCH_FIRST = 1e-3  # weight of tensions against a wrench error, see _approximate
 _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative to the largest value
 
 
@@ -55,9 +56,24 @@ _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative 
 
 
 @_compile
+def _copy(source, target):
+    """Copies a vector; a slice would make numba compile its error message, which takes seconds."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@_compile
+def _negate(source, target):
+    """Copies minus a matrix, as :func:`_copy`."""
+    for i in range(len(source)):
+        for j in range(source.shape[1]):
+            target[i, j] = -source[i, j]
+
+
+@_compile
 def _orthogonalise(normal, basis, count, components, rest):
     """Splits a normal into components along ``count`` basis vectors and the rest; two passes for full precision."""
-    rest[:] = normal
+    _copy(normal, rest)
     components[:count] = 0.0
     for _ in range(2):
         for j in range(count):
@@ -94,6 +110,8 @@ def _project(problem, tolerance):
     """
     normals, limits, x, active, multipliers, basis, triangle, used, components, rest, change = problem
     constraints, size = normals.shape
+    if not math.isfinite(tolerance):
+        return SINGULAR, 0
     used[:] = False
     count = 0
     for _ in range(20 * (constraints + size)):
@@ -283,9 +301,13 @@ def _bound(problem, factors, u, per_unit, low, high):
 
 @_compile
 def _largest(values):
+    """Largest magnitude; NaN if any value is NaN."""
     largest = 0.0
     for value in values:
-        largest = max(largest, abs(value))
+        if not abs(value) <= largest:
+            largest = abs(value)
+            if math.isnan(largest):
+                return largest
     return largest
 
 
@@ -340,6 +362,12 @@ def _start(structure, load, low, high, reference, below, above, rest):
 
 
 @_compile
+def _within(value, low, high):
+    """Value without the rounding that would exceed a bound; the lower bound takes precedence and replaces NaN."""
+    return min(value, high) if min(value, high) > low else low
+
+
+@_compile
 def _least_norm(structure, load, lower, upper, reference, weights, tensions, status):
     items, m, n = structure.shape
     problem, factors, u = _new_problem(m - n, 2 * m), _new_factors(m, n), np.zeros(m + n)
@@ -350,7 +378,7 @@ def _least_norm(structure, load, lower, upper, reference, weights, tensions, sta
         s = structure[item]
         state = INFEASIBLE
         if _start(s, load[item], lower[item], upper[item], reference[item], below, above, rest):
-            factors[0][:] = -s
+            _negate(s, factors[0])
             state = SINGULAR
             if _factor(factors) == n:
                 _particular(factors, rest, u)
@@ -364,7 +392,7 @@ def _least_norm(structure, load, lower, upper, reference, weights, tensions, sta
             _approximate(spare, spare_factors, s, rest, below, above, weights[item], u)
         status[item] = state
         for i in range(m):
-            tensions[item, i] = reference[item, i] + min(max(u[i], below[i]), above[i])
+            tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
 
 
 @_compile
@@ -413,11 +441,7 @@ def _least_largest(structure, load, lower, upper, slope, offset, smoothing, weig
             _approximate(spare, spare_factors, s, rest, below, above, weights[item], u)
         status[item] = state
         for i in range(m):
-            tensions[item, i] = idle[i] + u[i]
-            if tensions[item, i] < lower[item, i]:
-                tensions[item, i] = lower[item, i]
-            elif tensions[item, i] > upper[item, i] >= lower[item, i]:
-                tensions[item, i] = upper[item, i]
+            tensions[item, i] = _within(idle[i] + u[i], lower[item, i], upper[item, i])
 
 
 @_compile
@@ -425,14 +449,21 @@ def _combine(problem, count, m, coefficients):
     """Combination of cables in the multipliers, scaled to a largest magnitude of 1; returns the scale."""
     active, multipliers = problem[3], problem[4]
     coefficients[:] = 0.0
+    other = 0.0
     for j in range(count):
         if active[j] < m:
             coefficients[active[j]] -= multipliers[j]
         elif active[j] < 2 * m:
             coefficients[active[j] - m] += multipliers[j]
+        else:
+            other = multipliers[j]
     scale = _largest(coefficients)
+    if scale <= 1e-9 * other:  # rounding
+        scale = 0.0
+        coefficients[:] = 0.0
     if scale > 0.0:
-        coefficients /= scale
+        for i in range(m):
+            coefficients[i] /= scale
     return scale
 
 
@@ -470,7 +501,7 @@ def _feasible(structure, load, lower, upper, reference, status, excess, directio
             for i in range(m):
                 excess[item] = max(excess[item], lower[item, i] - upper[item, i])
             continue
-        factors[0][:] = -structure[item]
+        _negate(structure[item], factors[0])
         rank = _factor(factors)
         if rank < n:
             status[item] = SINGULAR
@@ -489,18 +520,19 @@ def _feasible(structure, load, lower, upper, reference, status, excess, directio
 
 @_compile
 def _extreme(problem, step, tolerance, scale, x, before):
-    """Moves x, which satisfies the constraints, as far along its last axis as they permit; returns active constraints.
+    """Moves x, which satisfies the constraints, as far along its last axis as they permit.
 
-    It projects a point ahead of x until x stays in place, which is so only at the end.
+    It projects a point ahead of x until x stays in place, which is so only at the end. Returns the number of active
+    constraints; −1 if rounding stops it.
     """
     count = 0
     for _ in range(100):
-        before[:] = x
+        _copy(x, before)
         x[-1] += step
         state, count = _project(problem, tolerance)
         if state != HELD:
-            x[:] = before
-            return 0
+            _copy(before, x)
+            return -1
         change = 0.0
         for l in range(len(x)):
             change = max(change, abs(x[l] - before[l]))
@@ -520,7 +552,7 @@ def _interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, 
     normals, limits, x = problem[0], problem[1], problem[2]
     for item in range(items):
         found[item, 0] = found[item, 1] = np.nan
-        factors[0][:] = -structure[item]
+        _negate(structure[item], factors[0])
         if _factor(factors) < n:
             status[item] = SINGULAR
             continue
@@ -553,7 +585,8 @@ def _interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, 
         found[item, 0] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
         count = _extreme(problem, 100.0 * scale, tolerance, scale, x, before)
         found[item, 1] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
-        _combine(problem, count, m, coefficients[item])
+        if _combine(problem, count, m, coefficients[item]) == 0.0 and count > 0:
+            found[item, 1] = ends[item, 1]
 
 
 # ------------------------------------------------------------------------------------------------ public functions
@@ -775,7 +808,9 @@ def _finite(lower: Array) -> Array:
 
 def _values(values: ArrayLike, shape: tuple[int, ...], last: int) -> Array:
     """Values as a contiguous array of shape (items, last)."""
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (*shape, last))).reshape(-1, last)
+    array = np.empty((*shape, last))
+    array[...] = values
+    return array.reshape(-1, last)
 
 
 def _arrays(
@@ -789,7 +824,7 @@ def _arrays(
             f"structure {matrices.shape} and load {vectors.shape} do not match: use (..., m, n) and (..., n), m >= n"
         )
     shape = np.broadcast_shapes(matrices.shape[:-2], vectors.shape[:-1], *(np.shape(c)[:-1] for c in cables), *batch)
-    matrices = np.ascontiguousarray(np.broadcast_to(matrices, (*shape, m, n))).reshape(-1, m, n)
+    matrices = _values(matrices, (*shape, m), n).reshape(-1, m, n)
     return shape, matrices, _values(vectors, shape, n), [_values(c, shape, m) for c in cables]
 
 

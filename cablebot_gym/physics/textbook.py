@@ -26,9 +26,17 @@ MINIMUM_TENSION = 5.0
 """Default minimum tension T_min of planar robots [N], for control laws and for springs at rest. With 0 the cables
 become slack at once in closed loop; a few newtons keep them taut."""
 
+TENSION_RESERVE = 1.2
+"""Least tension that laws allocate, as a multiple of the robot's own ``minimum_tension``, if that is more."""
+
 FRICTION_SPEED = 0.5
 """Motor speed ω₀ below which Coulomb friction is smoothed [rad/s]. The friction has 99 % of τ_c above 3.5 rad/s, which
 is 0.18 m/s of cable on the paper's pulleys."""
+
+
+def allocated_minimum(robot: Robot, usual: float = MINIMUM_TENSION) -> float:
+    """Least tension that laws allocate, and that the springs have at rest [N]: ``usual``, or more for heavy cables."""
+    return max(usual, TENSION_RESERVE * robot.minimum_tension)
 
 
 def jacobian(robot: RobotArrays, pose: ArrayLike) -> Array:
@@ -167,6 +175,38 @@ def static_motor_angle(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, 
     ``minimum`` is as in :func:`required_tensions`.
     """
     return rest_angles(robot, static_torque(robot, mass, pose, minimum=minimum) / robot.pulley_radius, pose)[0]
+
+
+def joint_stiffness(robot: RobotArrays, pose: ArrayLike) -> Array:
+    """Stiffness at the pulleys between motor and platform, of joint spring and cable in series, (..., m) [N·m/rad]."""
+    if not robot.elastic:
+        return robot.stiffness
+    length = cable_lengths(robot, pose) + robot.extra_length
+    cable: Array = robot.pulley_radius**2 * robot.axial_stiffness / length
+    return 1 / (1 / cable + 1 / robot.stiffness) if robot.jointed else cable
+
+
+def joint_equivalent(robot: Robot) -> Robot:
+    """The robot with joint springs in place of its elastic cables, for control laws; itself if they do not stretch.
+
+    The springs have the stiffness at the home pose. Without joint springs the pulley becomes the motor; otherwise it
+    stays on the side of the stiffer spring. The damping of the cables is left out.
+    """
+    if not robot.elastic:
+        return robot
+    given, stiffness = robot.transmission, joint_stiffness(robot, robot.home)
+    rigid = {"axial_stiffness": None, "axial_damping": 0.0, "extra_length": 0.0, "stiffness": stiffness}
+    if not robot.jointed:
+        sides = {"motor_inertia": robot.pulley_inertia, "motor_damping": robot.damping}
+        return robot.replace(transmission=given.replace(**rigid, **sides, pulley_inertia=0.0, damping=0.0))
+    at_motor = robot.stiffness > 2 * stiffness  # the cable is the softer spring
+    sides = {
+        "motor_inertia": robot.motor_inertia + np.where(at_motor, robot.pulley_inertia, 0.0),
+        "motor_damping": robot.motor_damping + np.where(at_motor, robot.damping, 0.0),
+        "pulley_inertia": np.where(at_motor, 0.0, robot.pulley_inertia),
+        "damping": np.where(at_motor, 0.0, robot.damping),
+    }
+    return robot.replace(transmission=given.replace(**rigid, **sides))
 
 
 def cable_springs(

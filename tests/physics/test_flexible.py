@@ -43,7 +43,7 @@ def test_flexible_robots_have_the_values_of_table_5(flexible, rigid):
     )
     assert flexible.replace(name=rigid.name, transmission=rigid.transmission) == rigid
     np.testing.assert_array_equal(flexible.stiffness, np.full(rigid.cables, 3.0))
-    with pytest.raises(ValueError, match="has a rigid transmission without motor_damping"):
+    with pytest.raises(ValueError, match="has a transmission without motor_damping"):
         _ = rigid.motor_damping
 
 

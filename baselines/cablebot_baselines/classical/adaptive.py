@@ -12,6 +12,7 @@ from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
@@ -76,6 +77,7 @@ class Adaptive(ClassicalLaw):
 
     def __init__(self, law: ClassicalLaw, *, estimator_prior_weight: float = 0.01, allocation: bool = True) -> None:
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
+        self.model = law.model
         weight = number("estimator_prior_weight", estimator_prior_weight, above=0.0, unit="s")
         self.law, self._prior_weight = law, weight * STANDARD_GRAVITY**2
         self._allocates = allocation and law.robot.cables == law.robot.coordinates
@@ -117,13 +119,12 @@ class Adaptive(ClassicalLaw):
     ) -> EstimatorState:
         """Estimator state after the control period that has just ended."""
         robot, pose, velocity = self.robot, blocks["pose"], blocks["velocity"]
-        weight = blocks["reference_acceleration"][..., :3].copy()
-        if not robot.planar:
-            weight[..., 2] -= robot.gravity
+        weight = blocks["reference_acceleration"][..., : robot.dimensions] - robot.gravity_vector
         pulley_speed = self.pulley_speed(pose, velocity)
         torques, zero = np.zeros_like(pulley_speed), np.zeros_like(blocks["time_to_go"])
         if robot.flexible:
-            torques = robot.stiffness * np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
+            wound = np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
+            torques = textbook.joint_stiffness(robot, pose) * wound
         now = EstimatorState(
             pose=pose.copy(),
             velocity=velocity.copy(),
@@ -147,7 +148,7 @@ class Adaptive(ClassicalLaw):
 
     def _weighted_balance(self, before: EstimatorState, now: EstimatorState, weight: Array) -> tuple[Array, Array]:
         """w·f and w·y of the control period between two states, each (..., 1)."""
-        robot, h = self.robot, before.time_to_go - now.time_to_go
+        robot, h = self.model, before.time_to_go - now.time_to_go
         first, last = before.torques, now.torques
         if not robot.flexible:  # the requested torque is constant over the period, but saturates at the motor speed
             limits = (textbook.torque_limits(robot, state.pulley_speed) for state in (before, now))
@@ -157,20 +158,30 @@ class Adaptive(ClassicalLaw):
             friction += sum(textbook.coulomb_torque(robot, state.pulley_speed) for state in (before, now))
         mean = (first + last - friction) / 2
         angular_impulse = h * mean - robot.pulley_inertia * (now.pulley_speed - before.pulley_speed)
-        cables = cable_vectors(robot.base, robot.platform, (before.pose + now.pose) / 2)
-        scale = angular_impulse / robot.pulley_radius / np.linalg.norm(cables, axis=-1)
+        middle, impulses = (before.pose + now.pose) / 2, angular_impulse / robot.pulley_radius
+        if robot.swivel is None:
+            cables = cable_vectors(robot.base, robot.platform, middle)
+            scale = impulses / np.linalg.norm(cables, axis=-1)
+        else:
+            cables, scale = textbook.jacobian(robot, middle)[..., : robot.dimensions], impulses
         impulse = -np.sum(scale[..., None] * cables, axis=-2)
-        change = (now.velocity - before.velocity)[..., :3]
-        if not robot.planar:
-            change[..., 2] -= robot.gravity * h[..., 0]
+        change = self._mass_center_velocity(now) - self._mass_center_velocity(before) - robot.gravity_vector * h
         return np.sum(weight * impulse, axis=-1, keepdims=True), np.sum(weight * change, axis=-1, keepdims=True)
+
+    def _mass_center_velocity(self, state: EstimatorState) -> Array:
+        """Velocity of the centre of mass [m/s], (..., d)."""
+        d = self.robot.dimensions
+        if not np.any(self.robot.mass_center):
+            return state.velocity[..., :d]
+        momentum = textbook.mass_matrix(self.robot, 1.0, state.pose) @ state.velocity[..., None]
+        return momentum[..., :d, 0]
 
 
 def make_adaptive(robot: Robot) -> Adaptive:
     """Makes the policy ``adaptive`` or, for a flexible robot, ``adaptive-composite``."""
     if robot.flexible:
         return Adaptive(composite_tuned(robot))
-    return Adaptive(FeedbackLinearization(robot, gains=ADAPTIVE_GAINS["planar" if robot.planar else "spatial"]))
+    return Adaptive(FeedbackLinearization(robot, gains=by_kind(ADAPTIVE_GAINS, robot)))
 
 
 ADAPTIVE = entry("adaptive", make_adaptive)

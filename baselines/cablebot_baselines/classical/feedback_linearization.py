@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
+from cablebot_baselines.classical.outer_loop import PD, OuterLoop, by_kind, checked_gains
 from cablebot_baselines.entries import entry
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.robots import Robot
 
 TUNED_GAINS = {"planar": (2000.0, 90.0), "spatial": (1600.0, 80.0)}
@@ -18,15 +17,16 @@ With a known payload the DLCC is that of the paper's gains.
 class FeedbackLinearization(ClassicalLaw):
     """``τ = r T + J β̈ + c β̇`` with ``−Sᵀ T = D v + h`` and ``v = Ẍ_d + K_D ė + K_P e``, e = X_d − X.
 
-    The law uses the nominal parameters and the model payload. On a planar robot it selects the smallest tensions that
-    are all at least ``minimum_tension`` (Eq. 11 with the smallest α). The action is not saturated: |a| > 1 is the
+    The law uses the nominal parameters and the model payload. With more cables than coordinates it allocates tensions
+    that are all at least ``minimum_tension``; for the planar robot of the paper the smallest ones (Eq. 11 with the
+    smallest α). The action is not saturated: |a| > 1 is the
     paper's torque violation.
 
     Args:
         robot: nominal robot.
         gains: (K_P, K_D), the same for each coordinate; None for the paper's gains. Sampling with period h reduces the
             effective K_D by about K_P h/2, so the planar gains need a control frequency well above 100 Hz.
-        minimum_tension: T_min of a planar robot [N]; ≥ 0. The tensions of a spatial robot are unique.
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
         ValueError: if a gain is not positive, or ``minimum_tension`` is negative.
@@ -37,7 +37,7 @@ class FeedbackLinearization(ClassicalLaw):
         robot: Robot,
         *,
         gains: tuple[float, float] | None = None,
-        minimum_tension: float = MINIMUM_TENSION,
+        minimum_tension: float | None = None,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
@@ -49,7 +49,7 @@ class FeedbackLinearization(ClassicalLaw):
 
 
 def _tuned(robot: Robot) -> FeedbackLinearization:
-    return FeedbackLinearization(robot, gains=TUNED_GAINS["planar" if robot.planar else "spatial"])
+    return FeedbackLinearization(robot, gains=by_kind(TUNED_GAINS, robot))
 
 
 FL = entry("fl", FeedbackLinearization)

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cablebot_baselines.classical.flexible import FLEXIBLE_MINIMUM_TENSION, FlexibleLaw
+from cablebot_baselines.classical.flexible import FlexibleLaw
 from cablebot_baselines.classical.law import Array, first_steps
 from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
 from cablebot_baselines.entries import entry
@@ -36,7 +36,7 @@ class PaperFlexible(FlexibleLaw):
             uses the commanded value in the first step of an episode.
         as_printed: whether to omit the damping terms, as the paper does from Eq. 4 on.
         gains: (K_P, K_D); None for the paper's gains.
-        minimum_tension: T_min of a planar robot [N].
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
         ValueError: if the robot has no joint springs, or an argument is invalid.
@@ -49,7 +49,7 @@ class PaperFlexible(FlexibleLaw):
         motor_acceleration: MotorAcceleration = "commanded",
         as_printed: bool = False,
         gains: tuple[float, float] | None = None,
-        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
+        minimum_tension: float | None = None,
     ) -> None:
         choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))
         if as_printed:
@@ -65,7 +65,7 @@ class PaperFlexible(FlexibleLaw):
         torques, motor_acceleration, _ = self._rigid_torques(mass, blocks, self.outer(blocks))
         if self.motor_acceleration == "measured":
             motor_acceleration, state = _measured_acceleration(blocks, state, episode_start, default=motor_acceleration)
-        return torques + self.robot.motor_inertia * motor_acceleration, blocks["motor_speed"], state
+        return torques + self.model.motor_inertia * motor_acceleration, blocks["motor_speed"], state
 
 
 def _measured_acceleration(

@@ -1,4 +1,4 @@
-"""Control laws for robots with joint springs, which the paper's own law (Eq. 22) does not stabilise.
+"""Control laws for robots with joint springs or elastic cables, which the paper's own law (Eq. 22) does not stabilise.
 
 All laws use the nominal parameters and the model payload. They read the motor angles β′ and the motor speeds β̇′. They
 do not saturate their actions.
@@ -49,12 +49,16 @@ class FlexibleLaw(ClassicalLaw):
     """Base class of the control laws for joint springs, which read the motor speeds.
 
     Raises:
-        ValueError: if the robot has no joint springs, or ``minimum_tension`` is negative.
+        ValueError: if the robot has neither joint springs nor elastic cables, or ``minimum_tension`` is negative.
     """
 
-    def __init__(self, robot: Robot, *, minimum_tension: float = FLEXIBLE_MINIMUM_TENSION) -> None:
+    usual_minimum = FLEXIBLE_MINIMUM_TENSION
+
+    def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
         if not robot.flexible:
-            raise ValueError(f"{type(self).__name__} needs joint springs, but robot {robot.name!r} has none. Use fl.")
+            raise ValueError(
+                f"{type(self).__name__} needs joint springs or elastic cables; robot {robot.name!r} has none. Use fl."
+            )
         super().__init__(robot, minimum_tension=minimum_tension)
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
@@ -70,7 +74,7 @@ class FlexibleLaw(ClassicalLaw):
         With J′ β̈ added, the first is the torque for rigid joints.
         """
         required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
-        torques = required.torques + textbook.motor_friction(self.robot, required.speeds)
+        torques = required.torques + textbook.motor_friction(self.model, required.speeds)
         return torques, required.pulley_accelerations, required.speeds
 
     def _spring_torques(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
@@ -113,10 +117,10 @@ class Composite(FlexibleLaw):
         robot: nominal robot.
         gains: (K_P, K_D) of the rigid law; None for the paper's gains.
         spring_damping: largest K_v in units of √(K J′); ≥ 0.
-        minimum_tension: T_min of a planar robot [N].
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
-        ValueError: if the robot has no joint springs, or an argument is out of its range.
+        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out of its range.
     """
 
     def __init__(
@@ -125,12 +129,12 @@ class Composite(FlexibleLaw):
         *,
         gains: tuple[float, float] | None = None,
         spring_damping: float = 1.0,
-        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
+        minimum_tension: float | None = None,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         self.outer: PD | RobustPD = PD(gains=checked_gains(gains, robot))
         factor = number("spring_damping", spring_damping, least=0.0)
-        self._max_damping = self._damping = factor * np.sqrt(robot.stiffness * robot.motor_inertia)
+        self._max_damping = self._damping = factor * np.sqrt(self.model.stiffness * self.model.motor_inertia)
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Checks the robots of the tasks and adapts the damping to the control period.
@@ -143,18 +147,18 @@ class Composite(FlexibleLaw):
 
     def damping(self, period: float) -> Array:
         """K_v [N·m·s/rad] for a control period [s], (m,)."""
-        robot, phase = self.robot, textbook.highest_frequency(self.robot) * period
+        robot, phase = self.model, textbook.highest_frequency(self.model) * period
         stable = np.sqrt(robot.stiffness * robot.motor_inertia) / math.tan(phase / 2) if phase < math.pi else 0.0
         return np.minimum(self._max_damping, np.maximum(stable / 2, robot.motor_inertia * self.outer.gains[1]))
 
     @property
     def rotor_inertia(self) -> Array:
         """J + J′, motor and pulley as one inertia [kg·m²], (m,)."""
-        return self.robot.pulley_inertia + self.robot.motor_inertia
+        return self.model.pulley_inertia + self.model.motor_inertia
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         torques, acceleration, speeds = self._rigid_torques(mass, blocks, self.outer(blocks))
-        return torques + self.robot.motor_inertia * acceleration + self._damping * (speeds - blocks["motor_speed"])
+        return torques + self.model.motor_inertia * acceleration + self._damping * (speeds - blocks["motor_speed"])
 
 
 class MotorPD(FlexibleLaw):
@@ -167,10 +171,10 @@ class MotorPD(FlexibleLaw):
         robot: nominal robot.
         frequency: ω of the motor loop [rad/s]; K_P = J′ω², K_D = 2 ζ J′ ω; > 0.
         damping_ratio: ζ of the motor loop; > 0.
-        minimum_tension: T_min of a planar robot [N].
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
-        ValueError: if the robot has no joint springs, or an argument is out of its range.
+        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out of its range.
     """
 
     def __init__(
@@ -179,21 +183,22 @@ class MotorPD(FlexibleLaw):
         *,
         frequency: float = 200.0,
         damping_ratio: float = 0.7,
-        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
+        minimum_tension: float | None = None,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         frequency = number("frequency", frequency, above=0.0, unit="rad/s")
-        self._stiffness = robot.motor_inertia * frequency**2
-        self._damping = 2 * number("damping_ratio", damping_ratio, above=0.0) * robot.motor_inertia * frequency
+        self._stiffness = self.model.motor_inertia * frequency**2
+        self._damping = 2 * number("damping_ratio", damping_ratio, above=0.0) * self.model.motor_inertia * frequency
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
-        robot, names = self.robot, ("pose", "velocity", "acceleration", "jerk", "snap")
+        robot, names = self.model, ("pose", "velocity", "acceleration", "jerk", "snap")
         pose, velocity, acceleration, jerk, snap = (blocks[f"reference_{name}"] for name in names)
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
         spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
-        angle = textbook.pulley_angle(robot, pose) + spring / robot.stiffness
-        speed = self.pulley_speed(pose, velocity) + spring_rate / robot.stiffness
-        motor_acceleration = self._pulley_acceleration(pose, velocity, acceleration) + spring_second / robot.stiffness
+        stiffness = textbook.joint_stiffness(self.robot, pose)
+        angle = textbook.pulley_angle(robot, pose) + spring / stiffness
+        speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
+        motor_acceleration = self._pulley_acceleration(pose, velocity, acceleration) + spring_second / stiffness
         feedforward = spring + robot.motor_inertia * motor_acceleration + textbook.motor_friction(robot, speed)
         correction = self._stiffness * (angle - blocks["motor_angle"]) + self._damping * (speed - blocks["motor_speed"])
         return feedforward + correction
@@ -227,10 +232,11 @@ class FourthOrder(FlexibleLaw):
         self._gains = np.real(gains)[1:]
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
-        robot, pose, velocity = self.robot, blocks["pose"], blocks["velocity"]
+        robot, pose, velocity = self.model, blocks["pose"], blocks["velocity"]
+        stiffness = textbook.joint_stiffness(self.robot, pose)
         zero, slope = np.zeros_like(pose), self.torque_slope(mass, pose)
-        spring = robot.stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, pose))
-        spring_rate = robot.stiffness * (blocks["motor_speed"] - self.pulley_speed(pose, velocity))
+        spring = stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, pose))
+        spring_rate = stiffness * (blocks["motor_speed"] - self.pulley_speed(pose, velocity))
         acceleration = _solve(slope, spring - self._spring_torques(mass, pose, velocity, zero))
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero)
         jerk = _solve(slope, spring_rate - self._spring_torque_derivatives(mass, motion)[1])
@@ -245,7 +251,7 @@ class FourthOrder(FlexibleLaw):
         snap = blocks["reference_snap"] + sum(gain * error for gain, error in zip(self._gains, errors, strict=True))
         spring_second = drift + (slope @ snap[..., None])[..., 0]
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        motor = robot.motor_inertia * (pulley_acceleration + spring_second / robot.stiffness)
+        motor = robot.motor_inertia * (pulley_acceleration + spring_second / stiffness)
         return spring + motor + textbook.motor_friction(robot, blocks["motor_speed"])
 
 
@@ -259,7 +265,7 @@ def composite_tuned(robot: Robot) -> Composite:
 
     Much more spring damping does not help: β̇′ follows β̇ only as long as the spring torque is constant.
     """
-    if robot.planar:
+    if robot.kind == "planar":
         return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
     return Composite(robot, gains=(200.0, 28.0), spring_damping=0.4)
 

@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.textbook import MINIMUM_TENSION, InverseDynamics, normalised_action
+from cablebot_gym.physics.textbook import (
+    MINIMUM_TENSION,
+    InverseDynamics,
+    allocated_minimum,
+    joint_equivalent,
+    normalised_action,
+)
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
@@ -25,16 +31,23 @@ class ClassicalLaw:
 
     Args:
         robot: nominal robot.
-        minimum_tension: T_min of a planar robot [N]; ≥ 0.
+        minimum_tension: least tension that the law allocates with more cables than coordinates [N]; ≥ 0. None for
+            :func:`~cablebot_gym.physics.textbook.allocated_minimum`.
 
     Raises:
         ValueError: if ``minimum_tension`` is negative.
     """
 
     unsaturated_actions = True
+    usual_minimum = MINIMUM_TENSION
+    """Usual least tension [N]."""
 
-    def __init__(self, robot: Robot, *, minimum_tension: float = MINIMUM_TENSION) -> None:
+    def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
+        if minimum_tension is None:
+            minimum_tension = allocated_minimum(robot, self.usual_minimum)
         self.robot, self.minimum_tension = robot, number("minimum_tension", minimum_tension, least=0.0, unit="N")
+        self.model = joint_equivalent(robot)
+        """Robot of the law's equations: that with joint springs in place of elastic cables."""
         self._layout = observation_layout(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -45,7 +58,7 @@ class ClassicalLaw:
         """
         own = self.robot
         home = ["home"] if own.flexible else []  # the zero of the motor angles
-        names = ["flexible", "base", "platform", *home]
+        names = ["flexible", "base", "platform", "swivel", *home]
         for robot in {task.robot for task in tasks}:
             if not all(np.array_equal(getattr(robot, name), getattr(own, name)) for name in names):
                 raise ValueError(
@@ -103,12 +116,12 @@ class ClassicalLaw:
 
     def _inverse_dynamics(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> InverseDynamics:
         """Tensions, torques, pulley speeds β̇ and pulley accelerations β̈ for a motion."""
-        return inverse_dynamics(self.robot, mass, pose, velocity, acceleration, minimum=self.minimum_tension)
+        return inverse_dynamics(self.model, mass, pose, velocity, acceleration, minimum=self.minimum_tension)
 
     @property
     def rotor_inertia(self) -> Array:
         """Inertia that the law's torque accelerates at the angular acceleration of the pulley [kg·m²], (m,)."""
-        return self.robot.pulley_inertia
+        return self.model.pulley_inertia
 
     def torque_slope(self, mass: Array, pose: Array) -> Array:
         """∂(r T + J β̈)/∂Ẍ = −r S⁻ᵀ D − (J/r) S for as many cables as coordinates, (..., n, n).

@@ -5,9 +5,10 @@ Errors are e = z_d − z, reference minus state.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +17,15 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number, numbers
 
+_T = TypeVar("_T")
+
 PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 """(K_P, K_D) of Tables 2 and 4 [1/s², 1/s]."""
+
+
+def by_kind(table: Mapping[str, _T], robot: Robot) -> _T:
+    """The entry ``planar`` for a point mass in a plane, and the entry ``spatial`` for the other kinds."""
+    return table["planar" if robot.kind == "planar" else "spatial"]
 
 
 def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[float, float]:
@@ -27,7 +35,7 @@ def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[floa
         ValueError: if ``gains`` are not two positive numbers.
     """
     if gains is None:
-        return PAPER_GAINS["planar" if robot.planar else "spatial"]
+        return by_kind(PAPER_GAINS, robot)
     stiffness, damping = numbers("gains", gains, shapes=[(2,)], form="two numbers (K_P, K_D)", above=0.0).tolist()
     return stiffness, damping
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import FLEXIBLE_MINIMUM_TENSION, Composite
+from cablebot_baselines.classical.flexible import Composite
 from cablebot_baselines.classical.outer_loop import RobustPD, checked_gains
 from cablebot_baselines.entries import entry
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.robots import Robot
 
 
@@ -18,7 +17,7 @@ class Robust(FeedbackLinearization):
     Args:
         robot: nominal robot.
         gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
-        minimum_tension: T_min of a planar robot [N].
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
         robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop. The accuracy depends on the
             boundary layer. The paper gives no values; the defaults are our choice.
 
@@ -31,7 +30,7 @@ class Robust(FeedbackLinearization):
         robot: Robot,
         *,
         gains: tuple[float, float] | None = None,
-        minimum_tension: float = MINIMUM_TENSION,
+        minimum_tension: float | None = None,
         **robustness: Any,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
@@ -45,7 +44,7 @@ class RobustComposite(Composite):
         robot: nominal robot.
         gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
         spring_damping: largest K_v in units of √(K J′); ≥ 0.
-        minimum_tension: T_min of a planar robot [N].
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
         robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop.
 
     Raises:
@@ -58,7 +57,7 @@ class RobustComposite(Composite):
         *,
         gains: tuple[float, float] | None = None,
         spring_damping: float = 1.0,
-        minimum_tension: float = FLEXIBLE_MINIMUM_TENSION,
+        minimum_tension: float | None = None,
         **robustness: Any,
     ) -> None:
         super().__init__(robot, spring_damping=spring_damping, minimum_tension=minimum_tension)
