@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.robots import Cable, Robot
+from cablebot_gym.robots import COORDINATE_NAMES, Cable, Robot
 from cablebot_gym.trajectories import BetweenDwells, Reference, Trajectory
 from cablebot_gym.utils.checks import mapping, number, record
 
@@ -26,7 +26,7 @@ class ErrorBounds:
     position: float = 0.01
     """R, the bound of the distance to the reference at the same instant [m] (Tables 7–9); > 0."""
     rotation: float = 0.01
-    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a planar robot."""
+    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a point mass."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -61,7 +61,7 @@ def find_error_bounds(
         given = mapping("error_bounds", error_bounds or {}, vars(own))
         error_bounds = record("error_bounds", ErrorBounds, vars(own) | given)
     if robot is not None:
-        largest = float(np.linalg.norm(np.diff(robot.pose_bounds[:, :3], axis=0)))
+        largest = float(np.linalg.norm(np.diff(robot.pose_bounds[:, : robot.dimensions], axis=0)))
         if error_bounds.position > largest:
             raise ValueError(
                 f"error_bounds.position must be at most {largest:.3g} m, the diagonal of the workspace of robot "
@@ -132,15 +132,15 @@ def at_rest(reference: Reference) -> bool:
 def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> Array:
     """Start pose of the episodes of a motion, for every payload, shape (n,).
 
-    It is the first pose of the motion. For a spatial robot and a motion that starts at rest it is lower (larger z) by
+    It is the first pose of the motion. Under gravity, and for a motion that starts at rest, it is lower by
     half the position bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so
     its motors hold more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
     reference.
     """
     start = trajectory(0.0)
     pose = np.array(start.position, float)
-    if not robot.planar and at_rest(start):
-        pose[2] += min(error_bounds.position / 2, LARGEST_START_OFFSET)
+    if not robot.weightless and at_rest(start):
+        pose[robot.dimensions - 1] += min(error_bounds.position / 2, LARGEST_START_OFFSET)
     return pose
 
 
@@ -159,14 +159,15 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
     poses, (low, high) = trajectory(times).position, robot.pose_bounds
     slack = np.zeros(robot.coordinates)
     if tolerance is not None:
-        slack[:3], slack[3:] = tolerance.position, tolerance.rotation
+        slack[: robot.dimensions], slack[robot.dimensions :] = tolerance.position, tolerance.rotation
     outside = (poses < low - slack) | (poses > high + slack)
     if np.any(outside):
         sample, channel = (int(index) for index in np.argwhere(outside)[0])
+        symbol = COORDINATE_NAMES[robot.kind][channel]
         raise ValueError(
             f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[sample]:.3f} s: "
-            f"{'xyzψθφ'[channel]} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to "
-            f"{high[channel]:.3g}; change the motion or the workspace"
+            f"{symbol} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to {high[channel]:.3g}; "
+            "change the motion or the workspace"
         )
 
 

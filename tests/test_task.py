@@ -37,7 +37,7 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds():
             for beyond, fits in ((0.0, True), (0.005, True), (0.015, channel >= 3), (0.03, False)):
                 bounds = np.array([poses.min(axis=0), poses.max(axis=0)])
                 bounds[side, channel] += beyond * (1 - 2 * side)
-                robot = SimpleNamespace(name="box", coordinates=6, pose_bounds=bounds)
+                robot = SimpleNamespace(name="box", kind="spatial", dimensions=3, coordinates=6, pose_bounds=bounds)
                 if fits:
                     check_workspace(robot, motion, error_bounds)
                 else:

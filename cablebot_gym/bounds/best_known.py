@@ -280,7 +280,7 @@ class _Case:
             total_mass=robot.mass + motion.payload,
             verified=all(replay.violation is None for replay in found.replays),
             replays=found.replays,
-            error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.planar else {}),
+            error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.point_mass else {}),
             program_payload=best.payload,
             meshes=tuple((count, mesh.payload) for count, mesh in meshes),
             margins=to_jsonable(found.margins),

@@ -178,7 +178,7 @@ def upper_bound(
     Raises:
         ValueError: if an argument is invalid, or if the tube of a planar rigid robot reaches an anchor.
     """
-    if robot.planar and not robot.flexible:
+    if robot.kind == "planar" and robot.weightless and not robot.flexible:
         return planar_certificate(robot, trajectory, error_bounds)
     trajectory, error_bounds = find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
     return Certificate(
@@ -245,7 +245,7 @@ def proved_mass(
 def _checked(
     robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None
 ) -> tuple[Trajectory, ErrorBounds]:
-    if not robot.planar or robot.flexible:
+    if robot.kind != "planar" or not robot.weightless or robot.flexible:
         raise ValueError(f"a certificate is only available for planar rigid robots, not for {robot.name!r}")
     return find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
 

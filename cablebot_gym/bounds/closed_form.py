@@ -10,6 +10,7 @@ whose motion starts at rest starts lower (:func:`~cablebot_gym.task.start_pose`)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.distribution import HELD, SINGULAR, largest_scale
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
@@ -77,15 +79,17 @@ def exact_payload(
     both accelerations count where the circles of the paper jump. With ``frequency`` it covers only the control instants
     of a simulated episode, which contain one side of a jump and a point close to the other side.
 
-    The feasible payloads of a spatial robot form one interval, because its tensions are affine in the mass. The least
-    tensions of a planar robot have kinks, so there can be several intervals. The result is the interval that contains
-    zero payload, or the one nearest to it.
+    With as many cables as coordinates the feasible payloads form one interval, because the tensions are affine in the
+    mass. So they do with more cables, for which the limits are those of the best tensions at each instant, see
+    :func:`~cablebot_gym.physics.distribution.largest_scale`. A planar point mass uses the least tensions, which have
+    kinks, so there can be several intervals. The result is the interval that contains zero payload, or the one nearest
+    to it.
 
     Args:
         robot: robot with a rigid transmission.
         trajectory: reference motion with as many coordinates as the robot.
         minimum_tension: minimum tension of every cable [N]; ≥ 0. ``robot.minimum_tension`` for the task criterion, 0
-            for the paper's. Planar robots use the least tensions that satisfy it.
+            for the paper's. Planar point masses use the least tensions that satisfy it.
         frequency: control instants per second [Hz]; None for all times.
         line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor; 0 for limits
             independent of the speed.
@@ -98,6 +102,8 @@ def exact_payload(
     times, reference = (
         _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )
+    if robot.cables > robot.coordinates and robot.kind != "planar":
+        return _redundant(robot, times, reference, minimum_tension, np.asarray(line_speed, float))
     masses = _nodes(robot, reference, minimum_tension)
     margins = _margins(robot, reference, masses, minimum_tension, np.asarray(line_speed, float))
     starts, ends, indices = _violated(masses, margins)
@@ -152,7 +158,7 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
     of cables becomes active.
     """
     kinks = np.zeros((len(reference.position), 0))
-    if robot.planar:
+    if _pairs(robot):
         structure = textbook.jacobian(robot, reference.position)
         masses = np.broadcast_to([0.0, robot.mass], (len(structure), 2))
         tensions = textbook.required_tensions(robot, masses, *_repeated(reference, 2), minimum=minimum)
@@ -168,7 +174,7 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
 def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array) -> Array:
     """Margin of each limit for each mass, shape (K, nodes, m, limits); negative if the limit is violated."""
     motion = _repeated(reference, masses.shape[1])
-    if robot.planar:  # raises an error if no tensions produce the motion
+    if _pairs(robot):  # raises an error if no tensions produce the motion
         required = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
     else:
         required = inverse_dynamics(robot, masses, *motion)
@@ -176,8 +182,39 @@ def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, 
         raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")
     lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
     # The least tensions of a planar robot satisfy the minimum by construction; rounding must not violate it.
-    surplus = np.zeros_like(required.tensions) if robot.planar else required.tensions - minimum
+    surplus = np.zeros_like(required.tensions) if _pairs(robot) else required.tensions - minimum
     return np.stack([upper - required.torques, required.torques - lower, surplus], axis=-1)
+
+
+def _pairs(robot: Robot) -> bool:
+    """Whether the tensions are the least ones of a planar point mass with redundant cables."""
+    return robot.kind == "planar" and robot.cables > robot.coordinates
+
+
+def _redundant(
+    robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array, heaviest: float = 1e6
+) -> ExactPayload:
+    """Result with redundant cables. Speeds, pulley accelerations and so the bounds of T do not depend on the mass M."""
+    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    speed = textbook.pulley_speed(robot, pose, velocity)
+    rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
+    limits = textbook.torque_limits(robot, line_speed * speed)
+    lowest, highest = ((limit - rest) / robot.pulley_radius for limit in limits)
+    lower = np.maximum(lowest, minimum)
+    empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
+    found = largest_scale(textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest)
+    if np.any(found.status == SINGULAR):
+        raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")
+    held = found.status == HELD
+    low, high = (float(max(found.least)), float(min(found.largest))) if np.all(held) else (math.inf, -math.inf)
+    at = int(np.argmin(found.largest)) if np.all(held) else int(np.argmin(held))
+    payload, lowest_payload = (high - robot.mass, low - robot.mass) if low <= high else (-math.inf, math.inf)
+    if high == heaviest:
+        return _result(robot, math.inf, lowest_payload, times, None)
+    share = found.coefficients[at]
+    motor = int(np.argmax(np.abs(share)))
+    kind = 0 if share[motor] > 0 else 1 if lowest[at, motor] > minimum else 2
+    return _result(robot, payload, lowest_payload, times, np.array([at, motor, kind]))
 
 
 def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:

@@ -112,7 +112,7 @@ def payload_grid(text: str) -> list[float]:
 def print_payload_comparison(comparison: PayloadComparison) -> None:
     """Prints a table of the policies over the payload."""
     first = comparison.comparisons[0]
-    hidden = {"max_rotation"} if first.task.robot.planar else set()
+    hidden = {"max_rotation"} if first.task.robot.point_mass else set()
     columns = [column for column in _COLUMNS if column[0] in set(_OVER_PAYLOAD) - hidden]
     rows = [["payload [kg]", "policy", "success rate", *(heading for _, heading, _ in columns)]]
     for one in comparison.comparisons:
@@ -126,7 +126,7 @@ def print_comparison(comparison: Comparison) -> None:
     """Prints a table of policies over the same draws, and the relative changes against the first policy."""
     from cablebot_gym.evaluation.comparison import REDUCTION_QUANTITIES
 
-    columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.planar]
+    columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.point_mass]
     rows = [["policy", "success rate", *(heading for _, heading, _ in columns)]]
     rows += [_cells(metrics, columns) for metrics in comparison.metrics]
     if results_console().width < _NARROW:

@@ -159,7 +159,7 @@ def _statics_test(env_id: str) -> str:
         _, info = env.reset(seed=0)
         task: Task = env.unwrapped.task  # type: ignore[attr-defined]
         robot, pose = task.robot, task.trajectory(0.0).position
-        minimum = MINIMUM_TENSION if robot.planar else 0.0
+        minimum = MINIMUM_TENSION
         torque = static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum)
         action = normalised_action(robot, torque, np.zeros(robot.cables))
         for _ in range(STEPS):

@@ -113,9 +113,8 @@ class Settings:
 
 
 def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
-    """Default reference motion of a robot: its own one, or a circle, as in the paper for its kinds of robots."""
-    paper = robot.kind in ("planar", "spatial")
-    return robot.defaults.trajectory or f"{'circle' if paper else 'smooth-circle'}-{robot.kind}"
+    """Default reference motion of a robot: its own one, or the name of a circle between two dwells, for its kind."""
+    return robot.defaults.trajectory or f"circle-{robot.kind}"
 
 
 def make_settings(
@@ -200,7 +199,7 @@ def _fewest_substeps(robot: Robot, uncertainties: tuple[Uncertainty, ...], contr
     longest = min(LONGEST_PHYSICS_STEP, STABLE_PHASE / fastest)
     if robot.flexible:
         frequency = highest_frequency(robot)
-        phase = (72 * MODE_LOSS["planar" if robot.planar else "spatial"] / frequency) ** 0.2
+        phase = (72 * MODE_LOSS["planar" if robot.kind == "planar" else "spatial"] / frequency) ** 0.2
         longest = min(longest, phase / frequency)
     needed = 1 / (control_frequency * longest)
     if needed > MOST_SUBSTEPS:

@@ -161,7 +161,7 @@ def evaluate_dlcc(
         below, above = finder.gap()
         discretisation = finder.discretisation(below, above)
         rollout, below, above = finder.record(below, above)
-    has_rotation = batch.criterion == "task" and not robot.planar
+    has_rotation = batch.criterion == "task" and not robot.point_mass
     position, rotation = batch.error_bounds.position, batch.error_bounds.rotation if has_rotation else None
     bounds = {"position": position, "rotation": rotation}
     installed = policy.spec if isinstance(policy, IsolatedPolicy) else policy

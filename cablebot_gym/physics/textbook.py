@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
+from cablebot_gym.physics.distribution import HELD, least_largest_action
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
@@ -329,7 +330,7 @@ def required_tensions(
 
     As many cables as coordinates: the unique solution, which may have either sign; ``minimum`` has no effect. More
     cables: tensions that are all at least ``minimum`` [N]; for a point mass in a plane the smallest ones, see
-    :func:`tension_distribution` (Eq. 11), also for ``strict``, otherwise those of the least norm above the minimum.
+    :func:`tension_distribution` (Eq. 11), otherwise :func:`least_action_tensions`, both also for ``strict``.
     """
     return inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum, strict=strict).tensions
 
@@ -367,6 +368,44 @@ def tension_distribution(structure: Array, load: Array, minimum: float, *, stric
     if strict and not np.all(np.isfinite(best_sum)):
         raise ValueError("no positive tensions give this force: the pose is outside the polygon of the base anchors")
     return minimum + np.maximum(best, 0.0)
+
+
+def least_action_tensions(
+    robot: RobotArrays,
+    structure: Array,
+    load: Array,
+    speed: Array,
+    acceleration: Array,
+    minimum: float,
+    *,
+    strict: bool = False,
+) -> Array:
+    """Tensions of redundant cables with the least largest action that hold a load, shape (..., m) [N].
+
+    All tensions are at least ``minimum``, see :func:`~cablebot_gym.physics.distribution.least_largest_action`. Without
+    ``strict`` the result for a load beyond the cables and motors leaves the least wrench error, so that a control law
+    can continue.
+
+    Args:
+        robot: the robot.
+        structure: S, shape (..., m, n).
+        load: D Ẍ + h, shape (..., n).
+        speed: pulley speeds β̇, shape (..., m) [rad/s].
+        acceleration: pulley accelerations β̈, shape (..., m) [rad/s²].
+        minimum: least tension [N].
+        strict: whether a load that no tensions above the minimum hold raises an error.
+
+    Raises:
+        ValueError: if ``strict`` and no tensions of at least ``minimum`` hold the load.
+    """
+    radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
+    offset = normalised_action(robot, _torques(robot, 0.0, speed, acceleration), speed)
+    slope, span = radius / robot.stall_torque, 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
+    weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span**2)
+    found = least_largest_action(structure, load, minimum, slope, offset, weights=weights)
+    if strict and np.any(found.status != HELD):
+        raise ValueError(f"no cable tensions of at least {minimum:g} N give this wrench")
+    return found.tensions
 
 
 def smooth_tension_distribution(structure: Array, least: Array, minimum: float, softness: float) -> Array:
@@ -471,7 +510,7 @@ def inverse_dynamics(
     elif robot.kind == "planar":
         tensions = tension_distribution(structure, wrench, minimum, strict=strict)
     else:
-        raise NotImplementedError("tension distribution for more cables than coordinates")
+        tensions = least_action_tensions(robot, structure, wrench, speed, second, minimum, strict=strict)
     torques = _torques(robot, tensions, speed, second)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, pulley_accelerations=second)
 

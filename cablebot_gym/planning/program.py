@@ -22,6 +22,7 @@ from scipy.sparse import csr_matrix
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.distribution import HELD, largest_scale
 from cablebot_gym.physics.textbook import MINIMUM_TENSION
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
 from cablebot_gym.planning.signals import SolverInterrupt
@@ -173,7 +174,7 @@ class MotionProgram:
         for name in ("position", "rotation"):
             if not getattr(margins, name) < (bound := getattr(self._error_bounds, name)):
                 raise ValueError(f"margins: {name} must be below the error bound {bound:g}")
-        if robot.flexible and robot.planar and self._least > MINIMUM_TENSION:
+        if robot.flexible and robot.weightless and self._least > MINIMUM_TENSION:
             raise ValueError(
                 f"margins: tension must be at most {MINIMUM_TENSION - robot.minimum_tension:g} N for {robot.name!r}, "
                 f"whose initial tension is {MINIMUM_TENSION:g} N, not {margins.tension:g} N"
@@ -241,14 +242,15 @@ class MotionProgram:
         knots = _knots(self._trajectory.duration, intervals, degree)
         n, count = self._robot.coordinates, intervals + degree
         base = _interpolate(knots, degree, self._trajectory(greville(knots, degree)).position)
-        bounds = np.array([self._error_bounds.position] * 3 + [self._error_bounds.rotation] * 3)[:n]
+        turning = np.arange(n) >= self._robot.dimensions
+        bounds = np.where(turning, self._error_bounds.rotation, self._error_bounds.position)
         return _Spline(knots, degree, self._take(count, n), base, bounds)
 
     def _motor_spline(self, intervals: int) -> _Spline:
         robot, degree = self._robot, MOTOR_DEGREE
         knots = _knots(self._trajectory.duration, intervals, degree)
         poses = self._trajectory(greville(knots, degree)).position
-        angles = textbook.static_motor_angle(robot, robot.mass, poses, minimum=MINIMUM_TENSION)
+        angles = textbook.static_motor_angle(robot, robot.mass, poses, minimum=textbook.allocated_minimum(robot))
         base = _interpolate(knots, degree, angles)
         return _Spline(knots, degree, self._take(len(base), robot.cables), base, np.ones(robot.cables))
 
@@ -261,8 +263,8 @@ class MotionProgram:
         low, high = np.full(self._variables, -np.inf), np.full(self._variables, np.inf)
         robot, pose, velocity = self._robot, self._start, self._trajectory(0.0).velocity
         ends = [(self._poses, pose, velocity)]
-        if robot.planar and self._motors:  # spatial: the angles depend on the payload, so the start is a constraint
-            angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=MINIMUM_TENSION)
+        if robot.weightless and self._motors:  # with gravity the angles depend on the payload: a constraint
+            angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=textbook.allocated_minimum(robot))
             ends += [(spline, angle, textbook.pulley_speed(robot, pose, velocity)) for spline in self._motors]
         for spline, value, rate in ends:
             step = spline.knots[spline.degree + 1] / spline.degree
@@ -333,20 +335,20 @@ class MotionProgram:
 
     def _error_blocks(self) -> list[_Block]:
         """Constraints on the position and rotation errors, in units of their bounds."""
-        ca, n = self._ca, self._robot.coordinates
+        ca, d, angles = self._ca, self._robot.dimensions, self._robot.coordinates - self._robot.dimensions
         times = self._error_instants
         reference = self._trajectory(times).position
         rows = [
             _Row(row.matrix / bound, row.at, (row.constant - target) / bound)
             for row, target, bound in zip(self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True)
         ]
-        translation, rotation = ca.SX.sym("e", min(n, 3)), ca.SX.sym("e", max(n - 3, 0))
+        translation, rotation = ca.SX.sym("e", d), ca.SX.sym("e", angles)
         radius = 1 - self._margins.position / self._error_bounds.position
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
-        blocks = [self._block(distance, rows[:3], np.array([-np.inf]), np.array([radius**2]))]
-        if n > 3:
-            most = np.full(n - 3, 1 - self._margins.rotation / self._error_bounds.rotation)
-            blocks.append(self._block(ca.Function("rotation", [rotation], [rotation]), rows[3:], -most, most))
+        blocks = [self._block(distance, rows[:d], np.array([-np.inf]), np.array([radius**2]))]
+        if angles:
+            most = np.full(angles, 1 - self._margins.rotation / self._error_bounds.rotation)
+            blocks.append(self._block(ca.Function("rotation", [rotation], [rotation]), rows[d:], -most, most))
         return blocks
 
     def _mass_row(self, mass: float | None, times: int) -> _Row:
@@ -387,7 +389,7 @@ class MotionProgram:
                 np.r_[most, np.full(len(least), np.inf)],
             ),
         ]
-        if not robot.planar:
+        if not robot.weightless:
             at_rest = np.zeros(robot.coordinates + robot.cables)
             blocks.append(self._block(start, rows(np.zeros(1), [0, 1]), at_rest, at_rest))
         return blocks
@@ -450,19 +452,30 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
     """Largest payload with which the motors hold the robot at the start pose [kg], in closed form.
 
     The static torques are affine in the payload. The result is ``inf`` if the motion does not start at rest or no
-    payload changes the torques (planar), and ``-inf`` if the motors hold no payload.
+    payload changes the torques (without gravity), and ``-inf`` if the motors hold no payload.
     """
     if not at_rest(trajectory(0.0)):
         return math.inf
     pose = start_pose(robot, trajectory, error_bounds)
+    if not robot.weightless and robot.cables > robot.coordinates:
+        return _hold_payload_of_redundant_cables(robot, pose)
+    minimum = textbook.allocated_minimum(robot)
     empty, loaded = (
-        textbook.static_torque(robot, robot.mass + payload, pose, minimum=MINIMUM_TENSION) for payload in (0.0, 1.0)
+        textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum) for payload in (0.0, 1.0)
     )
     slope, sign = np.abs(loaded - empty), np.where(loaded < empty, -1.0, 1.0)
     room = robot.stall_torque - sign * empty
     with np.errstate(divide="ignore"):
         payloads = np.where(slope > 0, room / slope, np.where(room < 0, -np.inf, np.inf))
     return float(payloads.min())
+
+
+def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
+    """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if there is none."""
+    zero, most = np.zeros_like(pose), robot.stall_torque / robot.pulley_radius
+    least, unit = textbook.allocated_minimum(robot), textbook.load(robot, 1.0, pose, zero, zero)
+    found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, robot.mass + HEAVIEST)
+    return float(found.largest) - robot.mass if found.status == HELD else -math.inf
 
 
 def greville(knots: Array, degree: int) -> Array:

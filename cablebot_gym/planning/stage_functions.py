@@ -15,7 +15,7 @@ from cablebot_gym.robots import Robot
 TENSION = 50.0
 """Unit of the tensions in the program [N]. It scales the variables to a similar size."""
 
-_WRENCH = np.array([50.0, 50.0, 50.0, 5.0, 5.0, 5.0])
+_FORCE, _MOMENT = 50.0, 5.0
 """Units of the balances of forces [N] and moments [N·m]."""
 
 _THREADS = "OPENBLAS_NUM_THREADS"
@@ -52,11 +52,18 @@ def _load_solver(casadi: Any) -> None:
 
 
 def check_model(robot: Robot) -> None:
-    """Checks that the stage functions model the motors of a robot.
+    """Checks that the program models a robot.
 
     Raises:
-        ValueError: if the motors have a lag.
+        ValueError: if the motors have a lag, the cables stretch, or the springs of redundant cables carry a weight.
     """
+    if robot.elastic:
+        raise ValueError(f"planned motions need cables that do not stretch: remove axial_stiffness of {robot.name!r}")
+    if robot.flexible and not robot.weightless and robot.cables > robot.coordinates:
+        raise ValueError(
+            f"planned motions with joint springs need as many cables as coordinates, but robot {robot.name!r} has "
+            f"{robot.cables} cables and {robot.coordinates} coordinates: use a rigid transmission"
+        )
     if np.any(robot.motor_lag):
         raise ValueError(f"planned motions need motors without lag, but the motors of robot {robot.name!r} have a lag")
 
@@ -149,4 +156,5 @@ def _function(ca: Any, name: str, numbers: Any, *values: Array) -> Any:
 def _balance(robot: Robot, mass: Array, x: Array, v: Array, a: Array, tensions: Array) -> Array:
     """Scaled balance of forces D Ẍ + h + Sᵀ T, shape (1, n)."""
     pull = (np.swapaxes(textbook.jacobian(robot, x), -1, -2) @ tensions[..., None])[..., 0]
-    return (textbook.load(robot, mass, x, v, a) + pull) / _WRENCH[: robot.coordinates]
+    units = np.where(np.arange(robot.coordinates) < robot.dimensions, _FORCE, _MOMENT)
+    return (textbook.load(robot, mass, x, v, a) + pull) / units

@@ -42,7 +42,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     kinds = [("position", "mm", "error", "max_error")]
-    if not comparison.task.robot.planar:
+    if not comparison.task.robot.point_mass:
         kinds.append(("rotation", "mrad", "rotation", "max_rotation"))
     figure = new_figure(1.6 + 2.6 * len(kinds))
     grid = figure.subplots(
@@ -80,7 +80,7 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
     """
     first, payloads = comparison.comparisons[0], comparison.payloads
     rows = [("max_error", "position error,\nlargest [mm]", 1e3)]
-    rows += [] if first.task.robot.planar else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
+    rows += [] if first.task.robot.point_mass else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
     rows += [("rms_torque", "torque, root\nmean square [N·m]", 1.0), ("success", "success rate [%]", 100.0)]
     figure = new_figure(1.4 + 1.9 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True)

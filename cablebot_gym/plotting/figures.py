@@ -389,7 +389,7 @@ def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
         times=arrays["action_time"] + 1 / result.task.control_frequency,
         pose=arrays["true_pose"],
         position_error=arrays["tracking_error"],
-        rotation_error=None if result.task.robot.planar else arrays["rotation_error"],
+        rotation_error=None if result.task.robot.point_mass else arrays["rotation_error"],
     )
     path_panels(figure, result.task.trajectory, [path], **result.error_bounds)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.kinematics import Array, rotation_matrix
+from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.rendering.camera import fit_camera
 from cablebot_gym.rendering.moment import HANG, Moment, ball_radius, full_tension
 from cablebot_gym.task import Task
@@ -102,10 +102,11 @@ class Painter:
         path = np.array([trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)])
         self._path, self._base = self._points(path), self._points(robot.base)
         visible = [self._base.reshape(-1, 3), self._path]
+        reach = np.abs(robot.platform).max() * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         if robot.planar:
-            visible += [self._path + 0.06, self._path - 0.06]
+            reach = np.abs(reach).max(initial=0.06)
+            visible += [self._path + reach, self._path - reach]
         else:
-            reach = np.abs(robot.platform).max() * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
             visible += [(self._path[::20, None] + reach).reshape(-1, 3), self._path + np.array([0, 0, HANG + 0.07])]
         width, height = self._canvas.get_size()
         self._panel = max(40 + _BAR_SPACING * robot.cables, 150) * self._unit  # width of the motor panel at the right
@@ -153,10 +154,15 @@ class Painter:
         return as_array(self.paint(moment, trail, note, good=good))
 
     def _points(self, positions: Array) -> Array:
-        """Points in space (..., 3) of poses or anchors. Planar robots lie in z = 0, with y upwards in the picture."""
-        if not self.task.robot.planar:
+        """Points in space (..., 3) of poses or anchors. Planar robots lie in z = 0.
+
+        In the picture y points upwards, or downwards if the plane is vertical.
+        """
+        robot = self.task.robot
+        if not robot.planar:
             return positions[..., :3]
-        return np.stack([positions[..., 0], -positions[..., 1], np.zeros(positions.shape[:-1])], axis=-1)
+        upwards = -1.0 if robot.plane == "horizontal" else 1.0
+        return np.stack([positions[..., 0], upwards * positions[..., 1], np.zeros(positions.shape[:-1])], axis=-1)
 
     def _background(self) -> pygame.Surface:
         """Static layer: base, tube around the path, and reference path."""
@@ -183,9 +189,7 @@ class Painter:
         pygame, canvas, unit, camera = self._pygame, self._canvas, self._unit, self._camera
         robot = self.task.robot
         centre = self._points(moment.pose)
-        ends = np.tile(centre, (robot.cables, 1))
-        if not robot.planar:
-            ends = centre + robot.platform @ rotation_matrix(moment.pose[3:]).T
+        ends = self._points(moment.pose[: robot.dimensions] + turned(moment.pose, robot.platform))
         radius = ball_radius(moment.payload)
         ball = centre + (np.zeros(3) if robot.planar else np.array([0, 0, HANG + radius]))
         if not robot.planar and moment.payload > 0:
@@ -195,7 +199,7 @@ class Painter:
             middle, size = camera.project(ball), max(camera.pixels(radius, ball), 2 * unit)
             for fraction, colour in ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94")):
                 pygame.draw.circle(canvas, colour, middle - 0.3 * (1 - fraction) * size, max(fraction * size, 1))
-        if robot.planar:
+        if robot.point_mass:
             pygame.draw.circle(canvas, palette.YELLOW, camera.project(centre), 5 * unit)
             pygame.draw.circle(canvas, _INK, camera.project(centre), 5 * unit, round(1.4 * unit))
         else:
@@ -268,7 +272,7 @@ class Painter:
         """Paints the errors relative to their bounds, and the time."""
         unit, (width, height), error_bounds = self._unit, self._canvas.get_size(), self.task.error_bounds
         gauges = [("position", moment.position_error, error_bounds.position, "mm")]
-        if not self.task.robot.planar:
+        if not self.task.robot.point_mass:
             gauges.append(("rotation", moment.rotation_error, error_bounds.rotation, "mrad"))
         left, scale = 76 * unit, width - self._panel - 190 * unit
         for index, (name, error, bound, bound_unit) in enumerate(gauges):

@@ -18,7 +18,7 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
-from cablebot_gym.kinematics import Array, rotation_matrix
+from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.policies import IsolatedPolicy, Policy, load_policy
 from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.protocol import OpenLoop
@@ -86,8 +86,7 @@ class Replay:
 
 def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     """The distinct anchor points of the platform (k, 2 or 3) [m], and the index of each cable's anchor point."""
-    anchors = np.zeros_like(robot.base) if robot.planar else robot.platform
-    points, indices = np.unique(np.round(anchors, 12), axis=0, return_inverse=True)
+    points, indices = np.unique(np.round(robot.platform, 12), axis=0, return_inverse=True)
     return points, [int(index) for index in np.ravel(indices)]
 
 
@@ -227,9 +226,7 @@ def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
     poses = np.concatenate([rollout.start["true_pose"][None], arrays["true_pose"][np.array(ends) - 1]])
     position = poses[:, : robot.base.shape[1]]
     points, _ = platform_points(robot)
-    anchors = position[:, None] + points
-    if not robot.planar:
-        anchors = position[:, None] + points @ np.swapaxes(rotation_matrix(poses[:, 3:]), -1, -2)
+    anchors = position[:, None] + turned(poses, points)
     action = arrays["commanded_action"]
     peaks = [np.take_along_axis(rows, np.abs(rows).argmax(0)[None], 0)[0] for rows in (action[w] for w in windows)]
     channels = {
@@ -239,7 +236,7 @@ def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
         "action": _repeat_first(peaks),
     }
     for kind, name in (("position", "tracking_error"), ("rotation", "rotation_error")):
-        if kind == "position" or not robot.planar:
+        if kind == "position" or not robot.point_mass:
             peaks = [arrays[f"{name}_peak"][w].max() for w in windows]
             channels[f"{kind}_error"] = np.array([rollout.start[name], *peaks])[:, None]
     return channels

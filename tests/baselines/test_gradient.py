@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import yaml
+from oracles.platforms import PLATFORMS
 from test_learned_policy import tasks_of
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.differentiable import required_actuation
 from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
@@ -25,6 +28,7 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import find_robot
@@ -233,3 +237,23 @@ def test_shipped_configurations_use_training_motions_only(name):
         assert max(trained | validation, default=0) < FIRST_HELD_OUT_SEED
         assert trained.isdisjoint(VALIDATION)
         assert bool(trained) == bool(validation) == (name == "gradient-loops")
+
+
+@pytest.mark.parametrize("name", ["turning", "crane"])
+def test_gradient_of_redundant_cables_is_that_of_the_distribution(name):
+    """The tensions are solved for with the active constraints of the compiled solution."""
+    robot, random = PLATFORMS[name], np.random.default_rng(3)
+    motion = [random.normal(size=(4, robot.coordinates)) * size for size in (0.05, 0.1, 0.2)]
+    motion[0] += robot.home
+    tensors = [torch.tensor(value, requires_grad=True) for value in motion]
+    mass = torch.full((4,), robot.mass + 1.0, dtype=torch.float64)
+    found = required_actuation(robot, tensors, mass, minimum=5.0)
+
+    def expected(pose: np.ndarray) -> np.ndarray:
+        return textbook.required_tensions(robot, mass.numpy(), pose, *motion[1:], minimum=5.0)
+
+    np.testing.assert_allclose(found.tensions.detach(), expected(motion[0]), rtol=1e-6)
+    direction = random.normal(size=motion[0].shape)
+    found.tensions[:, 0].sum().backward()
+    slope = (expected(motion[0] + 1e-6 * direction) - expected(motion[0] - 1e-6 * direction))[:, 0].sum() / 2e-6
+    np.testing.assert_allclose((tensors[0].grad.numpy() * direction).sum(), slope, rtol=1e-4)

@@ -207,7 +207,7 @@ def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
     rows = line(FLEX_PLANAR, np.zeros(2), np.zeros(2), np.arange(steps))
     observation_layout(FLEX_PLANAR).split(rows)["reference_snap"][:] = 7.0
     given, _ = steer(steering, rows, actions)
-    points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(ErrorBounds(), 2)
+    points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(ErrorBounds(), PLANAR)
     for step in range(steps):
         weights = action_mapping.weights(np.array(step % 5 * PERIOD), 0.01)
         expected = weights @ points[step // 5 : step // 5 + 6] + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
@@ -249,7 +249,7 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
     layout.split(rows)["pose"][:] = np.random.default_rng(0).normal(size=(steps, 6))
     given, learner = steer(steering, rows, actions)
     error, shift, past, rate = np.split(learner, [6, 12, 12 + 6 * degree], axis=1)
-    bounds, blocks = action_mapping.bounds(ErrorBounds(), 6), layout.split(rows)
+    bounds, blocks = action_mapping.bounds(ErrorBounds(), SPATIAL), layout.split(rows)
     expected = given["reference_pose"] - blocks["reference_pose"]
     np.testing.assert_allclose(shift * bounds, expected, atol=1e-13)
     expected = given["reference_velocity"] - blocks["reference_velocity"]

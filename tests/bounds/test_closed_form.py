@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.platforms import CRANE
+from scipy.optimize import linprog
 
-from cablebot_gym.bounds.closed_form import exact_payload
+from cablebot_gym.bounds.closed_form import control_instants, exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
-from cablebot_gym.trajectories import Dwell, Reference, Trajectory, find_trajectory
+from cablebot_gym.trajectories import Dwell, PointToPoint, Reference, Trajectory, find_trajectory
 
 HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3)) ** 2)
 """Vertical part of each cable's direction in the spatial home pose, from A1 (-a, -a/√3, 0) to P1 (0, -2b/√3, 0.1)."""
@@ -256,3 +258,27 @@ def test_bad_argument_is_rejected(arguments: dict[str, float], named: str) -> No
         exact_payload(PLANAR, find_trajectory("paper-planar", 2), **arguments)
     with pytest.raises(ValueError, match="6 coordinates"):
         exact_payload(PLANAR, find_trajectory("paper-spatial", 6))
+
+
+def test_redundant_cables_carry_the_payload_that_the_best_tensions_allow() -> None:
+    """A linear program finds tensions within both limits just below the payload, and none just above it."""
+    start, end = (0.2, 0.1, 4.0, 0.0, 0.0, 0.0), (1.5, -0.8, 3.0, 0.1, 0.0, 0.2)
+    trajectory = PointToPoint(name="line", start=start, end=end, duration=2.0)
+    result = exact_payload(CRANE, trajectory, minimum_tension=20.0, frequency=100.0)
+    times, reference = control_instants(CRANE, trajectory, 100.0)
+    motion = reference.position, reference.velocity, reference.acceleration
+    speed = textbook.pulley_speed(CRANE, *motion[:2])
+    idle = textbook.required_torques(CRANE, np.zeros((len(times), 8)), *motion)
+    low, high = ((limit - idle) / CRANE.pulley_radius for limit in textbook.torque_limits(CRANE, speed))
+    structure = textbook.jacobian(CRANE, reference.position)
+
+    def held(payload: float) -> list[bool]:
+        load = textbook.load(CRANE, CRANE.mass + payload, *motion)
+        return [
+            linprog(np.zeros(8), A_eq=-matrix.T, b_eq=wrench, bounds=list(zip(least, most, strict=True))).success
+            for matrix, wrench, least, most in zip(structure, load, np.maximum(low, 20.0), high, strict=True)
+        ]
+
+    assert all(held(result.payload - 0.01))
+    assert times[held(result.payload + 0.01).index(False)] == pytest.approx(result.time, abs=0.05)
+    assert (result.kind, result.line) == ("torque", "upper")

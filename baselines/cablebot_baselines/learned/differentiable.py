@@ -18,6 +18,8 @@ from torch import Tensor
 from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.distribution import SMOOTHING, least_largest_action
+from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
 
 
@@ -40,10 +42,11 @@ def required_actuation(
         robot: any robot.
         motion: X and its derivatives up to the second, with joint springs up to the fourth; float64 tensors (B, n).
         mass: mass of platform and payload [kg], (B,).
-        minimum: minimum tension of a planar robot [N].
+        minimum: least tension with more cables than coordinates [N].
         softness: smoothing of a planar robot's tensions [N], see
             :func:`~cablebot_gym.physics.textbook.smooth_tension_distribution`; 0 for none.
     """
+    robot = joint_equivalent(robot)
     tensions_and_torques = partial(_tensions_and_torques, robot, mass=mass, minimum=minimum, softness=softness)
     tensions, torque = tensions_and_torques(motion[:3])
     pose, velocity, acceleration = (_objects(value) for value in motion[:3])
@@ -69,9 +72,15 @@ def _tensions_and_torques(
     lines = textbook.jacobian(robot, pose)
     structure = _tensor(lines)
     load = _tensor(textbook.load(robot, _objects(mass[:, None])[:, 0], pose, velocity, acceleration))
-    tensions = (
-        _tension_distribution(structure, load, minimum) if robot.planar else torch.linalg.solve(-structure.mT, load)
-    )
+    if robot.cables == robot.coordinates:
+        tensions = torch.linalg.solve(-structure.mT, load)
+    elif robot.kind == "planar":
+        tensions = _tension_distribution(structure, load, minimum)
+    else:
+        slack = np.zeros((1, robot.cables))
+        idle = textbook.required_torques(robot, slack, pose, velocity, acceleration)
+        offset = textbook.normalised_action(robot, idle, textbook.pulley_speed(robot, pose, velocity))
+        tensions = _least_action_tensions(robot, structure, load, _tensor(offset), minimum)
     if softness:
         tensions = _tensor(textbook.smooth_tension_distribution(lines, _objects(tensions), minimum, softness))
     return tensions, _tensor(textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration))
@@ -88,6 +97,44 @@ def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Te
     pair = torch.gather(structure, 1, active[..., None].expand(-1, -1, structure.shape[-1]))
     excess = torch.linalg.solve(-pair.mT, load + minimum * structure.sum(dim=-2))
     return minimum + torch.zeros_like(structure[..., 0]).scatter(1, active, excess)
+
+
+def _least_action_tensions(robot: Robot, structure: Tensor, load: Tensor, offset: Tensor, minimum: float) -> Tensor:
+    """The tensions of :func:`~cablebot_gym.physics.distribution.least_largest_action`.
+
+    That function gives the active constraints. The tensions solve the optimality conditions of t² + ε Σ a_i² with these
+    as equations, for x = (T, t) and the multipliers of S, of the minimum tensions and of the largest actions.
+    """
+    slope = torch.tensor(robot.pulley_radius / robot.stall_torque)
+    count, m, n = structure.shape
+    with torch.no_grad():
+        arrays = structure.numpy(), load.numpy(), minimum, slope.numpy(), offset.numpy()
+        found = torch.tensor(least_largest_action(*arrays).tensions)
+        actions = slope * found + offset
+        largest = actions.abs().amax(dim=1, keepdim=True)
+        at_minimum = (found - minimum <= 1e-7 * (1 + found.amax(dim=1, keepdim=True))).double()
+        at_largest = torch.where(actions.abs() >= (1 - 1e-7) * largest, actions.sign(), 0.0)
+    # Unknowns are T and t in units of the mean slope, so that all are tensions.
+    unit, one = float(slope.mean()), torch.eye(m, dtype=torch.float64)
+    hessian = torch.diag(torch.cat([2 * SMOOTHING * (slope / unit) ** 2, torch.full((1,), 2.0, dtype=torch.float64)]))
+    column = torch.zeros((count, m, 1), dtype=torch.float64)
+    rows = torch.cat(
+        [
+            torch.cat([-structure.mT, column[:, :n]], dim=2),
+            torch.cat([at_minimum[:, :, None] * one, column], dim=2),
+            torch.cat([at_largest[:, :, None] * (slope / unit * one), -at_largest.abs()[:, :, None]], dim=2),
+        ],
+        dim=1,
+    )
+    # The multiplier of an inactive constraint is zero; the small number keeps dependent constraints solvable.
+    active = torch.cat([torch.ones_like(load), at_minimum, at_largest.abs()], dim=1)
+    idle = torch.diag_embed(active - 1 - 1e-12)
+    system = torch.cat(
+        [torch.cat([hessian.expand(count, -1, -1), rows.mT], dim=2), torch.cat([rows, idle], dim=2)], dim=1
+    )
+    gradient = torch.cat([2 * SMOOTHING * slope * offset / unit**2, column[:, 0]], dim=1)
+    right = torch.cat([-gradient, load, at_minimum * minimum, -at_largest * offset / unit], dim=1)
+    return torch.linalg.solve(system, right)[:, :m]
 
 
 def _objects(values: Tensor) -> Array:

@@ -139,24 +139,28 @@ class GradientTraining:
     """Seed of the network's initial weights."""
     settings: GradientSettings = field(default_factory=GradientSettings)
     minimum_tension: float = 5.0
-    """Minimum tension T_min of the base law of a planar robot [N]."""
+    """Least tension that the base law allocates with more cables than coordinates [N]."""
+
+    @property
+    def _redundant(self) -> bool:
+        return self.robot.cables > self.robot.coordinates
 
     def __post_init__(self) -> None:
         own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
         if wrong := [name for name in self.features if name in (*own, "model_payload", "payload_known")]:
             raise ValueError(f"features must depend on the reference and time alone: remove {wrong[0]!r}")
         tension, least = (
-            self.minimum_tension if self.robot.planar else self.settings.tension,
+            self.minimum_tension if self._redundant else self.settings.tension,
             self.robot.minimum_tension,
         )
         if tension < least:
             raise ValueError(f"the minimum tension {tension:g} N is below the robot's {least:g} N: raise it")
-        if self.settings.softness and not self.robot.planar:
-            raise ValueError(f"softness is for planar robots, but {self.robot.name!r} is spatial: remove it")
+        if self.settings.softness and (self.robot.kind, self.robot.cables) != ("planar", 3):
+            raise ValueError(f"softness is for planar robots with three cables, not for {self.robot.name!r}: remove it")
         torch.manual_seed(self.seed)
         n = self.robot.coordinates
         self._order = 4 if self.robot.flexible else 2
-        self._bounds = torch.tensor(self.action_mapping.bounds(ErrorBounds(), n))
+        self._bounds = torch.tensor(self.action_mapping.bounds(ErrorBounds(), self.robot))
         within = self.action_mapping.action_period * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
         self._within = within
         self._weights = torch.tensor(
@@ -246,12 +250,13 @@ class GradientTraining:
             softness=self._softness,
         )
         violations = [torch.relu(required.action.abs() - settings.action_limit)]
-        if not robot.planar:  # the tension distribution of a planar robot keeps the minimum by construction
+        if not self._redundant:  # the tension distribution keeps the minimum by construction
             violations.append(torch.relu(settings.tension - required.tensions) / settings.tension_scale)
         if self.action_mapping.preview:  # without a preview the shift stays within the error bounds by construction
             error = (flat - self._motions.reference[inside])[:, 0] / self._bounds * self.action_mapping.fraction
-            violations.append(torch.relu(torch.linalg.norm(error[:, :3], dim=1) - self.action_mapping.fraction))
-            violations.append(torch.relu(error[:, 3:].abs() - self.action_mapping.fraction))
+            d = robot.dimensions
+            violations.append(torch.relu(torch.linalg.norm(error[:, :d], dim=1) - self.action_mapping.fraction))
+            violations.append(torch.relu(error[:, d:].abs() - self.action_mapping.fraction))
         return [value.flatten() for value in violations]
 
     def round(self, index: int, report: Callable[[], None] = lambda: None) -> None:

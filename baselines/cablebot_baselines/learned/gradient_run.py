@@ -96,8 +96,7 @@ def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Tr
 
 
 def _loops(seeds: Sequence[int], robot: Robot) -> tuple[Trajectory, ...]:
-    name = "loop-planar" if robot.planar else "loop-spatial"
-    return tuple(find_trajectory({"name": name, "seed": seed}, robot.kind) for seed in seeds)
+    return tuple(find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind) for seed in seeds)
 
 
 def train_gradient(

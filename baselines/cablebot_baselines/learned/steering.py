@@ -76,10 +76,10 @@ class Shift:
         """Number of past actions that affect the spline."""
         return self.degree + 1
 
-    def bounds(self, error_bounds: ErrorBounds, coordinates: int) -> Array:
+    def bounds(self, error_bounds: ErrorBounds, robot: Robot) -> Array:
         """Largest shift of each coordinate, (n,) [m, rad]."""
-        bounds = [error_bounds.position] * min(coordinates, 3) + [error_bounds.rotation] * 3
-        return self.fraction * np.array(bounds[:coordinates])
+        turning = np.arange(robot.coordinates) >= robot.dimensions
+        return self.fraction * np.where(turning, error_bounds.rotation, error_bounds.position)
 
     def weights(self, times: Array, action_period: float) -> Array:
         """Weights of the last control points in the spline and its derivatives up to snap.
@@ -217,7 +217,7 @@ class Steering:
         self.periods = max(1, round(self.action_mapping.action_period / period))
         """Number of control periods per action."""
         if isinstance(self.action_mapping, Shift):
-            self._bounds = self.action_mapping.bounds(error_bounds, self.robot.coordinates)
+            self._bounds = self.action_mapping.bounds(error_bounds, self.robot)
             action_period, phases = self.periods * period, np.arange(self.periods) * period
             now = self.action_mapping.weights(phases, action_period)
             after = self.action_mapping.weights(phases + period, action_period)

@@ -36,7 +36,7 @@ def symmetries(robot: Robot) -> Array:
     Raises:
         ValueError: if the robot is spatial: rotations are not linear in its pose.
     """
-    if not robot.planar:
+    if robot.kind != "planar" or not robot.weightless:
         raise ValueError(f"symmetric is for planar robots, but {robot.name!r} is spatial: remove symmetric")
     names = (
         "pulley_radius",

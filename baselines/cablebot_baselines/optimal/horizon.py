@@ -93,7 +93,7 @@ class HorizonProgram:
         self.basis_at = lru_cache(maxsize=1024)(self.basis)
         """:meth:`basis` of one time, cached."""
         n, m, count = robot.coordinates, robot.cables, len(self.instants)
-        self._positions = min(n, 3)
+        self._positions = robot.dimensions
         self._motion, self._null = (tuning.intervals + _DEGREE - 2) * n, (m - n) * count
         self._size = self._motion + self._null + 2
         function = rigid_stage(robot)

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, EstimatorState
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, PlanningError, Tuning
 from cablebot_gym.envs.observation import PREVIEWS
@@ -118,11 +119,12 @@ class NonlinearMPC(ClassicalLaw):
             raise ValueError(
                 f"nmpc needs a rigid robot, but robot {robot.name!r} has joint springs. Use adaptive-composite."
             )
-        kind = "planar" if robot.planar else "spatial"
-        tuning = tuning or TUNING[kind]
+        tuning = tuning or by_kind(TUNING, robot)
         self.program = HorizonProgram(robot, tuning)
         super().__init__(robot, minimum_tension=self.program.minimum_tension)
-        law = FeedbackLinearization(robot, gains=gains or ADAPTIVE_GAINS[kind], minimum_tension=self.minimum_tension)
+        law = FeedbackLinearization(
+            robot, gains=gains or by_kind(ADAPTIVE_GAINS, robot), minimum_tension=self.minimum_tension
+        )
         self.law = Adaptive(law, estimator_prior_weight=ESTIMATOR_PRIOR_WEIGHT)
         self.fallbacks = 0
         """Number of solver failures, and of times that a platform moved too far from its reference, since the last
@@ -231,7 +233,8 @@ class NonlinearMPC(ClassicalLaw):
 
     def _in_range(self, blocks: dict[str, Array], env_index: int, error_bounds: ErrorBounds) -> bool:
         error = (blocks["pose"][env_index] - blocks["reference_pose"][env_index]) / _MAX_ERROR_RATIO
-        position, rotation = np.linalg.norm(error[:3]), np.abs(error[3:]).max(initial=0.0)
+        d = self.robot.dimensions
+        position, rotation = np.linalg.norm(error[:d]), np.abs(error[d:]).max(initial=0.0)
         return bool(position < error_bounds.position and rotation < error_bounds.rotation)
 
     def _count_fallback(self, reason: str) -> None:

@@ -164,17 +164,18 @@ class AdaptivePlanLaw(Adaptive):
         An episode starts at rest, so the initial spring torques give the mass.
         """
         memory, robot = super()._updated_state(blocks, before, episode_start), self.robot
-        if not robot.flexible or robot.planar:
+        if not robot.flexible or robot.weightless:
             return memory
         first = first_steps(before, episode_start, blocks["pose"].shape[:-1])[..., None]
         wrench = (
             np.swapaxes(textbook.jacobian(robot, blocks["pose"]), -1, -2)
             @ (memory.torques / robot.pulley_radius)[..., None]
         )
+        vertical = robot.dimensions - 1
         weight = INITIAL_ESTIMATE_WEIGHT * robot.gravity
         return replace(
             memory,
-            weighted_impulse=np.where(first, weight * wrench[..., 2, :], memory.weighted_impulse),
+            weighted_impulse=np.where(first, weight * wrench[..., vertical, :], memory.weighted_impulse),
             weighted_change=np.where(first, weight * robot.gravity, memory.weighted_change),
         )
 
