@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
+from cablebot_gym.bounds.closed_form import tension_bounds
 from cablebot_gym.envs.settings import default_trajectory, make_settings
 from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.physics import textbook
@@ -185,16 +186,6 @@ def _required(robot: Robot, reference: Reference, payload: float) -> Array:
     return textbook.load(robot, mass, reference.position, reference.velocity, reference.acceleration)
 
 
-def _tension_bounds(robot: Robot, reference: Reference) -> tuple[Array, Array]:
-    """Least and largest tensions, (K, m): minimum tension and torque-speed lines."""
-    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
-    speed = textbook.pulley_speed(robot, pose, velocity)
-    own = robot.damping * speed + textbook.coulomb_torque(robot, speed)
-    own = own + robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    lower, upper = ((limit - own) / robot.pulley_radius for limit in textbook.torque_limits(robot, speed))
-    return np.maximum(lower, robot.minimum_tension), upper
-
-
 def payload_limit(robot: Robot, times: Array, reference: Reference) -> PayloadLimit:
     """Interval of the payloads with which cables and motors can follow a reference, and what limits it.
 
@@ -208,7 +199,7 @@ def payload_limit(robot: Robot, times: Array, reference: Reference) -> PayloadLi
         textbook.jacobian(robot, reference.position),
         empty,
         _required(robot, reference, 1.0) - empty,
-        *_tension_bounds(robot, reference),
+        *tension_bounds(robot, reference, robot.minimum_tension),
         HEAVIEST * robot.mass,
     )
     failed = np.flatnonzero(found.status != HELD)
@@ -239,7 +230,7 @@ def holds(robot: Robot, poses: Array, payload: float) -> Array:
     still = Reference(position=poses, velocity=rest, acceleration=rest, jerk=rest, snap=rest)
     with np.errstate(invalid="ignore", divide="ignore"):  # anchors and swivel pulleys
         structure, load = textbook.jacobian(robot, poses), _required(robot, still, payload)
-        bounds = _tension_bounds(robot, still)
+        bounds = tension_bounds(robot, still, robot.minimum_tension)
     known = np.isfinite(structure).all(axis=(1, 2))
     held = np.zeros(len(poses), bool)
     found = feasible(structure[known], load[known], *(bound[known] for bound in bounds))
@@ -292,7 +283,7 @@ def _sag(
     robot: Robot, reference: Reference, payload: float
 ) -> tuple[tuple[CableSag, ...], tuple[float, ...] | None, float | None]:
     """Sag of each cable, and change of pose and tensions at home; nothing if the motion or the pose is not held."""
-    lower, upper = _tension_bounds(robot, reference)
+    lower, upper = tension_bounds(robot, reference, robot.minimum_tension)
     structure = textbook.jacobian(robot, reference.position)
     found = least_norm(structure, _required(robot, reference, payload), lower, upper)
     if np.any(found.status != HELD):
