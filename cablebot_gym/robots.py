@@ -11,7 +11,8 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -424,6 +425,11 @@ class Robot:
         """A copy with the fields in ``changes`` replaced. The copy is checked again."""
         return dataclasses.replace(self, **changes)
 
+    def with_rigid_cables(self) -> Robot:
+        """A copy whose cables do not stretch."""
+        rigid = {name: Transmission.__dataclass_fields__[name].default for name in _OPTIONAL_OF_TRANSMISSION}
+        return self.replace(transmission=self.transmission.replace(**rigid))
+
     def to_dict(self) -> dict[str, Any]:
         """The robot as JSON-able data, which :meth:`from_dict` reads, without sources and without unused options."""
         data = dataclasses.asdict(self)
@@ -687,6 +693,27 @@ FLEX_SPATIAL = _flexible_paper(SPATIAL)
 ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)}
 """The paper's robots by name."""
 
+ELASTIC = "flex-"
+"""Prefix of the name of a robot of the library for the variant with elastic cables."""
+
+
+@cache
+def library() -> dict[str, Path]:
+    """Files of the real robots by name, ``cablebot_gym/library/*.toml``."""
+    folder = Path(str(files("cablebot_gym") / "library"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def robot_names() -> list[str]:
+    """All names that :func:`find_robot` accepts: the paper's robots, then those of the library and their variants."""
+    return [*ROBOTS, *library(), *(ELASTIC + name for name in library())]
+
+
+@cache
+def _library_robot(name: str) -> Robot:
+    robot = load_robot(library()[name.removeprefix(ELASTIC)])
+    return robot.replace(name=name) if name.startswith(ELASTIC) else robot.with_rigid_cables()
+
 
 def load_robot(path: str | Path) -> Robot:
     """A robot from a TOML file with the fields of :class:`Robot`, and with the optional table :class:`Defaults`.
@@ -714,6 +741,9 @@ def load_robot(path: str | Path) -> Robot:
 def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
     """A robot from a name, from a TOML file, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
 
+    Names are those of :func:`robot_names`. ``cogiro`` is the robot of the library with rigid cables, ``flex-cogiro``
+    the same robot with elastic cables, as its file describes it.
+
     Raises:
         ValueError: if the name is unknown or the data do not describe a physical robot.
     """
@@ -723,6 +753,8 @@ def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
         return Robot.from_dict(robot)
     if isinstance(robot, (str, Path)) and Path(robot).suffix == ".toml":
         return load_robot(robot)
-    if robot not in ROBOTS:
-        raise unknown_name_error("robot", robot, ROBOTS, ", a .toml file, or pass a Robot")
-    return ROBOTS[str(robot)]
+    if robot in ROBOTS:
+        return ROBOTS[str(robot)]
+    if str(robot).removeprefix(ELASTIC) not in library():
+        raise unknown_name_error("robot", robot, robot_names(), ", a .toml file, or pass a Robot")
+    return _library_robot(str(robot))

@@ -19,13 +19,14 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_gym.robots import Kind
 from cablebot_gym.utils.checks import mapping, number, numbers, unknown_name_error, whole
 from cablebot_gym.utils.imports import import_object
 
 Array = NDArray[np.float64]
 
-KINDS = {2: "planar", 6: "spatial"}
-"""Kind of robot by number of coordinates: ``(x, y)`` or ``(x, y, z, ψ, θ, φ)``."""
+COORDINATES: dict[Kind, int] = {"planar": 2, "planar-platform": 3, "point": 3, "spatial": 6}
+"""Number of coordinates by kind of robot: ``(x, y)``, ``(x, y, φ)``, ``(x, y, z)`` or ``(x, y, z, ψ, θ, φ)``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +59,7 @@ class Trajectory(Protocol):
 
     @property
     def coordinates(self) -> int:
-        """Number of coordinates n of the pose: 2 planar, 6 spatial."""
+        """Number of coordinates n of the pose, see :data:`COORDINATES`."""
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], a number or an array of any shape.
@@ -79,8 +80,8 @@ class _Motion:
     def __post_init__(self) -> None:
         number("duration", self.duration, above=0, unit="s")
         for field in self._POSES:
-            form = "(x, y) for a planar or (x, y, z, ψ, θ, φ) for a spatial robot"
-            self._set_numbers(field, shapes=[(n,) for n in KINDS], form=form)
+            form = "(x, y), (x, y, φ), (x, y, z) or (x, y, z, ψ, θ, φ), by the kind of robot"
+            self._set_numbers(field, shapes=[(n,) for n in sorted(set(COORDINATES.values()))], form=form)
 
     def _set_numbers(self, field: str, **form: Any) -> None:
         """Checks the numbers of a field and converts them to a tuple."""
@@ -335,7 +336,9 @@ class Chain:
             if isinstance(part, Real):
                 end = parts[-1](parts[-1].duration).position
                 length = number(f"motions: dwell {index}", part, above=0, unit="s")
-                part = Dwell(name=f"dwell-{KINDS[len(end)]}", pose=tuple(end.tolist()), duration=length)
+                kinds = [kind for kind, n in COORDINATES.items() if n == len(end)]
+                kind = next((kind for kind in kinds if parts[0].name.endswith(f"-{kind}")), kinds[0])
+                part = Dwell(name=f"dwell-{kind}", pose=tuple(end.tolist()), duration=length)
             if not isinstance(part, Trajectory) or isinstance(part, type):
                 raise ValueError(f"motions: part {index} must be a Trajectory or the length of a dwell, not {part!r}")
             self._check_part(index, part, parts[-1] if parts else None)
@@ -419,7 +422,8 @@ class RandomLoop(_Motion):
 
         X(φ) = c + Σ_k (a_k cos kφ + b_k sin kφ),   k = 1 … :data:`HARMONICS`.
 
-    The components of a_k and b_k are uniform in ± 1/k². The coordinates form groups: (x, y), z and (ψ, θ, φ).
+    The components of a_k and b_k are uniform in ± 1/k². The coordinates form groups: (x, y), z and
+    (ψ, θ, φ), or (x, y) and φ in a plane.
 
     * Size: each group is scaled so that the largest norm of its series is 50 to 100 % of its ``reach``.
     * Center: the offset of c from ``center`` uses at most the rest of ``reach``, so the curve stays within ``reach``.
@@ -439,8 +443,8 @@ class RandomLoop(_Motion):
     center: tuple[float, ...]
     """Center pose of the curve, shape (n,)."""
     reach: tuple[float, ...]
-    """Largest distance of the curve from ``center``, one norm per group; > 0. Planar: one for (x, y) [m]. Spatial: one
-    each for (x, y) [m], z [m] and (ψ, θ, φ) [rad]."""
+    """Largest distance of the curve from ``center``, one norm per group; > 0: one each for (x, y) [m], z [m] and
+    (ψ, θ, φ) [rad], or for (x, y) [m] and φ [rad] in a plane."""
     acceleration: tuple[float, ...]
     """Bound of the norm of the acceleration [m/s², rad/s²], one per group as in ``reach``; > 0."""
     duration: float = None  # type: ignore[assignment]  # __post_init__ replaces None
@@ -499,7 +503,11 @@ HARMONICS = 3
 
 _ORDERS = np.arange(1.0, HARMONICS + 1)
 
-_GROUPS = {2: (slice(0, 2),), 6: (slice(0, 2), slice(2, 3), slice(3, 6))}
+_GROUPS = {
+    2: (slice(0, 2),),
+    3: (slice(0, 2), slice(2, 3)),
+    6: (slice(0, 2), slice(2, 3), slice(3, 6)),
+}
 """Groups of coordinates of :class:`RandomLoop` that share a bound, by number of coordinates."""
 
 _SAMPLES = 1001
@@ -602,15 +610,15 @@ def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[
     return between_dwells
 
 
-def _chain(coordinates: int, *motions: Any) -> Callable[..., BetweenDwells]:
+def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
     """Factory of a chain between dwells. Named parts have no dwells of their own unless ``dwell`` is given."""
 
     def part(motion: Any) -> Any:
         if isinstance(motion, Mapping):
             motion = {"dwell": 0.0, **motion} if "dwell" in _fields_of(motion.get("name")) else motion
-        return motion if isinstance(motion, Real) else find_trajectory(motion, coordinates)
+        return motion if isinstance(motion, Real) else find_trajectory(motion, kind)
 
-    def chain(*, motions: Any = motions, name: str = f"chain-{KINDS[coordinates]}") -> Chain:
+    def chain(*, motions: Any = motions, name: str = f"chain-{kind}") -> Chain:
         return Chain(motions=tuple(map(part, motions)) if isinstance(motions, (list, tuple)) else motions, name=name)
 
     return _between_dwells(chain)
@@ -619,6 +627,33 @@ def _chain(coordinates: int, *motions: Any) -> Callable[..., BetweenDwells]:
 def _fields_of(name: Any) -> set[str]:
     """Fields of a named motion; empty if there is none of this name."""
     return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"} if name in TRAJECTORIES else set()
+
+
+def _motions_of(
+    kind: Kind, *, center: tuple[float, ...], size: float, out: tuple[float, ...], reach: tuple[float, ...], pace: float
+) -> dict[str, Callable[..., Trajectory]]:
+    """Named motions of a kind about a center: half width ``size`` [m] and duration about ``pace`` [s].
+
+    Lines run from ``center − (size, size/2) − out`` to the opposite pose. Loops take about as long as other motions.
+    """
+    across = np.array(out) + np.pad([size, size / 2], (0, len(out) - 2))
+    start, end = tuple((center - across).tolist()), tuple((center + across).tolist())
+    line, circle = {"start": start, "end": end, "duration": pace}, {"radius": size, "center": center, "duration": pace}
+    acceleration = tuple(30.0 * value / pace**2 for value in reach)
+    makers: dict[str, Any] = {
+        "circle": (PaperCircle, circle),
+        "smooth-circle": (SmoothCircle, circle | {"duration": 2 * pace}),
+        "line": (PointToPoint, line),
+        "lemniscate": (Lemniscate, {"amplitude": (size, size / 2), "center": center, "duration": 2 * pace}),
+        "loop": (RandomLoop, {"center": center, "reach": reach, "acceleration": acceleration}),
+    }
+    made = {
+        f"{name}-{kind}": _between_dwells(make, name=f"{name}-{kind}", **fields)
+        for name, (make, fields) in makers.items()
+    }
+    back = {"name": f"line-{kind}", "start": end, "end": start}
+    made[f"chain-{kind}"] = _chain(kind, {"name": f"line-{kind}"}, DWELL, back)
+    return {**made, f"dwell-{kind}": partial(Dwell, name=f"dwell-{kind}", pose=center)}
 
 
 _PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
@@ -661,13 +696,13 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     ),
     # Pick, dwell and place: out and back along the named lines.
     "chain-planar": _chain(
-        2,
+        "planar",
         {"name": "line-planar", "duration": 1.0},
         DWELL,
         {"name": "line-planar", "start": (0.1, 0.15), "end": (-0.1, -0.1), "duration": 1.0},
     ),
     "chain-spatial": _chain(
-        6,
+        "spatial",
         {"name": "line-spatial", "duration": 1.0},
         DWELL,
         {
@@ -677,21 +712,37 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
             "duration": 1.0,
         },
     ),
+    # Sized for the robots of the environments, stadium-camera and ttk4900.
+    **_motions_of("point", center=(0.0, 0.0, -12.0), size=10.0, out=(0.0, 0.0, -2.0), reach=(10.0, 2.0), pace=10.0),
+    **_motions_of(
+        "planar-platform", center=(0.0, 0.0, 0.0), size=0.15, out=(0.0, 0.0, 0.05), reach=(0.15, 0.05), pace=4.0
+    ),
 }
 """Factories of the named motions. Each accepts the fields of its class as optional keywords, and ``dwell`` if the
 motion is :class:`BetweenDwells`: all except ``paper-…``, the paper's circles as printed, and ``dwell-…``."""
 
 
-def trajectory_names(coordinates: int | None = None) -> list[str]:
+def trajectory_names(kind: Kind | int | None = None) -> list[str]:
     """Names in :data:`TRAJECTORIES`.
 
     Args:
-        coordinates: restricts the names to robots with this number of coordinates; None for all names.
+        kind: restricts the names to this kind of robot, or to robots with this number of coordinates; None for all.
     """
-    return [name for name, make in TRAJECTORIES.items() if coordinates is None or make().coordinates == coordinates]
+    return [name for name in TRAJECTORIES if kind is None or _kinds_of(name) & set(_kinds(kind))]
 
 
-def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, coordinates: int) -> Trajectory:
+def _kinds_of(name: str) -> set[Kind]:
+    """Kinds of robots of a named motion: the longest kind that ends its name, else those with its coordinates."""
+    ending = [kind for kind in COORDINATES if name.endswith(f"-{kind}")]
+    return {max(ending, key=len)} if ending else set(_kinds(TRAJECTORIES[name]().coordinates))
+
+
+def _kinds(kind: Kind | int) -> list[Kind]:
+    """The kind, or the kinds with this number of coordinates."""
+    return [name for name, n in COORDINATES.items() if kind in (name, n)]
+
+
+def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, kind: Kind | int) -> Trajectory:
     """A trajectory for a robot from a name, from a dict with a name and fields, or from a trajectory object.
 
     Args:
@@ -699,25 +750,27 @@ def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, coordinate
             1.5, "dwell": 0.5}``, where ``duration`` is that of the motion between the dwells, an object that satisfies
             :class:`Trajectory`, or the place of one: ``file.py:name`` or ``package.module:name``. The object there may
             also be a function or a class that makes the trajectory without arguments.
-        coordinates: the robot's number of coordinates n, 2 planar or 6 spatial.
+        kind: the robot's kind, or its number of coordinates n.
 
     Raises:
         ValueError: if the name, a field or a value is invalid, or the trajectory is for another kind of robot.
     """
+    kinds = _kinds(kind)
+    coordinates = COORDINATES[kinds[0]]
     if isinstance(trajectory, str):
         trajectory = _imported(trajectory) if ":" in trajectory or trajectory.endswith(".py") else {"name": trajectory}
     if isinstance(trajectory, Mapping):
         fields = dict(trajectory)
         name = fields.pop("name", None)
         found = None
-        if name in TRAJECTORIES:
+        if name in TRAJECTORIES and _kinds_of(str(name)) & set(kinds):
             found = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(_fields_of(name))))
         if found is None or found.coordinates != coordinates:
-            raise unknown_name_error("trajectory", name, trajectory_names(coordinates))
+            raise unknown_name_error("trajectory", name, trajectory_names(kind))
         trajectory = found
     elif not isinstance(trajectory, Trajectory) or isinstance(trajectory, type):
         other = ", a dict with one of these as 'name', or pass a Trajectory"
-        raise unknown_name_error("trajectory", trajectory, trajectory_names(coordinates), other)
+        raise unknown_name_error("trajectory", trajectory, trajectory_names(kind), other)
     number("duration", trajectory.duration, above=0, unit="s")
     if trajectory.coordinates != coordinates:
         raise ValueError(

@@ -20,7 +20,6 @@ from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robo
 from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import (
     FIRST_HELD_OUT_SEED,
-    KINDS,
     TRAINING_SEEDS,
     TRAJECTORIES,
     BetweenDwells,
@@ -29,10 +28,10 @@ from cablebot_gym.trajectories import (
     held_out_seeds,
 )
 
-GROUPS = {2: [[0, 1]], 6: [[0, 1], [2], [3, 4, 5]]}
+GROUPS = {2: [[0, 1]], 3: [[0, 1], [2]], 6: [[0, 1], [2], [3, 4, 5]]}
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 
-names = st.sampled_from(["loop-planar", "loop-spatial"])
+names = st.sampled_from(["loop-planar", "loop-spatial", "loop-point"])
 seeds = st.integers(0, 2 * FIRST_HELD_OUT_SEED) | st.integers(0, 10**40)
 
 
@@ -206,7 +205,7 @@ def flat_limits(robot: Robot, motion: RandomLoop) -> tuple[np.ndarray, np.ndarra
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
 def test_flexible_robots_of_the_paper_can_follow_the_loops(robot: Robot) -> None:
     for seed in SAMPLE:
-        action, tensions = flat_limits(robot, loop(f"loop-{KINDS[robot.coordinates]}", seed))
+        action, tensions = flat_limits(robot, loop(f"loop-{robot.kind}", seed))
         stall = np.tile(robot.stall_torque, len(action) // robot.cables)
         rows = np.concatenate([action, -action, -tensions])
         room = np.concatenate([stall, stall, np.full(len(tensions), -5.0)]) - rows[:, 0]

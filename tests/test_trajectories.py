@@ -13,10 +13,10 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablebot_gym.robots import ROBOTS
+from cablebot_gym.robots import ROBOTS, find_robot
 from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import (
-    KINDS,
+    COORDINATES,
     TRAJECTORIES,
     BetweenDwells,
     Chain,
@@ -153,13 +153,13 @@ def test_named_motions_have_dwells_and_the_printed_circle_has_none() -> None:
     for name in NAMES:
         dwells = 0.0 if name.startswith(("paper", "dwell")) else 0.3
         assert TRAJECTORIES[name]().duration - without_dwells(name).duration == pytest.approx(2 * dwells)
-    for kind, robot in KINDS.items():
+    for robot in ("planar", "spatial"):
         circle, printed = TRAJECTORIES[f"circle-{robot}"](dwell=0), TRAJECTORIES[f"paper-{robot}"]()
         times = np.linspace(0, 1, 101)
         np.testing.assert_array_equal(stacked(circle(times)), stacked(printed(times)))
-        assert circle.coordinates == kind
+        assert circle.coordinates == COORDINATES[robot]
         with pytest.raises(ValueError, match="unknown key of trajectory 'dwell'"):
-            find_trajectory({"name": f"paper-{robot}", "dwell": 0.3}, kind)
+            find_trajectory({"name": f"paper-{robot}", "dwell": 0.3}, robot)
 
 
 # --- chains -------------------------------------------------------------------------------------------------------
@@ -283,19 +283,29 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
 
 
 def test_registry_has_all_names() -> None:
-    kinds = ["circle", "paper", "smooth-circle", "dwell", "line", "lemniscate", "loop", "chain"]
-    assert trajectory_names(2) == [f"{kind}-planar" for kind in kinds]
-    assert trajectory_names(6) == [f"{kind}-spatial" for kind in kinds]
-    assert sorted(trajectory_names()) == sorted(trajectory_names(2) + trajectory_names(6))
+    motions = ["circle", "paper", "smooth-circle", "dwell", "line", "lemniscate", "loop", "chain"]
+    for kind in COORDINATES:
+        some = [motion for motion in motions if motion != "paper" or kind in ("planar", "spatial")]
+        assert sorted(trajectory_names(kind)) == sorted(f"{motion}-{kind}" for motion in some)
+    assert sorted(trajectory_names()) == sorted(trajectory_names(2) + trajectory_names(3) + trajectory_names(6))
+
+
+def test_motion_of_another_kind_with_as_many_coordinates_raises() -> None:
+    assert find_trajectory("line-point", "point") == TRAJECTORIES["line-point"]()
+    with pytest.raises(ValueError, match=r"unknown trajectory 'line-point'; choose one of circle-planar-platform"):
+        find_trajectory("line-point", "planar-platform")
 
 
 @every_name
 def test_default_motion_stays_within_the_triangle_and_the_workspace(name: str) -> None:
     motion = TRAJECTORIES[name]()
-    assert (motion.name, name.endswith(KINDS[motion.coordinates])) == (name, True)
-    robot = ROBOTS[KINDS[motion.coordinates]]
+    kind = next(kind for kind in COORDINATES if name in trajectory_names(kind))
+    assert (motion.name, motion.coordinates) == (name, COORDINATES[kind])
+    robot = find_robot({"point": "stadium-camera", "planar-platform": "ttk4900"}.get(kind, kind))
     path = motion(np.linspace(0, motion.duration, 201)).position
     assert np.all((path >= robot.pose_bounds[0]) & (path <= robot.pose_bounds[1]))
+    if kind not in ROBOTS:
+        return
     corners = np.unique(robot.base[:, :2].round(12), axis=0)
     inradius = np.linalg.norm(corners, axis=1).max() / 2
     assert np.all(path[:, :2] @ -corners.T / (2 * inradius) < inradius - 0.05)  # 5 cm inside each side
@@ -304,7 +314,7 @@ def test_default_motion_stays_within_the_triangle_and_the_workspace(name: str) -
 
 @every_name
 def test_motion_survives_json(name: str) -> None:
-    fields = {"motions": [{"name": "line-" + name.split("-")[1]}, 1.25]} if "chain" in name else {"duration": 1.25}
+    fields = {"motions": [{"name": "line-" + name.partition("-")[2]}, 1.25]} if "chain" in name else {"duration": 1.25}
     motion: Any = TRAJECTORIES[name](**fields)
     data = json.loads(json.dumps(to_jsonable(motion)))
     found = find_trajectory(data, motion.coordinates)
@@ -363,7 +373,7 @@ def test_wrong_request_raises(trajectory: Any, coordinates: int, message: str) -
     ("make", "fields", "message"),
     [
         (PaperCircle, {"radius": 0.0, "center": (0, 0)}, "radius must be a finite number greater than 0 m, not 0.0"),
-        (PaperCircle, {"radius": 0.1, "center": (0, 0, 0)}, "center must be .x, y. for a planar or .x, y, z, "),
+        (PaperCircle, {"radius": 0.1, "center": (0, 0, 0, 0)}, "center must be .x, y., .x, y, φ., .x, y, z. or "),
         (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must be finite"),
         (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
         (Lemniscate, {"amplitude": (0.1, 0.0), "center": (0, 0)}, "amplitude must be finite and greater than 0"),

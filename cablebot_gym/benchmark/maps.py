@@ -131,7 +131,7 @@ def _values_of(env_id: str, conditions: str) -> dict[str, Any]:
     data: dict[str, Any] = {
         "error_bounds": dict(cell.error_bounds),
         "robot_changes": robot.to_dict(),
-        "trajectory": to_jsonable(find_trajectory(dict(cell.trajectory), robot.coordinates)),
+        "trajectory": to_jsonable(find_trajectory(dict(cell.trajectory), robot.kind)),
         "resolution": given.get("resolution"),
     }
     return {name: _found(data, name.split(".")) for name in _LABELS}

@@ -230,7 +230,7 @@ def _case(
 ) -> _Case:
     check_robot(env_id, robot)
     robot = find_robot(env_robot(env_id) if robot is None else robot)
-    motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.coordinates)
+    motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.kind)
     frequency = number("control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz")
     return _Case(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)
 

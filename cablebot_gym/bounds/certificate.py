@@ -180,7 +180,7 @@ def upper_bound(
     """
     if robot.kind == "planar" and robot.weightless and not robot.flexible:
         return planar_certificate(robot, trajectory, error_bounds)
-    trajectory, error_bounds = find_trajectory(trajectory, robot.coordinates), find_error_bounds(error_bounds, robot)
+    trajectory, error_bounds = find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
     return Certificate(
         total_mass=robot.mass + hold_payload(robot, trajectory, error_bounds),
         platform_mass=robot.mass,
@@ -247,7 +247,7 @@ def _checked(
 ) -> tuple[Trajectory, ErrorBounds]:
     if robot.kind != "planar" or not robot.weightless or robot.flexible:
         raise ValueError(f"a certificate is only available for planar rigid robots, not for {robot.name!r}")
-    return find_trajectory(trajectory, robot.coordinates), find_error_bounds(error_bounds, robot)
+    return find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
 
 
 def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:

@@ -124,7 +124,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
     Raises:
         ValueError: if the trajectory is for another kind of robot, or if there is no control instant.
     """
-    trajectory = find_trajectory(trajectory, robot.coordinates)
+    trajectory = find_trajectory(trajectory, robot.kind)
     frequency = number("frequency", frequency, above=0.5 / trajectory.duration, unit="Hz")
     times = np.arange(round(trajectory.duration * frequency)) / frequency
     return times, trajectory(times)
@@ -132,7 +132,7 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
 
 def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
     """Grid that approximates all times, with both sides of each instant. It contains half time, where circles jump."""
-    trajectory = find_trajectory(trajectory, robot.coordinates)
+    trajectory = find_trajectory(trajectory, robot.kind)
     grid = number("grid", grid, above=0, unit="Hz")
     count = 2 * max(1, round(grid / 4), round(grid * trajectory.duration / 2))
     instants = np.arange(count) * (trajectory.duration / count)
@@ -191,16 +191,39 @@ def _pairs(robot: Robot) -> bool:
     return robot.kind == "planar" and robot.cables > robot.coordinates
 
 
-def _redundant(
-    robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array, heaviest: float = 1e6
-) -> ExactPayload:
-    """Result with redundant cables. Speeds, pulley accelerations and so the bounds of T do not depend on the mass M."""
+def tension_bounds(
+    robot: Robot, reference: Reference, minimum: float, *, line_speed: ArrayLike = 1.0
+) -> tuple[Array, Array]:
+    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension and the torque-speed lines.
+
+    Speeds and pulley accelerations, and so the bounds, do not depend on the mass. Joint springs and the stretch of the
+    cables are left out: motor and pulley turn together.
+
+    Args:
+        robot: the robot.
+        reference: the reference at K instants.
+        minimum: minimum tension [N].
+        line_speed: as in :func:`exact_payload`.
+    """
     pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
     speed = textbook.pulley_speed(robot, pose, velocity)
     rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
-    limits = textbook.torque_limits(robot, line_speed * speed)
-    lowest, highest = ((limit - rest) / robot.pulley_radius for limit in limits)
-    lower = np.maximum(lowest, minimum)
+    if robot.flexible:
+        rest = rest + textbook.coulomb_torque(robot, speed)
+    if robot.jointed:
+        rest = rest + robot.motor_damping * speed
+        rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    limits = textbook.torque_limits(robot, np.asarray(line_speed, float) * speed)
+    lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
+    return np.maximum(lower, minimum), upper
+
+
+def _redundant(
+    robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array, heaviest: float = 1e6
+) -> ExactPayload:
+    """Result with redundant cables."""
+    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    lower, highest = tension_bounds(robot, reference, minimum, line_speed=line_speed)
     empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
     found = largest_scale(textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest)
     if np.any(found.status == SINGULAR):
@@ -213,7 +236,7 @@ def _redundant(
         return _result(robot, math.inf, lowest_payload, times, None)
     share = found.coefficients[at]
     motor = int(np.argmax(np.abs(share)))
-    kind = 0 if share[motor] > 0 else 1 if lowest[at, motor] > minimum else 2
+    kind = 0 if share[motor] > 0 else 1 if lower[at, motor] > minimum else 2
     return _result(robot, payload, lowest_payload, times, np.array([at, motor, kind]))
 
 

@@ -43,6 +43,7 @@ COMMANDS = {
     },
     "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",
+        "robot": "cablebot_gym.cli.robot:robot",
         "doctor": "cablebot_gym.cli.doctor:doctor",
     },
 }
@@ -79,7 +80,8 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a benchmark cell failed, a best known payload was not verified,\n"
-        "       an entry was refused, or doctor found a fault\n"
+        "       an entry was refused, doctor found a fault, or a robot\n"
+        "       was refused or does not carry its payload\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

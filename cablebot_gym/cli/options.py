@@ -178,7 +178,7 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
     the policy.
 
     Args:
-        names: names of the options, with both of :data:`BOUNDS`; all if empty.
+        names: names of the options; all if empty.
     """
     chosen = [name for name in names or _EPISODE_OPTIONS]
 
@@ -191,7 +191,7 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
             if "wrapper" in episode:
                 named, last = episode.pop("wrapper"), episode.pop("normalize")
                 episode["wrappers"] = [*(named or []), *([last] if last else [])]
-            bounds = {name: episode.pop(name) for name in BOUNDS}
+            bounds = {name: episode.pop(name) for name in BOUNDS if name in episode}
             episode["error_bounds"] = {
                 name.removesuffix("_bound"): number(
                     f"--{name.replace('_', '-')}", value, least=LEAST_BOUND, unit=BOUNDS[name]
@@ -255,7 +255,7 @@ def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
 
     check_robot(env_id, episode.get("robot"))
     robot = find_robot(episode.get("robot") or env_robot(env_id))
-    find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.coordinates)
+    find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind)
     return robot
 
 

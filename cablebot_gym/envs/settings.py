@@ -113,7 +113,7 @@ class Settings:
 
 
 def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
-    """Default reference motion of a robot: its own one, or the name of the paper's circle between two dwells."""
+    """Default reference motion of a robot: its own one, or the name of a circle between two dwells, for its kind."""
     return robot.defaults.trajectory or f"circle-{robot.kind}"
 
 
@@ -250,7 +250,7 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "payload": lambda name, value: numbers(name, value, shapes=[(), (count,)], form=each, least=0, unit="kg"),
         "payload_known": lambda name, value: _booleans(name, value, count),
         "model_payload_factor": lambda name, value: numbers(name, value, shapes=[(), (count,)], form=each, least=0),
-        "trajectory": lambda _, value: find_trajectory(value, n),
+        "trajectory": lambda _, value: find_trajectory(value, robot.kind),
         "initial_error": lambda name, value: _initial_error(name, value, n, count),
         "uncertainty": lambda _, value: _uncertainties(value, robot, count),
         "error_bounds": lambda _, value: find_error_bounds(value, robot),

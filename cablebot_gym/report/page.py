@@ -283,7 +283,7 @@ def _robot(cell: Cell) -> dict[str, Any]:
 
 def _motion(cell: Cell) -> dict[str, Any]:
     robot = cell.robot
-    trajectory = find_trajectory(dict(cell.trajectory), robot.coordinates)
+    trajectory = find_trajectory(dict(cell.trajectory), robot.kind)
     times = np.arange(np.ceil(trajectory.duration * RATE - 1e-9) + 1) / RATE
     path = trajectory(np.minimum(times, trajectory.duration)).position[:, : robot.base.shape[1]]
     return {

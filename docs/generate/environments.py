@@ -41,7 +41,7 @@ def page(env_id: str, env: CableBotEnv) -> str:
     marks = [index for index, line in enumerate(layout) if line.startswith("|")]
     # The table of this robot replaces that of all robots.
     sections["Observation space"] = "\n".join([*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]])
-    names = ", ".join(f"`{name}`" for name in trajectory_names(robot.coordinates))
+    names = ", ".join(f"`{name}`" for name in trajectory_names(robot.kind))
     fields = ",\n".join(f' "{name}": {json.dumps(value)}' for name, value in robot.to_dict().items())
     parts = {
         "Robot": f"`{ENV_ROBOTS[env_id]}`, with these nominal values (SI, radians):\n\n"

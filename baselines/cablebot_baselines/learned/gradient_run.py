@@ -88,7 +88,7 @@ def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Tr
     named = given.get("named", [])
     if not isinstance(named, list) or not (named or count):
         raise ValueError(f"motions must be {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}")
-    others = tuple(find_trajectory(one, robot.coordinates) for one in named)
+    others = tuple(find_trajectory(one, robot.kind) for one in named)
     moving = [one.motion if isinstance(one, BetweenDwells) else one for one in others]
     if any(isinstance(one, RandomLoop) and one.seed not in TRAINING_SEEDS[:most] for one in moving):
         raise ValueError(f"motions: other seeds are reserved for evaluation: train with seeds from 0 to {most - 1}")
@@ -96,7 +96,7 @@ def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Tr
 
 
 def _loops(seeds: Sequence[int], robot: Robot) -> tuple[Trajectory, ...]:
-    return tuple(find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.coordinates) for seed in seeds)
+    return tuple(find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind) for seed in seeds)
 
 
 def train_gradient(

@@ -1,0 +1,146 @@
+"""``cablebot robot``."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cablebot_gym.cli.options import Json, Payload, counted, episode_options
+from cablebot_gym.utils.checks import choice
+from cablebot_gym.utils.console import notes_console
+
+if TYPE_CHECKING:
+    from cablebot_gym.bounds.robot_check import RobotCheck
+    from cablebot_gym.robots import Robot
+
+
+@episode_options("trajectory")
+def robot(
+    task: Annotated[str, typer.Argument(metavar="check", help="The task: check.")],
+    name: Annotated[
+        str, typer.Argument(metavar="ROBOT", help="TOML file, or name of a robot; `cablebot list` shows the names.")
+    ],
+    episode: dict[str, Any],
+    payload: Payload = None,
+    out: Annotated[Path | None, typer.Option(help="Drawing to write, ending in .svg, .png or .pdf.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Check a robot and its motion: payload, workspace, modes, physics step, sag, and doubtful values.
+
+    Nothing is simulated. The exit status is 1 if the robot is refused or does not carry the payload along its motion.
+
+    Examples:
+
+    cablebot robot check my.toml --out my.svg
+
+    cablebot robot check cogiro --payload 300
+    """
+    from cablebot_gym.bounds.robot_check import check_model
+
+    choice("task", task, ["check"])
+    if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
+        raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
+    model = _loaded(name)
+    if model is None:
+        raise typer.Exit(1)
+    check = check_model(model, payload=payload, trajectory=episode["trajectory"])
+    if out is not None:
+        _draw(check, out)
+    if as_json:
+        print(json.dumps(check.to_dict(), indent=2))
+    else:
+        print("\n".join(report(check)))
+    if out is not None:
+        notes_console().print(f"wrote {out}")
+    if not check.held:
+        raise typer.Exit(1)
+
+
+def _loaded(name: str) -> Robot | None:
+    """The robot, or None with a message if the data of a file are refused.
+
+    Raises:
+        ValueError: if the file cannot be read, or there is no robot with this name.
+    """
+    from cablebot_gym.robots import find_robot
+
+    try:
+        return find_robot(name)
+    except ValueError as error:
+        if not Path(name).is_file():
+            raise
+        notes_console().print(f"refused: {error}", style="red")
+        return None
+
+
+def _draw(check: RobotCheck, out: Path) -> None:
+    from cablebot_gym.plotting.figures import DPI
+    from cablebot_gym.plotting.robots import draw_robot
+    from cablebot_gym.utils.files import atomic_write
+
+    atomic_write(out, partial(draw_robot(check).savefig, dpi=DPI, format=out.suffix[1:]))
+
+
+def report(check: RobotCheck) -> list[str]:
+    """Lines of the result in words."""
+    from cablebot_gym.robots import KIND_TEXTS
+
+    robot, limit = check.robot, check.limit
+    place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
+    lines = [f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {_springs(robot)}"]
+    if limit.largest < limit.least:
+        lines.append(f"motion     {check.trajectory.name}: no payload can be held {place}: {limit.reason}")
+    else:
+        held = "carries" if check.held else "does not carry"
+        lines.append(
+            f"motion     {check.trajectory.name}, {check.trajectory.duration:g} s: {held} {check.payload:g} kg"
+        )
+        lines.append(f"           exact tracking from {limit.least:.4g} to {limit.largest:.4g} kg")
+        lines.append(f"           limit {place}: {limit.reason}")
+    lines.append(f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation")
+    for locked, text in ((True, "motors locked"), (False, "motors free")):
+        own = [f"{mode.frequency:.3g} Hz ({mode.direction})" for mode in check.modes if mode.locked == locked]
+        if own:
+            lines.append(f"modes      {text}: softest {own[0]}, stiffest {own[1]}; without the stiffness of tensions")
+    if not check.modes:
+        lines.append("modes      none: the transmission is rigid and the cables do not stretch")
+    step = f"{1e3 * check.physics_step:.3g} ms"
+    lines.append(f"step       {counted(check.substeps, 'physics step')} of {step} in a control period")
+    lines += _sag_lines(check)
+    lines += [f"question   {question}" for question in check.questions] or ["questions  none"]
+    return lines
+
+
+def _springs(robot: Robot) -> str:
+    springs = [text for text, has in (("joint springs", robot.jointed), ("elastic cables", robot.elastic)) if has]
+    return " and ".join(springs) or "rigid"
+
+
+def _sag_lines(check: RobotCheck) -> list[str]:
+    """Lines of the sag at the least tensions of the motion, and of its effect at home."""
+    if not check.cables:
+        why = "the motion is not held" if any(_densities(check)) else "the cables have no mass; set cable_density"
+        return [f"sag        not checked: {why}"]
+    lines = []
+    for number, cable in enumerate(check.cables, 1):
+        factor = "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
+        text = f"sags by {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
+        start = "sag        " if number == 1 else " " * 11
+        lines.append(f"{start}cable {number}: least tension {cable.tension:.4g} N, length {cable.length:.3g} m: {text}")
+    if check.settled is None or check.settled_tension is None:
+        return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
+    d = check.robot.dimensions
+    moved = [f"{1e3 * math.hypot(*check.settled[:d]):.2f} mm"]
+    if check.settled[d:]:
+        moved.append(f"{1e3 * max(map(abs, check.settled[d:])):.2f} mrad")
+    text = f"at home_pose, sag and cable weight move the platform by {' and '.join(moved)}"
+    return [*lines, f"           {text} and change tensions by up to {check.settled_tension:.0%}"]
+
+
+def _densities(check: RobotCheck) -> list[float]:
+    return [float(value) for value in check.robot.per_motor(check.robot.cable_density)]

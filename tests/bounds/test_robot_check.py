@@ -1,0 +1,91 @@
+"""Checks of a robot: payload along the motion, workspace, modes, sag, and questions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from cablebot_gym.bounds.closed_form import exact_payload
+from cablebot_gym.bounds.robot_check import check_model, holds, modes, segment_distance
+from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
+from cablebot_gym.trajectories import find_trajectory
+
+CAMERA = find_robot("stadium-camera")
+
+
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=["planar", "spatial"])
+def test_payload_limit_is_the_closed_form(robot):
+    motion = f"smooth-circle-{robot.kind}"
+    exact = exact_payload(robot, find_trajectory(motion, robot.kind), minimum_tension=1.0)
+    check = check_model(robot, trajectory=motion)
+    assert exact.payload <= check.limit.largest <= 1.005 * exact.payload  # which looks at more instants
+    assert f"cable {exact.motor} at the torque limit" in check.limit.reason
+
+
+def test_payload_beyond_the_limit_is_not_held():
+    limit = check_model(CAMERA).limit
+    assert [check_model(CAMERA, payload=limit.largest + side).held for side in (-0.01, 0.01)] == [True, False]
+    assert "2, 3 at the torque limit" in limit.reason
+    pose = np.array([[*limit.pose]])
+    assert [bool(holds(CAMERA, pose, payload)[0]) for payload in (limit.largest, 200.0)] == [True, False]
+
+
+def test_motion_that_no_payload_makes_feasible_names_the_cause():
+    """Near the mast, the other cables cannot have their minimum tension."""
+    tight = CAMERA.replace(minimum_tension=900.0)
+    check = check_model(tight)
+    assert (check.held, check.limit.largest, check.cables, check.settled) == (False, -math.inf, (), None)
+    assert "at the minimum tension of 900 N" in check.limit.reason
+
+
+def test_softest_mode_of_a_camera_is_a_mass_on_springs():
+    """Up and down, all cables stretch alike: k = Σ EA/l (h/q)²."""
+    robot = find_robot("flex-stadium-camera")
+    height, length = 18.0, math.hypot(60, 40, 18)
+    stiffness = 4 * 320e3 / (length + 30) * (height / length) ** 2
+    softest = modes(robot)[0]
+    assert (softest.locked, softest.direction) == (True, "z")
+    assert 2 * math.pi * softest.frequency == pytest.approx(math.sqrt(stiffness / 14), rel=1e-9)
+    assert modes(CAMERA) == []
+
+
+@pytest.mark.parametrize(
+    ("robot", "changes", "question"),
+    [
+        (CAMERA, {"motors": CAMERA.motors.replace(free_speed=20000.0)}, "2000 m/s at the cable: is it in rad/s"),
+        (CAMERA, {"motors": CAMERA.motors.replace(stall_torque=1e5)}, "over 100 times the weight"),
+        (CAMERA, {"mass": 14000.0, "minimum_tension": 0.0}, "is motors.stall_torque in N·m at the pulley"),
+        (SPATIAL, {"inertia": (58.0, 58.0, 116.0)}, "is inertia in kg·m²"),
+        (CAMERA, {"workspace": ((-400, 400), (-25, 25), (-22, -2))}, "wider than the base anchors"),
+        (
+            find_robot("flex-ttk4900"),
+            {"transmission": find_robot("flex-ttk4900").transmission.replace(axial_stiffness=10.0)},
+            "is transmission.axial_stiffness EA in N",
+        ),
+    ],
+)
+def test_doubtful_value_is_questioned(robot, changes, question):
+    changed = robot.replace(**changes)
+    found = check_model(changed).questions
+    assert any(question in text for text in found), found
+    assert check_model(robot).questions == ()
+
+
+def test_crossing_cables_are_questioned():
+    platform = find_robot("ttk4900")
+    swapped = platform.replace(platform_anchors=platform.platform[[1, 0, 2, 3]])
+    texts = check_model(swapped).questions
+    assert any(text.startswith("cables 1 and 2 come within 0 mm at home_pose: do they touch") for text in texts)
+
+
+def test_segment_distance_is_the_least_over_points():
+    generator = np.random.default_rng(0)
+    ends = generator.normal(size=(4, 50, 3))
+    steps = np.linspace(0, 1, 201)[:, None, None]
+    first, second = (a + steps * (b - a) for a, b in (ends[:2], ends[2:]))
+    brute = np.linalg.norm(first[:, None] - second[None], axis=-1).min(axis=(0, 1))
+    found = segment_distance(*ends)
+    assert np.all(found <= brute + 1e-12)
+    np.testing.assert_allclose(found, brute, atol=2e-2)

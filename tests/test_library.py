@@ -1,0 +1,79 @@
+"""The library of real robots: complete files, cited values, and motions that the robots can follow."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.distribution import HELD, feasible
+from cablebot_gym.robots import ELASTIC, Robot, find_robot, library, load_robot, robot_names
+from cablebot_gym.task import check_workspace
+from cablebot_gym.trajectories import find_trajectory
+
+every_robot = pytest.mark.parametrize("name", library())
+
+
+def cited_fields(data: dict, part: str = "") -> set[str]:
+    """Names of the fields of a file that need a source."""
+    tables = {"motors", "transmission", "defaults"}
+    names = {f"{part}{name}" for name in data if name not in {*tables, "name", "sources"}}
+    return names.union(*(cited_fields(data[name], f"{name}.") for name in tables if name in data))
+
+
+@every_robot
+def test_every_value_of_a_file_has_a_source(name: str) -> None:
+    data = tomllib.loads(library()[name].read_text(encoding="utf-8"))
+    assert (data["name"], set(data["sources"])) == (name, cited_fields(data))
+    assert all(text.strip() == text and len(text) > 6 for text in data["sources"].values())
+
+
+@every_robot
+def test_names_are_the_robot_with_rigid_and_with_elastic_cables(name: str) -> None:
+    rigid, elastic, file = find_robot(name), find_robot(ELASTIC + name), load_robot(library()[name])
+    assert (rigid.name, rigid.flexible, elastic.name, elastic.elastic) == (name, False, ELASTIC + name, True)
+    assert elastic.replace(name=name) == file
+    assert rigid == file.with_rigid_cables()
+    assert {name, ELASTIC + name} <= set(robot_names())
+
+
+@every_robot
+def test_motors_hold_the_default_motion(name: str) -> None:
+    """With the least payload of its range, at least the minimum tension, and torques within the torque-speed lines."""
+    robot = find_robot(name)
+    motion = find_trajectory(robot.defaults.trajectory or "", robot.kind)
+    check_workspace(robot, motion)
+    assert held(robot, motion(np.linspace(0, motion.duration, 101))).all()
+
+
+def held(robot: Robot, reference) -> np.ndarray:
+    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    mass = robot.mass + robot.defaults.payload(0.0)
+    load = textbook.load(robot, np.full(len(pose), mass), pose, velocity, acceleration)
+    speed = textbook.pulley_speed(robot, pose, velocity)
+    rest = robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    rest = rest + robot.damping * speed + textbook.coulomb_torque(robot, speed)
+    low, high = ((limit - rest) / robot.pulley_radius for limit in textbook.torque_limits(robot, speed))
+    low = np.maximum(low, robot.minimum_tension)
+    return feasible(textbook.jacobian(robot, pose), load, low, high).status == HELD
+
+
+def test_library_is_read_on_first_use() -> None:
+    code = "import cablebot_gym.robots as r; assert not r.library.cache_info().currsize; r.find_robot('fast')"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.slow
+def test_wheel_has_the_library(tmp_path: Path) -> None:
+    root = Path(__file__).parents[1]
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, root]
+    subprocess.run(command, check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    packed = {Path(path).stem for path in zipfile.ZipFile(wheel).namelist() if path.startswith("cablebot_gym/library/")}
+    assert packed == set(library())
