@@ -5,8 +5,8 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/page_blocks.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), a table of ``cablebot list``, or a script in ``examples/``, with
-its output if the name ends in ``and output``.
+NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and errors), a table of
+``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -14,10 +14,13 @@ python scripts/page_blocks.py
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+import measure_winches
 
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
@@ -27,7 +30,14 @@ from cablebot_gym.policies import policy_entries
 
 ROOT = Path(__file__).resolve().parents[1]
 
-PAGES = ("README.md", "docs/index.md", "docs/getting-started.md", "docs/environments.md", "docs/policies.md")
+PAGES = (
+    "README.md",
+    "docs/index.md",
+    "docs/getting-started.md",
+    "docs/environments.md",
+    "docs/policies.md",
+    "docs/measurement.md",
+)
 """Pages with blocks."""
 
 WITH_OUTPUT = " and output"
@@ -83,6 +93,8 @@ def block(name: str) -> str:
     """
     if name == "leaderboard":
         return readme_table(Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8")))
+    if name == "measurement":
+        return measure_winches.table(json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8")))
     if name.startswith("examples/"):
         script = ROOT / name.removesuffix(WITH_OUTPUT)
         text = f"```python\n{script.read_text(encoding='utf-8')}```\n"
