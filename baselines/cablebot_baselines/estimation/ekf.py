@@ -48,6 +48,8 @@ class KalmanState:
     """Covariance of ``mean``, (N, 3n, 3n)."""
     offset: Array
     """Offset of the motor angles that homing found, (N, m) [rad]; zero without homing."""
+    tare: Array
+    """Bias of the load cells that homing found, (N, m) [N]; zero without homing."""
     angle: Array
     """Last motor angles, without offset (N, m) [rad]."""
     speed: Array
@@ -76,8 +78,8 @@ class ExtendedKalmanFilter:
         cell_bias: standard deviation of the constant error of a load cell, as a fraction of the tension at this torque.
         zero_error: standard deviation of the zero errors of the cable lengths [m]. It weights the angles against the
             orientation of an IMU; without one, or with homing, it has no effect.
-        homing: whether the zero of the motor angles is set at the start: the robot then rests at the start pose of the
-            task. It makes an error of this pose an error of the angles.
+        homing: whether the zeros of motor angles and load cells are set at the start: the robot then rests at the start
+            pose of the task with the payload of the model. Errors of these two become errors of the zeros.
     """
 
     def __init__(
@@ -168,8 +170,11 @@ class ExtendedKalmanFilter:
         torque = textbook.static_torque(robot, mass, start, minimum=textbook.MINIMUM_TENSION)
         wound = torque / robot.stiffness if robot.flexible else np.zeros_like(angle)
         offset = np.zeros_like(angle)
+        tare = np.zeros_like(angle)
         if self.homing:
             offset = angle - wound - textbook.pulley_angle(robot, start)
+            if "tensions" in blocks:
+                tare = blocks["tensions"] - torque / robot.pulley_radius
         home = cable_lengths(robot.base, robot.platform, robot.home)
         lengths = home - robot.pulley_radius * (angle - wound - offset)
         pose = forward_kinematics(robot.base, robot.platform, lengths, start).pose
@@ -196,6 +201,7 @@ class ExtendedKalmanFilter:
             mean=mean,
             covariance=covariance,
             offset=offset,
+            tare=tare,
             angle=angle - offset,
             speed=blocks["motor_speed"],
             tensions=torque / robot.pulley_radius,
@@ -221,7 +227,7 @@ class ExtendedKalmanFilter:
         correction = state.correction
         if "tensions" in blocks:  # at the start of the period: of springs, the mean over the period before counts too
             then = (tensions + state.tensions) / 2 if robot.flexible else tensions
-            seen = robot.pulley_radius * (blocks["tensions"] - np.maximum(then, 0.0)) + correction
+            seen = robot.pulley_radius * (blocks["tensions"] - state.tare - np.maximum(then, 0.0)) + correction
             correction = correction + self._cell_gain * (self._cell_weight * seen - correction)
         acceleration = acceleration + disturbance
         pose = pose + period * velocity + period**2 / 2 * acceleration
@@ -247,6 +253,7 @@ class ExtendedKalmanFilter:
             mean=mean,
             covariance=covariance,
             offset=state.offset,
+            tare=state.tare,
             angle=angle,
             speed=speed,
             tensions=tensions,
