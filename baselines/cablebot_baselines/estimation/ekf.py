@@ -27,6 +27,10 @@ DATA_SHEET = SensorNoise(
 INITIAL_DISTURBANCE = 0.3
 """Standard deviation of the disturbance d at the start [m/s²]; of angles, divided by the platform's size."""
 
+TARE_READINGS = 50
+"""Number of readings whose mean is the bias of the load cells that homing finds. During them the torque of the motors
+is taken as exact."""
+
 CELL_TIME = 0.1
 """Time constant of the correction of the torque by load cells [s]."""
 
@@ -50,6 +54,8 @@ class KalmanState:
     """Offset of the motor angles that homing found, (N, m) [rad]; zero without homing."""
     tare: Array
     """Bias of the load cells that homing found, (N, m) [N]; zero without homing."""
+    count: Array
+    """Number of readings since the start, (N,)."""
     angle: Array
     """Last motor angles, without offset (N, m) [rad]."""
     speed: Array
@@ -202,6 +208,7 @@ class ExtendedKalmanFilter:
             covariance=covariance,
             offset=offset,
             tare=tare,
+            count=np.ones(count),
             angle=angle - offset,
             speed=blocks["motor_speed"],
             tensions=torque / robot.pulley_radius,
@@ -224,11 +231,14 @@ class ExtendedKalmanFilter:
         acceleration, tensions = textbook.forward_dynamics(
             robot, mass, pose + period / 2 * velocity, velocity, torque + state.correction, cable="bilateral"
         )
-        correction = state.correction
+        correction, tare, count = state.correction, state.tare, state.count + 1
         if "tensions" in blocks:  # at the start of the period: of springs, the mean over the period before counts too
             then = (tensions + state.tensions) / 2 if robot.flexible else tensions
-            seen = robot.pulley_radius * (blocks["tensions"] - state.tare - np.maximum(then, 0.0)) + correction
-            correction = correction + self._cell_gain * (self._cell_weight * seen - correction)
+            excess = blocks["tensions"] - np.maximum(then, 0.0)
+            taring = (count <= TARE_READINGS)[:, None] & self.homing
+            tare = np.where(taring, tare + (excess - tare) / count[:, None], tare)
+            seen = robot.pulley_radius * (excess - tare) + correction
+            correction = correction + self._cell_gain * np.where(taring, 0.0, self._cell_weight * seen - correction)
         acceleration = acceleration + disturbance
         pose = pose + period * velocity + period**2 / 2 * acceleration
         velocity = velocity + period * acceleration
@@ -253,7 +263,8 @@ class ExtendedKalmanFilter:
             mean=mean,
             covariance=covariance,
             offset=state.offset,
-            tare=state.tare,
+            tare=tare,
+            count=count,
             angle=angle,
             speed=speed,
             tensions=tensions,
