@@ -93,7 +93,7 @@ def _version(name: str) -> str | None:
 
 
 def _compile_cache() -> Finding:
-    folder = Path(str(kernel.advance_one_planar.stats.cache_path))  # numba chooses it
+    folder = kernel.cache_folder()
     finding = _folder_writable("compiled code", folder)
     if not finding.ok:
         return finding

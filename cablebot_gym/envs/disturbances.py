@@ -108,10 +108,8 @@ class Disturbances:
         if due.size:
             normal = self._wrench.at(due, step[due] // interval[due])
             wrench = self._factor[due] * (self._wrench_mean[due] + self._wrench_std[due] * normal)
-            if self._robot.planar:
-                plant.set_wrench(due, wrench)
-            else:
-                plant.set_wrench(due, wrench[:, :3], wrench[:, 3:])
+            d = self._robot.dimensions
+            plant.set_wrench(due, wrench[:, :d], wrench[:, d:])
 
     def measure(self, env_indices: EnvIndices, step: NDArray[np.int64]) -> None:
         """Draws :attr:`noise` of the environments ``env_indices`` at their control steps ``step``, (k,)."""

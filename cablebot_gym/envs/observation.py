@@ -181,11 +181,11 @@ def observation_layout(robot: Robot) -> ObservationLayout:
     low, high = robot.pose_bounds
     centre, reach = (low + high) / 2, 0.75 * (high - low)
     bounds: dict[int, tuple[Array, Array]] = {0: (centre - reach, centre + reach)}
-    angles = np.arange(n) >= 3
+    angles = np.arange(n) >= robot.dimensions
     for order, length, angle in ((1, 20.0, 100.0), (2, 1e3, 1e4), (3, 1e5, 1e6), (4, 1e7, 1e8)):
         bounds[order] = -np.where(angles, angle, length), np.where(angles, angle, length)
     ahead_bounds = -np.where(angles, 4.0, 2.0), np.where(angles, 4.0, 2.0)
-    units = ("m", "m/s", "m/s²") if robot.planar else ("m, rad", "m/s, rad/s", "m/s², rad/s²")
+    units = ("m", "m/s", "m/s²") if robot.point_mass else ("m, rad", "m/s, rad/s", "m/s², rad/s²")
     third, fourth = (units[2].replace("²", power) for power in "³⁴")
 
     half, radius = (high - low) / 2, float(np.mean(robot.pulley_radius))

@@ -78,6 +78,8 @@ class Constants(NamedTuple):
     """Constants of a batch of environments."""
 
     flexible: bool
+    dimensions: int
+    """Number of coordinates of the position; those that follow are angles."""
     lanes: int
     """Number of environments per tile of the record."""
     workspace: Array
@@ -173,7 +175,7 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
     """
     row, batch, now, out = RecordRows(*rows), Constants(*constants), Episodes(*episodes), Outputs(*outputs)
     lanes, m, n = batch.lanes, now.stall.shape[1], batch.workspace.shape[1]
-    workspace, bounds, weights, spatial = batch.workspace, batch.bounds, batch.weights, n > 2
+    workspace, bounds, weights, turns = batch.workspace, batch.bounds, batch.weights, n > batch.dimensions
     # Arrays as local variables: in the loop, each access to an array of a record counts a reference.
     records, settings, stall, noise, slack_for = now.record, now.settings, now.stall, now.noise, now.slack_for
     sent, violations, motion_steps = now.sent, now.violated, now.motion_steps
@@ -224,7 +226,7 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         square, rotation = 0.0, 0.0
         for j in range(n):
             difference = observation[j] - reference[1 + j]
-            if j < 3:
+            if j < batch.dimensions:
                 square += difference * difference
             else:
                 rotation = max(rotation, abs(difference))
@@ -233,7 +235,7 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         rotation_peak = max(rotation, records[tile, row.rotation_peak * lanes + at])
         if not finite:  # comparisons with NaN are false and would hide it
             position = position_peak = LARGEST
-            rotation = rotation_peak = LARGEST if spatial else 0.0
+            rotation = rotation_peak = LARGEST if turns else 0.0
 
         info = infos[env_index]
         info[_TIME] = step * batch.period
@@ -313,7 +315,7 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         if not fresh:
             inside_term = 0.0 if violated else weights[0]
             position_term = weights[1] / (1.0 + info[_POSITION] / settings[env_index, POSITION_BOUND])
-            if spatial:
+            if turns:
                 rotation_term = weights[2] / (1.0 + info[_ROTATION] / settings[env_index, ROTATION_BOUND])
             saturation_term = -weights[3] * excess / m
             violation_term = -weights[4] * motion_steps[env_index] if first_violation else 0.0

@@ -83,6 +83,7 @@ class Simulation:
         space = self.layout.space()
         self._constants = outcome.Constants(
             flexible=robot.flexible,
+            dimensions=robot.dimensions,
             lanes=self._plant.lanes,
             workspace=np.array(robot.pose_bounds, order="C"),  # numba compiles once per memory order
             bounds=np.array([space.low, space.high]),
@@ -259,12 +260,7 @@ class Simulation:
         rows[:, kernel.MASS] += payload
         torque = angle = speed = np.zeros((len(env_indices), robot.cables))
         try:
-            if any(PARAMETERS[name].position for name in uncertainty.parameters) or np.any(pose != pose[0]):
-                per_mass = _static_torque(robot, pose)
-            else:  # no other parameter changes the torques per mass
-                per_mass = _nominal_static_torque(self.settings.robot, tuple(pose[0].tolist()))
-            # Spatial: proportional to the mass. Planar: there is no weight.
-            torque = torque + per_mass * (1.0 if robot.planar else (robot.mass + payload)[:, None])
+            torque = torque + self._torques_at_rest(robot, uncertainty, robot.mass + payload, pose)
         except np.linalg.LinAlgError as error:
             raise ValueError("no tensions hold the robot at rest at its start pose: choose another one") from error
         if robot.flexible:
@@ -286,6 +282,19 @@ class Simulation:
             self._disturbances.reset(env_indices, uncertainty, holding)
 
         return apply
+
+    def _torques_at_rest(self, robot: RobotArrays, uncertainty: Uncertainty, mass: Array, pose: Array) -> Array:
+        """Torques r T that hold robots of masses (k,) at rest at poses (k, n), (k, m) or (1, m)."""
+        nominal = self.settings.robot
+        minimum = textbook.allocated_minimum(nominal)
+        if robot.cables > robot.coordinates and not robot.weightless:
+            return textbook.static_torque(robot, mass, pose, minimum=minimum)
+        # Without weight the torques do not depend on the mass; the unique ones are proportional to it.
+        if any(PARAMETERS[name].position for name in uncertainty.parameters) or np.any(pose != pose[0]):
+            per_mass = textbook.static_torque(robot, np.ones(len(pose)), pose, minimum=minimum)
+        else:  # no other parameter changes the torques per mass
+            per_mass = _nominal_static_torque(nominal, tuple(pose[0].tolist()))
+        return per_mass if robot.weightless else per_mass * mass[:, None]
 
     def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
@@ -319,15 +328,10 @@ class Simulation:
         outcome.outcome(fresh, env_indices, *self._records)
 
 
-def _static_torque(robot: RobotArrays, pose: Array) -> Array:
-    """Torques (k, m) that hold robots of 1 kg at rest at poses (k, n)."""
-    return textbook.static_torque(robot, np.ones(len(pose)), pose, minimum=textbook.MINIMUM_TENSION)
-
-
 @lru_cache(maxsize=64)
 def _nominal_static_torque(robot: Robot, pose: tuple[float, ...]) -> Array:
-    """:func:`_static_torque` at one pose, (1, m): most episodes start at the same one."""
-    return _static_torque(robot, np.array([pose]))
+    """Torques that hold a robot of 1 kg at rest at one pose, (1, m): most episodes start at the same one."""
+    return textbook.static_torque(robot, np.ones(1), np.array([pose]), minimum=textbook.allocated_minimum(robot))
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

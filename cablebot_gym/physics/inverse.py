@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym.physics import kernel
-from cablebot_gym.physics.plant import pack_parameters
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
 
@@ -36,7 +36,7 @@ def inverse_dynamics(
         pose: X, shape (..., n).
         velocity: Ẋ, shape (..., n).
         acceleration: Ẍ, shape (..., n).
-        minimum: minimum tension of a planar robot [N]; has no effect on a spatial one.
+        minimum: minimum tension with more cables than coordinates [N]; has no effect otherwise.
 
     Raises:
         ValueError: if the shapes do not match the robot or each other.
@@ -46,17 +46,24 @@ def inverse_dynamics(
         raise ValueError(f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}")
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
-    results = np.empty((4, *shape[:-1], robot.cables))
-    compute = kernel.required_planar if robot.planar else kernel.required_spatial
-    compute(
-        (0,) * robot.cables,  # the kernel reads the number of cables from the tuple length
-        _packed(robot),
-        float(minimum),
-        np.empty(kernel.parameter_rows(robot.cables) * kernel.LANES),
-        np.empty(kernel.scratch_rows(robot.cables) * kernel.LANES),
-        masses.reshape(-1),
-        motion.reshape(3, -1, robot.coordinates),
-        results.reshape(4, -1, robot.cables),
+    form, count = form_of(robot), masses.size
+    compiled, packed = kernel.compiled(form), _packed(robot)
+    memory = (
+        np.empty(kernel.parameter_rows(form) * kernel.LANES),
+        np.empty(kernel.scratch_rows(form) * kernel.LANES),
     )
-    tensions, torques, speeds, pulley_accelerations = results
+    given = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
+    if robot.cables > robot.coordinates and robot.kind != "planar":
+        structure, load = np.empty((count, robot.cables, robot.coordinates)), np.empty((count, robot.coordinates))
+        speeds, pulley_accelerations = moving = np.empty((2, count, robot.cables))
+        compiled.demanded(packed, *memory, *given, structure, load, moving)
+        tensions = textbook.least_action_tensions(robot, structure, load, speeds, pulley_accelerations, minimum)
+        torques = textbook.motor_torques(robot, tensions, speeds, pulley_accelerations)
+        tensions, torques, speeds, pulley_accelerations = (
+            values.reshape(*shape[:-1], robot.cables) for values in (tensions, torques, speeds, pulley_accelerations)
+        )
+    else:
+        results = np.empty((4, *shape[:-1], robot.cables))
+        compiled.required(packed, float(minimum), *memory, *given, results.reshape(4, -1, robot.cables))
+        tensions, torques, speeds, pulley_accelerations = results
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=pulley_accelerations)

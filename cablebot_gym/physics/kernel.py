@@ -1,11 +1,15 @@
 """The compiled plant: fixed-step RK4 of many robots at once, with the equations of :mod:`textbook`.
 
-The Newton-Euler equations are written in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns:
+The Newton-Euler equations of a platform in space are written in the platform frame, with y = (Rᵀp̈, ω̇) as the unknowns.
+Here p is the position of the centre of mass c, and b_i is the platform anchor as seen from it:
 
     q_i  = ‖s_i‖,  s_i = Rᵀ(p − A_i) + b_i,  u_i = s_i/q_i,  n_i = b_i × u_i,  row_i = (u_i, n_i)
     q̇_i = u_i·w_i,  w_i = Rᵀṗ + ω × b_i,  q̈_i = row_i·y + bias_i,  bias_i = u_i·(ω×(ω×b_i)) + (w_i·w_i − q̇_i²)/q_i
     t_i  = κ_i/r_i + (J_i/r_i²) q̈_i + (c_i/r_i²) q̇_i,   T_i = max(0, t_i)  (unilateral)   or   T_i = t_i  (bilateral)
     (m I₃, I) y = (Rᵀ(m g e_z + F), RᵀM − ω × Iω) − Σ row_i T_i
+
+For a point mass y = p̈ and row_i = u_i. For a platform in a plane y = (p̈, φ̈) and row_i = (u_i, R b_i × u_i) in the base
+frame.
 
 F and M are the external force and moment at the centre of mass in the base frame; usually they are zero. The torque
 limits and the motors' friction hold at every stage of RK4, not only once per step: the error of a saturated motor falls
@@ -21,7 +25,9 @@ changes in other files. The lane loops vectorise only with ``forceinline`` and `
 from __future__ import annotations
 
 import math
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
@@ -37,21 +43,26 @@ LANES = 32
 _inline = njit(forceinline=True, error_model="numpy")
 _compile = njit(cache=True, nogil=True, error_model="numpy")
 
-# Rows of the parameters: platform, then CABLE_PARAMETERS rows for each cable.
+# Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
+# on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
+# whose distance is a multiple of 4 KiB share a set of the first-level cache.
 MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
 STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
 CABLE_PARAMETERS = 17
+PRODUCTS, CENTER, BODY_PARAMETERS = 0, 3, 6
 
 # Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
 DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED, LEAST_TENSION, LAGGED = 0, 1, 2, 3, 4, 5, 6, 7, 8
 CABLE_RECORDS = 9
 
-# Rows of the scratch memory, which is not used between calls.
+# Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. _TRIG of a platform in a
+# plane: sine and cosine of φ.
 _START, _SUM, _STAGE, _RATE = 0, 12, 24, 36
 _ROTATION, _BODY_VELOCITY, _OMEGA, _SPIN, _LOAD, _TRIG = 42, 51, 54, 57, 60, 66
 _Y, _WRONG, _LEAST_SUM, _PAIR, _FIRST_CABLE = 70, 76, 77, 78, 82
+_CENTRE = _LEAST_SUM  # of platforms that turn
 _ROW, _LENGTH_RATE, _BIAS, _REQUEST, _DRIVE, _TAUT, _FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
 # Flexible robots: _MOTOR_START, _MOTOR_SUM and _MOTOR_STAGE have two rows each, angle β′ and speed β̇′.
 _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 15, 17, 19, 20
@@ -63,19 +74,42 @@ TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""
 
 
-def parameter_rows(cables: int) -> int:
-    """Number of parameter rows of a tile."""
+class Form(NamedTuple):
+    """Constants of the compiled code, which is compiled once for each form of robots."""
+
+    dimensions: int
+    """Number of coordinates of the position: 2 or 3."""
+    coordinates: int
+    """Number of coordinates n: with ``dimensions`` it determines the kind of the platform."""
+    cables: int
+    """Number of cables m."""
+    lanes: int
+    """Lanes of a tile."""
+    jointed: bool
+    """Whether there are springs between motors and pulleys."""
+    lopsided: bool
+    """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
+    for every platform in a plane."""
+
+
+def body_parameter(cables: int) -> int:
+    """Row of the first parameter that only lopsided robots have."""
     return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables
 
 
-def record_rows(cables: int) -> int:
+def parameter_rows(form: Form) -> int:
+    """Number of parameter rows of a tile."""
+    return body_parameter(form.cables) + BODY_PARAMETERS * form.lopsided
+
+
+def record_rows(form: Form) -> int:
     """Number of record rows of a tile."""
-    return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
+    return FIRST_CABLE_RECORD + CABLE_RECORDS * form.cables
 
 
-def scratch_rows(cables: int) -> int:
+def scratch_rows(form: Form) -> int:
     """Number of rows of the scratch memory."""
-    return _FIRST_CABLE + _CABLE_ROWS * cables
+    return _FIRST_CABLE + _CABLE_ROWS * form.cables
 
 
 # ---------------------------------------------------------------------------------------------- small helpers
@@ -91,6 +125,9 @@ def _fused(context, a, b, c):
 
 
 _fma: Any = intrinsic(_fused)
+
+
+_body = _inline(body_parameter)
 
 
 @_inline
@@ -148,7 +185,7 @@ def _sincos(angle):
 
 
 @_inline
-def _spatial_platform(p, w, at, lanes):
+def _spatial_platform(m, lopsided, p, w, at, lanes):
     """Rotation, velocity in the platform frame and the terms without cables, from the state of the stage."""
     sx, cx = _sincos(w[(_STAGE + 3) * lanes + at])
     sy, cy = _sincos(w[(_STAGE + 4) * lanes + at])
@@ -166,13 +203,22 @@ def _spatial_platform(p, w, at, lanes):
         -cx * roll * pitch - (sx * cy * roll + cx * sy * pitch) * yaw,
     )
     inertia = _load(p, INERTIA, at, lanes)
-    gyro = _cross((inertia[0] * omega[0], inertia[1] * omega[1], inertia[2] * omega[2]), omega)
+    momentum = (inertia[0] * omega[0], inertia[1] * omega[1], inertia[2] * omega[2])
+    body_velocity = (_dot(first, velocity), _dot(second, velocity), _dot(third, velocity))
+    if lopsided:
+        momentum = _times(_tensor(m, lopsided, p, at, lanes), omega)
+        centre = _load(p, _body(m) + CENTER, at, lanes)
+        turning = _cross(omega, centre)
+        body_velocity = _ahead(1.0, turning, body_velocity)
+        position = _ahead(centre[2], third, _load(w, _STAGE, at, lanes))
+        _store(w, _CENTRE, at, lanes, _ahead(centre[0], first, _ahead(centre[1], second, position)))
+    gyro = _cross(momentum, omega)
     push, moment = _load(p, FORCE, at, lanes), _load(p, MOMENT, at, lanes)
     force = (push[0], push[1], _fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2]))
     _store(w, _ROTATION, at, lanes, first)
     _store(w, _ROTATION + 3, at, lanes, second)
     _store(w, _ROTATION + 6, at, lanes, third)
-    _store(w, _BODY_VELOCITY, at, lanes, (_dot(first, velocity), _dot(second, velocity), _dot(third, velocity)))
+    _store(w, _BODY_VELOCITY, at, lanes, body_velocity)
     _store(w, _OMEGA, at, lanes, omega)
     _store(w, _SPIN, at, lanes, spin)
     _store(w, _LOAD, at, lanes, (_dot(first, force), _dot(second, force), _dot(third, force)))
@@ -188,11 +234,21 @@ def _spatial_platform(p, w, at, lanes):
 
 
 @_inline
-def _spatial_cable(p, w, at, lanes, i):
+def _tensor(m, lopsided, p, at, lanes):
+    """Inertia tensor, stored as the matrices of :func:`_add_outer`."""
+    xx, yy, zz = _load(p, INERTIA, at, lanes)
+    if lopsided:
+        xy, xz, yz = _load(p, _body(m) + PRODUCTS, at, lanes)
+        return xx, xy, xz, yy, yz, zz
+    return xx, 0.0, 0.0, yy, 0.0, zz
+
+
+@_inline
+def _spatial_cable(lopsided, p, w, at, lanes, i):
     """Direction, moment arm, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     b = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PLATFORM, at, lanes)
-    position = _load(w, _STAGE, at, lanes)
+    position = _load(w, _CENTRE if lopsided else _STAGE, at, lanes)
     omega = _load(w, _OMEGA, at, lanes)
     velocity = _load(w, _BODY_VELOCITY, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
@@ -225,9 +281,9 @@ def _weights(p, w, at, lanes, i):
 
 
 @_inline
-def _known_tensions(cables, p, w, lanes):
+def _known_tensions(m, p, w, lanes):
     """κ/r + (J/r²)·bias + (c/r²) q̇ of all cables."""
-    for i in range(cables):
+    for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         for at in range(lanes):
             drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
@@ -329,11 +385,10 @@ def _solved(factors, f, g):
 
 
 @_inline
-def _spatial_solve(p, w, at, lanes):
-    """y for the current set of taut cables."""
-    mass, inertia = p[MASS * lanes + at], _load(p, INERTIA, at, lanes)
-    zero = (0.0, 0.0, 0.0)
-    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), (inertia[0], 0.0, 0.0, inertia[1], 0.0, inertia[2])
+def _spatial_solve(m, lopsided, p, w, at, lanes):
+    """y for the current set of taut cables. The cables are not in a loop: a loop that carries tuples is slower."""
+    mass, zero = p[MASS * lanes + at], (0.0, 0.0, 0.0)
+    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), _tensor(m, lopsided, p, at, lanes)
     f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
@@ -341,21 +396,36 @@ def _spatial_solve(p, w, at, lanes):
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
+    if m > 6:
+        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 6)
+    if m > 7:
+        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 7)
+    for i in range(8, m):
+        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, i)
     push, turn = _solved(_factored(a, b, c), f, g)
     _store(w, _Y, at, lanes, push)
     _store(w, _Y + 3, at, lanes, turn)
 
 
 @_inline
-def _spatial_acceleration(w, at, lanes):
-    """Ẍ from y: p̈ = R y₁, Θ̈ = P⁻¹(ω̇ − Ṗ Θ̇)."""
-    y = _load(w, _Y, at, lanes)
+def _from_centre(m, lopsided, sign, y, turn, p, w, at, lanes):
+    """y₁ − ω̇ × c − ω × (ω × c), from the centre of mass to the origin of the frame; back with ``sign`` −1."""
+    if lopsided:
+        centre, omega = _load(p, _body(m) + CENTER, at, lanes), _load(w, _OMEGA, at, lanes)
+        y = _ahead(-sign, _cross(turn, centre), _ahead(-sign, _cross(omega, _cross(omega, centre)), y))
+    return y
+
+
+@_inline
+def _spatial_acceleration(m, lopsided, p, w, at, lanes):
+    """Ẍ from y: p̈ = R y₁ less the motion of the centre of mass about the origin, Θ̈ = P⁻¹(ω̇ − Ṗ Θ̇)."""
     first, second, third = (
         _load(w, _ROTATION, at, lanes),
         _load(w, _ROTATION + 3, at, lanes),
         _load(w, _ROTATION + 6, at, lanes),
     )
     turn, spin = _load(w, _Y + 3, at, lanes), _load(w, _SPIN, at, lanes)
+    y = _from_centre(m, lopsided, 1.0, _load(w, _Y, at, lanes), turn, p, w, at, lanes)
     x, y_, z = turn[0] - spin[0], turn[1] - spin[1], turn[2] - spin[2]
     sx, cx, sy = _load(w, _TRIG, at, lanes)
     yaw = (sx * y_ + cx * z) / w[(_TRIG + 3) * lanes + at]
@@ -369,7 +439,7 @@ def _spatial_acceleration(w, at, lanes):
     _store(w, _RATE + 3, at, lanes, (x + sy * yaw, cx * y_ - sx * z, yaw))
 
 
-# ------------------------------------------------------------------------------------ planar robot: one lane at a time
+# ----------------------------------------------------------------------- point mass in a plane: one lane at a time
 
 
 @_inline
@@ -392,11 +462,12 @@ def _planar_cable(p, w, at, lanes, i):
 
 
 @_inline
-def _planar_solve(cables, p, w, at, lanes):
-    """y = Ẍ for the current set of taut cables, from two equations."""
+def _planar_solve(m, p, w, at, lanes):
+    """y = Ẍ for the current set of taut cables, from two equations. Gravity acts along y."""
     mass = p[MASS * lanes + at]
-    xx, xy, yy, fx, fy = mass, 0.0, mass, p[FORCE * lanes + at], p[(FORCE + 1) * lanes + at]
-    for i in range(cables):
+    xx, xy, yy, fx = mass, 0.0, mass, p[FORCE * lanes + at]
+    fy = _fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
+    for i in range(m):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         mu, known = _weights(p, w, at, lanes, i)
         ux, uy = w[(row + _ROW) * lanes + at], w[(row + _ROW + 1) * lanes + at]
@@ -407,50 +478,154 @@ def _planar_solve(cables, p, w, at, lanes):
     w[(_Y + 1) * lanes + at] = (xx * fy - xy * fx) * per
 
 
-# -------------------------------------------------------------------------------- both robots: cables that only pull
+# ------------------------------------------------ point mass in space, platform in a plane: one lane at a time
 
 
 @_inline
-def _along(spatial, w, at, lanes, i):
+def _point_load(p, w, at, lanes):
+    """Weight and external force of a point mass in space."""
+    push = _load(p, FORCE, at, lanes)
+    _store(w, _LOAD, at, lanes, (push[0], push[1], _fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2])))
+
+
+@_inline
+def _point_cable(p, w, at, lanes, i):
+    """Direction, length rate and bias of cable i."""
+    anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
+    position, velocity = _load(w, _STAGE, at, lanes), _load(w, _STAGE + 6, at, lanes)
+    d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
+    length = math.sqrt(_dot(d, d))
+    per_length = 1.0 / length
+    u = (d[0] * per_length, d[1] * per_length, d[2] * per_length)
+    rate = _dot(u, velocity)
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    _store(w, row + _ROW, at, lanes, u)
+    w[(row + _LENGTH) * lanes + at] = length
+    w[(row + _LENGTH_RATE) * lanes + at] = rate
+    w[(row + _BIAS) * lanes + at] = (_dot(velocity, velocity) - rate * rate) * per_length
+
+
+@_inline
+def _plane_platform(m, p, w, at, lanes):
+    """Sine and cosine of φ, motion of the centre of mass, and the terms without cables. Gravity acts along y."""
+    sine, cosine = _sincos(w[(_STAGE + 2) * lanes + at])
+    omega = w[(_STAGE + 8) * lanes + at]
+    row = _body(m) + CENTER
+    cx, cy = p[row * lanes + at], p[(row + 1) * lanes + at]
+    sx, sy = cosine * cx - sine * cy, sine * cx + cosine * cy
+    w[_TRIG * lanes + at], w[(_TRIG + 1) * lanes + at] = sine, cosine
+    w[_CENTRE * lanes + at], w[(_CENTRE + 1) * lanes + at] = sx, sy
+    w[_BODY_VELOCITY * lanes + at] = w[(_STAGE + 6) * lanes + at] - omega * sy
+    w[(_BODY_VELOCITY + 1) * lanes + at] = w[(_STAGE + 7) * lanes + at] + omega * sx
+    w[_LOAD * lanes + at] = p[FORCE * lanes + at]
+    weight = p[MASS * lanes + at] * p[GRAVITY * lanes + at]
+    w[(_LOAD + 1) * lanes + at] = weight + p[(FORCE + 1) * lanes + at]
+    w[(_LOAD + 2) * lanes + at] = p[(MOMENT + 2) * lanes + at]
+
+
+@_inline
+def _plane_cable(p, w, at, lanes, i):
+    """Direction, moment arm, length rate and bias of cable i, in the base frame."""
+    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+    bx, by = p[(par + PLATFORM) * lanes + at], p[(par + PLATFORM + 1) * lanes + at]
+    sine, cosine, omega = w[_TRIG * lanes + at], w[(_TRIG + 1) * lanes + at], w[(_STAGE + 8) * lanes + at]
+    ax, ay = cosine * bx - sine * by, sine * bx + cosine * by
+    dx = w[_STAGE * lanes + at] + w[_CENTRE * lanes + at] + ax - p[(par + BASE) * lanes + at]
+    dy = w[(_STAGE + 1) * lanes + at] + w[(_CENTRE + 1) * lanes + at] + ay - p[(par + BASE + 1) * lanes + at]
+    vx, vy = w[_BODY_VELOCITY * lanes + at] - omega * ay, w[(_BODY_VELOCITY + 1) * lanes + at] + omega * ax
+    length = math.sqrt(dx * dx + dy * dy)
+    per_length = 1.0 / length
+    ux, uy = dx * per_length, dy * per_length
+    rate = ux * vx + uy * vy
+    row = _FIRST_CABLE + _CABLE_ROWS * i
+    _store(w, row + _ROW, at, lanes, (ux, uy, ax * uy - ay * ux))
+    w[(row + _LENGTH) * lanes + at] = length
+    w[(row + _LENGTH_RATE) * lanes + at] = rate
+    centripetal = omega * omega * (ux * ax + uy * ay)
+    w[(row + _BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length - centripetal
+
+
+@_inline
+def _three_masses(d, p, at, lanes):
+    """Diagonal of the mass matrix: (m, m, m) of a point mass, (m, m, I_zz) of a platform in a plane."""
+    mass = p[MASS * lanes + at]
+    return mass, mass, p[(INERTIA + 2) * lanes + at] if d == 2 else mass
+
+
+@_inline
+def _three_solve(d, m, p, w, at, lanes):
+    """y for the current set of taut cables, from three equations."""
+    xx, yy, zz = _three_masses(d, p, at, lanes)
+    xy, xz, yz = 0.0, 0.0, 0.0
+    fx, fy, fz = _load(w, _LOAD, at, lanes)
+    for i in range(m):
+        mu, known = _weights(p, w, at, lanes, i)
+        ux, uy, uz = _load(w, _FIRST_CABLE + _CABLE_ROWS * i + _ROW, at, lanes)
+        hx, hy, hz = mu * ux, mu * uy, mu * uz
+        xx, xy, xz = _fma(hx, ux, xx), _fma(hx, uy, xy), _fma(hx, uz, xz)
+        yy, yz, zz = _fma(hy, uy, yy), _fma(hy, uz, yz), _fma(hz, uz, zz)
+        fx, fy, fz = _fma(-known, ux, fx), _fma(-known, uy, fy), _fma(-known, uz, fz)
+    _store(w, _Y, at, lanes, _times(_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)))
+
+
+@_inline
+def _plane_acceleration(sign, row, target, w, at, lanes):
+    """Ẍ in ``target`` from y in ``row``, from the centre of mass to the origin of the frame; back with ``sign`` −1."""
+    sx, sy = w[_CENTRE * lanes + at], w[(_CENTRE + 1) * lanes + at]
+    omega, turn = w[(_STAGE + 8) * lanes + at], w[(row + 2) * lanes + at]
+    square = omega * omega
+    w[target * lanes + at] = w[row * lanes + at] + sign * (turn * sy + square * sx)
+    w[(target + 1) * lanes + at] = w[(row + 1) * lanes + at] - sign * (turn * sx - square * sy)
+    w[(target + 2) * lanes + at] = turn
+
+
+# -------------------------------------------------------------------------------- all robots: cables that only pull
+
+
+@_inline
+def _along(n, w, at, lanes, i):
     """row_i · y."""
     row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
     along = w[row * lanes + at] * w[_Y * lanes + at]
     along += w[(row + 1) * lanes + at] * w[(_Y + 1) * lanes + at]
-    if spatial:
+    if n > 2:
         along += w[(row + 2) * lanes + at] * w[(_Y + 2) * lanes + at]
+    if n == 6:
         along += _dot(_load(w, row + 3, at, lanes), _load(w, _Y + 3, at, lanes))
     return along
 
 
 @_inline
-def _free_tension(spatial, p, w, at, lanes, i):
+def _free_tension(n, p, w, at, lanes, i):
     """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque u."""
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
     known = w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
-    tension = known + mu * _along(spatial, w, at, lanes, i)
+    tension = known + mu * _along(n, w, at, lanes, i)
     w[(_FIRST_CABLE + _CABLE_ROWS * i + _FREE_TENSION) * lanes + at] = tension
     return tension
 
 
 @_inline
-def _solve_lane(spatial, cables, p, w, at, lanes):
-    if spatial:
-        _spatial_solve(p, w, at, lanes)
+def _solve_lane(d, n, m, lopsided, p, w, at, lanes):
+    if n == 6:
+        _spatial_solve(m, lopsided, p, w, at, lanes)
+    elif n == 3:
+        _three_solve(d, m, p, w, at, lanes)
     else:
-        _planar_solve(cables, p, w, at, lanes)
+        _planar_solve(m, p, w, at, lanes)
 
 
 @njit(error_model="numpy")
-def _settle_lane(spatial, cables, p, w, at, lanes):
+def _settle_lane(d, n, m, lopsided, p, w, at, lanes):
     """Finds the taut set of one lane. All wrong cables change sides; after too many trials, only the last one does.
 
     The second rule is Murty's least-index rule, which terminates for every P-matrix, such as that of this problem.
     """
-    for trial in range(10 + 2 ** min(cables, 20)):
+    for trial in range(10 + 2 ** min(m, 20)):
         wrong = 0
-        for i in range(cables):
+        for i in range(m):
             taut = (_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at
-            pulls = 1.0 if _free_tension(spatial, p, w, at, lanes, i) > 0.0 else 0.0
+            pulls = 1.0 if _free_tension(n, p, w, at, lanes, i) > 0.0 else 0.0
             if pulls != w[taut]:
                 wrong = i + 1
                 if trial < 10:
@@ -460,35 +635,45 @@ def _settle_lane(spatial, cables, p, w, at, lanes):
         if trial >= 10:
             taut = (_FIRST_CABLE + _CABLE_ROWS * (wrong - 1) + _TAUT) * lanes + at
             w[taut] = 1.0 - w[taut]
-        _solve_lane(spatial, cables, p, w, at, lanes)
+        _solve_lane(d, n, m, lopsided, p, w, at, lanes)
 
 
-# ------------------------------------------------------------------------------------------- both robots: a tile
+# -------------------------------------------------------------------------------------------- all robots: a tile
 
 
 @_inline
-def _kinematics(spatial, cables, p, w, lanes):
-    if spatial:
+def _kinematics(d, n, m, lopsided, p, w, lanes):
+    if n == 6:
         for at in range(lanes):
-            _spatial_platform(p, w, at, lanes)
-    for i in range(cables):
+            _spatial_platform(m, lopsided, p, w, at, lanes)
+    elif n == 3:
         for at in range(lanes):
-            if spatial:
-                _spatial_cable(p, w, at, lanes, i)
+            if d == 2:
+                _plane_platform(m, p, w, at, lanes)
+            else:
+                _point_load(p, w, at, lanes)
+    for i in range(m):
+        for at in range(lanes):
+            if n == 6:
+                _spatial_cable(lopsided, p, w, at, lanes, i)
+            elif d == 3:
+                _point_cable(p, w, at, lanes, i)
+            elif n == 3:
+                _plane_cable(p, w, at, lanes, i)
             else:
                 _planar_cable(p, w, at, lanes, i)
 
 
 @_inline
-def _dynamics(spatial, cables, unilateral, p, w, lanes):
+def _dynamics(d, n, m, lopsided, unilateral, p, w, lanes):
     """Accelerations of the stage, with the taut sets of all lanes."""
-    _known_tensions(cables, p, w, lanes)
+    _known_tensions(m, p, w, lanes)
     for at in range(lanes):
-        _solve_lane(spatial, cables, p, w, at, lanes)
+        _solve_lane(d, n, m, lopsided, p, w, at, lanes)
     for at in range(lanes):
         wrong = 0.0
-        for i in range(cables):
-            pulls = 1.0 if _free_tension(spatial, p, w, at, lanes, i) > 0.0 else 0.0
+        for i in range(m):
+            pulls = 1.0 if _free_tension(n, p, w, at, lanes, i) > 0.0 else 0.0
             taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
             wrong += (pulls - taut) * (pulls - taut)
         w[_WRONG * lanes + at] = wrong
@@ -499,22 +684,24 @@ def _dynamics(spatial, cables, unilateral, p, w, lanes):
         if wrong > 0.0:
             for at in range(lanes):
                 if w[_WRONG * lanes + at] > 0.0:
-                    _settle_lane(spatial, cables, p, w, at, lanes)
+                    _settle_lane(d, n, m, lopsided, p, w, at, lanes)
     for at in range(lanes):
-        if spatial:
-            _spatial_acceleration(w, at, lanes)
+        if n == 6:
+            _spatial_acceleration(m, lopsided, p, w, at, lanes)
+        elif n == 3 and d == 2:
+            _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
         else:
-            w[_RATE * lanes + at] = w[_Y * lanes + at]
-            w[(_RATE + 1) * lanes + at] = w[(_Y + 1) * lanes + at]
+            for j in range(n):
+                w[(_RATE + j) * lanes + at] = w[(_Y + j) * lanes + at]
 
 
 @_inline
-def _springs(cables, unilateral, p, w, lanes):
+def _springs(m, unilateral, p, w, lanes):
     """Torque of the joint springs on the pulleys, κ = K (β′ − β), and the motors' accelerations (Eq. 4).
 
     With unilateral cables κ = K max(β′ − β, 0): a negative twist is slack cable on the pulley.
     """
-    for i in range(cables):
+    for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         for at in range(lanes):
             wound = p[(par + HOME_LENGTH) * lanes + at] - w[(row + _LENGTH) * lanes + at]
@@ -529,21 +716,21 @@ def _springs(cables, unilateral, p, w, lanes):
 
 
 @_inline
-def _motor_speed(flexible, p, w, at, lanes, i):
-    if flexible:
+def _motor_speed(jointed, p, w, at, lanes, i):
+    if jointed:
         return w[(_FIRST_CABLE + _CABLE_ROWS * i + _MOTOR_STAGE + 1) * lanes + at]
     per_radius = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PER_RADIUS) * lanes + at]
     return -w[(_FIRST_CABLE + _CABLE_ROWS * i + _LENGTH_RATE) * lanes + at] * per_radius
 
 
 @_inline
-def _request(flexible, lags, cables, h, p, w, record, lanes):
+def _request(m, jointed, lags, h, p, w, record, lanes):
     """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
-    for i in range(cables):
+    for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
-            speed = _motor_speed(flexible, p, w, at, lanes, i)
+            speed = _motor_speed(jointed, p, w, at, lanes, i)
             action = min(max(record[(rec + DEMAND) * lanes + at], -1.0), 1.0)
             stall, slope = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
             w[(row + _REQUEST) * lanes + at] = stall * action - slope * speed
@@ -558,21 +745,21 @@ def _request(flexible, lags, cables, h, p, w, record, lanes):
 
 
 @_inline
-def _drive(flexible, lags, stage, cables, p, w, lanes):
+def _drive(m, jointed, lags, stage, p, w, lanes):
     """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
-    for i in range(cables):
+    for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         if lags and stage in (1, 3):  # the stages are at 0, 1/2, 1/2 and 1 of the step
             for at in range(lanes):
                 w[(row + _GAP) * lanes + at] *= w[(row + _DECAY) * lanes + at]
         for at in range(lanes):
             stall, drop = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
-            drop *= _motor_speed(flexible, p, w, at, lanes, i)
+            drop *= _motor_speed(jointed, p, w, at, lanes, i)
             torque = w[(row + _REQUEST) * lanes + at]
             if lags:
                 torque += w[(row + _GAP) * lanes + at]
             torque = min(max(torque, -stall - drop), stall - drop)
-            w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = torque
+            w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at] = torque
 
 
 @_inline
@@ -584,21 +771,21 @@ def _coulomb(p, at, lanes, i, speed):
 
 
 @_inline
-def _rub(flexible, cables, p, w, lanes):
+def _rub(m, jointed, p, w, lanes):
     """Subtracts the Coulomb friction from the motor torques."""
-    for i in range(cables):
-        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if flexible else _DRIVE)
+    for i in range(m):
+        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if jointed else _DRIVE)
         for at in range(lanes):
-            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(flexible, p, w, at, lanes, i))
+            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(jointed, p, w, at, lanes, i))
 
 
 @_inline
-def _note_tensions(cables, period_starts, unilateral, w, record, lanes):
+def _note_tensions(m, period_starts, unilateral, w, record, lanes):
     """Counts slack cables and updates the least tensions at the start of a physics step.
 
     Stores the tensions at the start of the control period.
     """
-    for i in range(cables):
+    for i in range(m):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
@@ -631,26 +818,25 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
 
 
 @_inline
-def _rk4(spatial, flexible, lags, rubs, cables, period_starts, unilateral, h, p, w, record, lanes):
+def _rk4(d, n, m, jointed, lopsided, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
     """One physics step of a tile; _START becomes the new state."""
-    n = 6 if spatial else 2
     for stage in range(4):
-        _kinematics(spatial, cables, p, w, lanes)
+        _kinematics(d, n, m, lopsided, p, w, lanes)
         if stage == 0 and period_starts:
-            _request(flexible, lags, cables, h, p, w, record, lanes)
-        _drive(flexible, lags, stage, cables, p, w, lanes)
+            _request(m, jointed, lags, h, p, w, record, lanes)
+        _drive(m, jointed, lags, stage, p, w, lanes)
         if stage == 0 and period_starts:
-            for i in range(cables):
+            for i in range(m):
                 row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
                 for at in range(lanes):
-                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at]
+                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at]
         if rubs:
-            _rub(flexible, cables, p, w, lanes)
-        if flexible:
-            _springs(cables, unilateral, p, w, lanes)
-        _dynamics(spatial, cables, unilateral, p, w, lanes)
+            _rub(m, jointed, p, w, lanes)
+        if jointed:
+            _springs(m, unilateral, p, w, lanes)
+        _dynamics(d, n, m, lopsided, unilateral, p, w, lanes)
         if stage == 0:
-            _note_tensions(cables, period_starts, unilateral, w, record, lanes)
+            _note_tensions(m, period_starts, unilateral, w, record, lanes)
         # Positions first: their rate is the velocity of the stage, which changes next.
         for half in range(2):
             rate_row = _STAGE + 6 if half == 0 else _RATE
@@ -658,10 +844,10 @@ def _rk4(spatial, flexible, lags, rubs, cables, period_starts, unilateral, h, p,
                 value = 6 * half + j
                 for at in range(lanes):
                     _blend(stage, h, w, at, lanes, _START + value, _SUM + value, _STAGE + value, rate_row + j)
-        if flexible:
+        if jointed:
             for half in range(2):
                 rate_row = _MOTOR_STAGE + 1 if half == 0 else _MOTOR_RATE
-                for i in range(cables):
+                for i in range(m):
                     row = _FIRST_CABLE + _CABLE_ROWS * i
                     start, total, value = row + _MOTOR_START + half, row + _MOTOR_SUM + half, row + _MOTOR_STAGE + half
                     for at in range(lanes):
@@ -669,15 +855,15 @@ def _rk4(spatial, flexible, lags, rubs, cables, period_starts, unilateral, h, p,
 
 
 @_inline
-def _note_errors(spatial, period_starts, w, record, at, lanes, reference):
+def _note_errors(d, n, period_starts, w, record, at, lanes, reference):
     """Updates the largest position and rotation error after a physics step; ``reference`` is the pose at that time."""
     dx, dy = w[_START * lanes + at] - reference[0], w[(_START + 1) * lanes + at] - reference[1]
     square, rotation = dx * dx + dy * dy, 0.0
-    if spatial:
+    if d == 3:
         dz = w[(_START + 2) * lanes + at] - reference[2]
         square += dz * dz
-        for j in range(3, 6):
-            rotation = max(rotation, abs(w[(_START + j) * lanes + at] - reference[j]))
+    for j in range(d, n):
+        rotation = max(rotation, abs(w[(_START + j) * lanes + at] - reference[j]))
     position = math.sqrt(square)
     if not period_starts:
         position = max(position, record[POSITION_PEAK * lanes + at])
@@ -687,20 +873,20 @@ def _note_errors(spatial, period_starts, w, record, at, lanes, reference):
 
 
 @_inline
-def _load_tile(spatial, flexible, cables, record, w, lanes):
+def _load_tile(n, m, jointed, record, w, lanes):
     """Copies the state to the scratch memory. The search starts with the last known slack cables."""
-    for j in range(6 if spatial else 2):
+    for j in range(n):
         for at in range(lanes):
             w[(_START + j) * lanes + at] = record[(POSE + j) * lanes + at]
             w[(_STAGE + j) * lanes + at] = record[(POSE + j) * lanes + at]
             w[(_START + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
             w[(_STAGE + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
-    for i in range(cables):
+    for i in range(m):
         for at in range(lanes):
             slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
             w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
-    if flexible:
-        for i in range(cables):
+    if jointed:
+        for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
                 for half in range(2):
@@ -711,31 +897,30 @@ def _load_tile(spatial, flexible, cables, record, w, lanes):
 
 @_inline
 def _advance(
-    spatial, flexible, lanes, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h
+    d, n, m, jointed, lopsided, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h
 ):
-    m = len(cables)
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(spatial, flexible, m, r, w, lanes)
+        _load_tile(n, m, jointed, r, w, lanes)
         if not unilateral:
             for i in range(m):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
         for substep in range(steps):
-            _rk4(spatial, flexible, lags, rubs, m, substep == 0, unilateral, h, p, w, r, lanes)
+            _rk4(d, n, m, jointed, lopsided, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
-                _note_errors(spatial, substep == 0, w, r, at, lanes, paths[path[lane], line])
+                _note_errors(d, n, substep == 0, w, r, at, lanes, paths[path[lane], line])
         for at in range(lanes):
             step[tile * lanes + at] += 1
-        for j in range(6 if spatial else 2):
+        for j in range(n):
             for at in range(lanes):
                 r[(POSE + j) * lanes + at] = w[(_START + j) * lanes + at]
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
-            if flexible:
+            if jointed:
                 for half in range(2):
                     for at in range(lanes):
                         r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
@@ -746,22 +931,22 @@ def _advance(
 
 
 @_inline
-def _evaluate(spatial, flexible, lanes, cables, unilateral, parameters, record, w, acceleration):
+def _evaluate(d, n, m, jointed, lopsided, lanes, unilateral, parameters, record, w, acceleration):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(spatial, flexible, cables, r, w, lanes)
-        for i in range(cables):
+        _load_tile(n, m, jointed, r, w, lanes)
+        for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
-                w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + _TAUT) * lanes + at] = 1.0
-        _kinematics(spatial, cables, p, w, lanes)
-        _rub(flexible, cables, p, w, lanes)
-        if flexible:
-            _springs(cables, unilateral, p, w, lanes)
-        _dynamics(spatial, cables, unilateral, p, w, lanes)
-        _note_tensions(cables, True, unilateral, w, r, lanes)
-        for j in range(6 if spatial else 2):
+        _kinematics(d, n, m, lopsided, p, w, lanes)
+        _rub(m, jointed, p, w, lanes)
+        if jointed:
+            _springs(m, unilateral, p, w, lanes)
+        _dynamics(d, n, m, lopsided, unilateral, p, w, lanes)
+        _note_tensions(m, True, unilateral, w, r, lanes)
+        for j in range(n):
             for at in range(lanes):
                 acceleration[tile, j * lanes + at] = w[(_RATE + j) * lanes + at]
 
@@ -770,42 +955,47 @@ def _evaluate(spatial, flexible, lanes, cables, unilateral, parameters, record, 
 
 
 @_inline
-def _spatial_y(w, at, lanes):
+def _spatial_y(m, lopsided, p, w, at, lanes):
     """y from Ẍ, the inverse of :func:`_spatial_acceleration`: y₁ = Rᵀp̈, ω̇ = P Θ̈ + Ṗ Θ̇."""
     push = _load(w, _RATE, at, lanes)
     roll, pitch, yaw = _load(w, _RATE + 3, at, lanes)
     spin = _load(w, _SPIN, at, lanes)
     sx, cx, sy = _load(w, _TRIG, at, lanes)
     level = w[(_TRIG + 3) * lanes + at] * yaw
-    _store(
-        w,
-        _Y,
-        at,
-        lanes,
-        (
-            _dot(_load(w, _ROTATION, at, lanes), push),
-            _dot(_load(w, _ROTATION + 3, at, lanes), push),
-            _dot(_load(w, _ROTATION + 6, at, lanes), push),
-        ),
-    )
     turn = (roll - sy * yaw, cx * pitch + sx * level, cx * level - sx * pitch)
-    _store(w, _Y + 3, at, lanes, (turn[0] + spin[0], turn[1] + spin[1], turn[2] + spin[2]))
+    turn = (turn[0] + spin[0], turn[1] + spin[1], turn[2] + spin[2])
+    y = (
+        _dot(_load(w, _ROTATION, at, lanes), push),
+        _dot(_load(w, _ROTATION + 3, at, lanes), push),
+        _dot(_load(w, _ROTATION + 6, at, lanes), push),
+    )
+    _store(w, _Y, at, lanes, _from_centre(m, lopsided, -1.0, y, turn, p, w, at, lanes))
+    _store(w, _Y + 3, at, lanes, turn)
 
 
 @_inline
-def _spatial_tensions(p, w, at, lanes):
-    """Solves Σ row_i T_i = (f, g) for the tensions: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
-
-    The matrix is the square of one that may be badly conditioned, hence a second pass with what the first one left.
-    """
+def _spatial_wrench(m, lopsided, p, w, at, lanes):
+    """Stores the wrench (f, g) = Σ row_i T_i that y requires in _LOAD."""
     y, load = _load(w, _Y, at, lanes), _load(w, _LOAD, at, lanes)
-    f = _ahead(-p[MASS * lanes + at], y, load)
     turn, moment, inertia = _load(w, _Y + 3, at, lanes), _load(w, _LOAD + 3, at, lanes), _load(p, INERTIA, at, lanes)
     g = (
         _fma(-inertia[0], turn[0], moment[0]),
         _fma(-inertia[1], turn[1], moment[1]),
         _fma(-inertia[2], turn[2], moment[2]),
     )
+    if lopsided:
+        g = _ahead(-1.0, _times(_tensor(m, lopsided, p, at, lanes), turn), moment)
+    _store(w, _LOAD, at, lanes, _ahead(-p[MASS * lanes + at], y, load))
+    _store(w, _LOAD + 3, at, lanes, g)
+
+
+@_inline
+def _spatial_tensions(w, at, lanes):
+    """Solves Σ row_i T_i = (f, g) for the tensions of six cables: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
+
+    The matrix is the square of one that may be badly conditioned, hence a second pass with what the first one left.
+    """
+    f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
     zero = (0.0, 0.0, 0.0)
     a, b, c = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (zero, zero, zero), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     a, b, c = _add_row(a, b, c, 1.0, w, at, lanes, 0)
@@ -834,23 +1024,46 @@ def _add_tensions(factors, f, g, w, at, lanes):
 
 
 @_inline
-def _planar_tensions(cables, minimum, p, w, lanes):
+def _three_tensions(w, at, lanes):
+    """Solves Σ row_i T_i = f for the tensions of three cables by Cramer's rule."""
+    row, f = _FIRST_CABLE + _ROW, _load(w, _LOAD, at, lanes)
+    one, two = _load(w, row, at, lanes), _load(w, row + _CABLE_ROWS, at, lanes)
+    three = _load(w, row + 2 * _CABLE_ROWS, at, lanes)
+    first, second, third = _cross(two, three), _cross(three, one), _cross(one, two)
+    per, results = 1.0 / _dot(one, first), _FIRST_CABLE + _RESULTS + TENSIONS
+    w[results * lanes + at] = _dot(first, f) * per
+    w[(results + _CABLE_ROWS) * lanes + at] = _dot(second, f) * per
+    w[(results + 2 * _CABLE_ROWS) * lanes + at] = _dot(third, f) * per
+
+
+@_inline
+def _two_tensions(w, at, lanes):
+    """Solves Σ u_i T_i = f for the tensions of two cables in a plane."""
+    row, other = _FIRST_CABLE + _ROW, _FIRST_CABLE + _CABLE_ROWS + _ROW
+    ax, ay, bx, by = w[row * lanes + at], w[(row + 1) * lanes + at], w[other * lanes + at], w[(other + 1) * lanes + at]
+    fx, fy, results = w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at], _FIRST_CABLE + _RESULTS + TENSIONS
+    per = 1.0 / (ax * by - ay * bx)
+    w[results * lanes + at] = (fx * by - fy * bx) * per
+    w[(results + _CABLE_ROWS) * lanes + at] = (ax * fy - ay * fx) * per
+
+
+@_inline
+def _planar_tensions(m, minimum, w, lanes):
     """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as :func:`textbook.tension_distribution`."""
     for at in range(lanes):
-        mass = p[MASS * lanes + at]
-        fx, fy = -mass * w[_Y * lanes + at], -mass * w[(_Y + 1) * lanes + at]
-        for i in range(cables):
+        fx, fy = w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at]
+        for i in range(m):
             row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
             fx, fy = fx - minimum * w[row * lanes + at], fy - minimum * w[(row + 1) * lanes + at]
         w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at] = fx, fy
         w[_LEAST_SUM * lanes + at] = np.inf
         for j in range(4):
             w[(_PAIR + j) * lanes + at] = 0.0
-    for i in range(cables):
-        for j in range(i + 1, cables):
+    for i in range(m):
+        for j in range(i + 1, m):
             for at in range(lanes):
                 _try_pair(w, at, lanes, i, j)
-    for i in range(cables):
+    for i in range(m):
         for at in range(lanes):
             one, other = w[_PAIR * lanes + at], w[(_PAIR + 1) * lanes + at]
             pull = w[(_PAIR + 2) * lanes + at] if one == i else (w[(_PAIR + 3) * lanes + at] if other == i else 0.0)
@@ -879,173 +1092,193 @@ def _try_pair(w, at, lanes, i, j):
 
 
 @_inline
-def _required_motor(spatial, p, w, at, lanes, i):
+def _required_motor(n, jointed, p, w, at, lanes, i):
     """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
     par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
     rate = w[(row + _LENGTH_RATE) * lanes + at]
-    acceleration = _along(spatial, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
+    acceleration = _along(n, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
     inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at] * acceleration
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
     pull = w[(row + _RESULTS + TENSIONS) * lanes + at] - inertia - damping
     speed = -rate * per_radius
-    friction = _coulomb(p, at, lanes, i, speed) if p[(par + STIFFNESS) * lanes + at] == 0.0 else 0.0
+    friction = _coulomb(p, at, lanes, i, speed) if not jointed else 0.0
     w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
     w[(row + _RESULTS + SPEEDS) * lanes + at] = speed
     w[(row + _RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
 
 
 @_inline
-def _required(spatial, cables, parameters, minimum, p, w, mass, motion, results):
-    """Inverse dynamics of all lanes in tiles. The unused lanes of the last tile repeat the last robot."""
-    lanes, count, n = LANES, mass.shape[0], 6 if spatial else 2
+def _wrench(d, n, m, lopsided, p, w, lanes):
+    """y and the wrench that the cables have to apply, Σ row_i T_i, in _LOAD, for the motion of a tile."""
+    _kinematics(d, n, m, lopsided, p, w, lanes)
+    if n == 6:
+        for at in range(lanes):
+            _spatial_y(m, lopsided, p, w, at, lanes)
+        for at in range(lanes):
+            _spatial_wrench(m, lopsided, p, w, at, lanes)
+        return
+    for at in range(lanes):
+        if n == 3 and d == 2:
+            _plane_acceleration(-1.0, _RATE, _Y, w, at, lanes)
+        else:
+            for j in range(n):
+                w[(_Y + j) * lanes + at] = w[(_RATE + j) * lanes + at]
+    for at in range(lanes):
+        mass = p[MASS * lanes + at]
+        if n == 3:
+            masses, y, load = _three_masses(d, p, at, lanes), _load(w, _Y, at, lanes), _load(w, _LOAD, at, lanes)
+            rest = (load[0] - masses[0] * y[0], load[1] - masses[1] * y[1], load[2] - masses[2] * y[2])
+            _store(w, _LOAD, at, lanes, rest)
+        else:
+            w[_LOAD * lanes + at] = -mass * w[_Y * lanes + at]
+            fall = p[GRAVITY * lanes + at] - w[(_Y + 1) * lanes + at]
+            w[(_LOAD + 1) * lanes + at] = mass * fall
+
+
+@_inline
+def _tile_of_motion(n, lanes, first, p, w, mass, motion):
+    """Copies a motion to a tile. The unused lanes of the last tile repeat the last robot."""
+    count = mass.shape[0]
+    for at in range(lanes):
+        lane = min(first + at, count - 1)
+        p[MASS * lanes + at] = mass[lane]
+        for j in range(n):
+            w[(_STAGE + j) * lanes + at] = motion[0, lane, j]
+            w[(_STAGE + 6 + j) * lanes + at] = motion[1, lane, j]
+            w[(_RATE + j) * lanes + at] = motion[2, lane, j]
+
+
+@_inline
+def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass, motion, results):
+    """Inverse dynamics of all lanes in tiles."""
+    count = mass.shape[0]
     for row in range(parameters.shape[0]):
         for at in range(lanes):
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
-        for at in range(lanes):
-            lane = min(first + at, count - 1)
-            p[MASS * lanes + at] = mass[lane]
-            for j in range(n):
-                w[(_STAGE + j) * lanes + at] = motion[0, lane, j]
-                w[(_STAGE + 6 + j) * lanes + at] = motion[1, lane, j]
-                w[(_RATE + j) * lanes + at] = motion[2, lane, j]
-        _kinematics(spatial, cables, p, w, lanes)
-        if spatial:
+        _tile_of_motion(n, lanes, first, p, w, mass, motion)
+        _wrench(d, n, m, lopsided, p, w, lanes)
+        if n == 6:
             for at in range(lanes):
-                _spatial_y(w, at, lanes)
+                _spatial_tensions(w, at, lanes)
+        elif n == 3:
             for at in range(lanes):
-                _spatial_tensions(p, w, at, lanes)
+                _three_tensions(w, at, lanes)
+        elif m == 2:
+            for at in range(lanes):
+                _two_tensions(w, at, lanes)
         else:
-            for j in range(n):
-                for at in range(lanes):
-                    w[(_Y + j) * lanes + at] = w[(_RATE + j) * lanes + at]
-            _planar_tensions(cables, minimum, p, w, lanes)
-        for i in range(cables):
+            _planar_tensions(m, minimum, w, lanes)
+        for i in range(m):
             for at in range(lanes):
-                _required_motor(spatial, p, w, at, lanes, i)
+                _required_motor(n, jointed, p, w, at, lanes, i)
         for result in range(4):
             for at in range(min(lanes, count - first)):
-                for i in range(cables):
+                for i in range(m):
                     value = w[(_FIRST_CABLE + _CABLE_ROWS * i + _RESULTS + result) * lanes + at]
                     results[result, first + at, i] = value
 
 
+@_inline
+def _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results):
+    """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
+    count = mass.shape[0]
+    for row in range(parameters.shape[0]):
+        for at in range(lanes):
+            p[row * lanes + at] = parameters[row]
+    for first in range(0, count, lanes):
+        _tile_of_motion(n, lanes, first, p, w, mass, motion)
+        _wrench(d, n, m, lopsided, p, w, lanes)
+        for i in range(m):
+            par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+            for at in range(min(lanes, count - first)):
+                per_radius = p[(par + PER_RADIUS) * lanes + at]
+                results[0, first + at, i] = -w[(row + _LENGTH_RATE) * lanes + at] * per_radius
+                acceleration = _along(n, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
+                results[1, first + at, i] = -acceleration * per_radius
+                for j in range(n):
+                    structure[first + at, i, j] = w[(row + _ROW + j) * lanes + at]
+        for at in range(min(lanes, count - first)):
+            for j in range(n):
+                load[first + at, j] = -w[(_LOAD + j) * lanes + at]
+
+
 # ------------------------------------------------------------------------------------------------- entry points
-# One source, compiled for one lane and for a tile, planar with any number of cables and spatial with six, rigid and
-# flexible.
-# Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,),
-# paths (trajectories, lines, n): reference poses at physics steps, ends (trajectories,): last line of each path, path
-# and step (tiles·lanes,): index of its path and control step of each lane. ``cables`` is a tuple with one item per
-# cable. Its length is part of its type, so numba compiles for that number of cables and unrolls the loops over them.
-# ``lags`` and ``rubs``: whether some motor has a lag or Coulomb friction; without them the code is faster.
 
 
-@_compile
-def advance_planar(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
-    """One control period of planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
-    _advance(
-        False, False, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
+class Compiled(NamedTuple):
+    """Functions for one form of robots, which numba compiles at their first call.
+
+    Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,), paths
+    (trajectories, lines, n): reference poses at physics steps, ends (trajectories,): last line of each path, path and
+    step (tiles·lanes,): index of its path and control step of each lane. Of the inverse dynamics: parameters
+    (parameter_rows,) of one robot, p (parameter_rows·lanes,) for a tile of copies, mass (N,), motion (3, N, n) =
+    (X, Ẋ, Ẍ), structure (N, m, n), load (N, n).
+    """
+
+    advance: Any
+    """``(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)``: one control period;
+    changes ``record`` and ``step``. ``lags`` and ``rubs``: whether some motor has a lag or Coulomb friction; without
+    them the code is faster."""
+    evaluate: Any
+    """``(unilateral, parameters, record, w, acceleration)``: accelerations (tiles, n·lanes) and, in ``record``, the
+    tensions for the torques in ``record``."""
+    required: Any
+    """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and pulley accelerations
+    (4, N, m), in the order of TENSIONS to WINDINGS. As many cables as coordinates: the unique tensions; more cables,
+    only of point masses in a plane: the smallest tensions of at least ``minimum``."""
+    demanded: Any
+    """``(parameters, p, w, mass, motion, structure, load, results)``: what a tension distribution needs, ``−Sᵀ T =
+    load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates of S and load are those of y."""
 
 
-@_compile
-def advance_one_planar(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
-    """One control period of planar robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(
-        False, False, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
+@cache
+def compiled(form: Form) -> Compiled:
+    """The functions for a form: one source, compiled for one lane and for a tile, for each kind and each number of
+    cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
+
+    d, n, m, lanes, jointed, lopsided = form
+
+    @_compile
+    def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
+        _advance(
+            d,
+            n,
+            m,
+            jointed,
+            lopsided,
+            lanes,
+            unilateral,
+            lags,
+            rubs,
+            parameters,
+            record,
+            w,
+            paths,
+            ends,
+            path,
+            step,
+            substeps,
+            h,
+        )
+
+    @_compile
+    def evaluate(unilateral, parameters, record, w, acceleration):
+        _evaluate(d, n, m, jointed, lopsided, lanes, unilateral, parameters, record, w, acceleration)
+
+    @_compile
+    def required(parameters, minimum, p, w, mass, motion, results):
+        _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass, motion, results)
+
+    @_compile
+    def demanded(parameters, p, w, mass, motion, structure, load, results):
+        _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results)
+
+    return Compiled(advance, evaluate, required, demanded)
 
 
-@_compile
-def evaluate_planar(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
-    _evaluate(False, False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
-
-
-@_compile
-def advance_spatial(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
-    """One control period of spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
-    _advance(
-        True, False, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
-
-
-@_compile
-def advance_one_spatial(cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
-    """One control period of spatial robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(
-        True, False, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
-
-
-@_compile
-def evaluate_spatial(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
-    _evaluate(True, False, LANES, len(cables), unilateral, parameters, record, w, acceleration)
-
-
-@_compile
-def advance_flexible_planar(
-    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-):
-    """One control period of flexible planar robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
-    _advance(
-        False, True, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
-
-
-@_compile
-def advance_one_flexible_planar(
-    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-):
-    """One control period of flexible planar robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(
-        False, True, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
-
-
-@_compile
-def evaluate_flexible_planar(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
-    _evaluate(False, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
-
-
-@_compile
-def advance_flexible_spatial(
-    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-):
-    """One control period of flexible spatial robots in tiles of :data:`LANES`; changes ``record`` and ``step``."""
-    _advance(
-        True, True, LANES, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-    )
-
-
-@_compile
-def advance_one_flexible_spatial(
-    cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
-):
-    """One control period of flexible spatial robots in tiles of one lane; changes ``record`` and ``step``."""
-    _advance(True, True, 1, cables, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)
-
-
-@_compile
-def evaluate_flexible_spatial(cables, unilateral, parameters, record, w, acceleration):
-    """Accelerations (tiles, n·LANES) and, in ``record``, tensions for the torques in ``record``."""
-    _evaluate(True, True, LANES, len(cables), unilateral, parameters, record, w, acceleration)
-
-
-# Inverse dynamics. Shapes: parameters (parameter_rows,) of one robot, p (parameter_rows·LANES,) for a tile of copies, w
-# as above, mass (N,), motion (3, N, n) = (X, Ẋ, Ẍ), results (4, N, m) in the order of TENSIONS to WINDINGS.
-
-
-@_compile
-def required_planar(cables, parameters, minimum, p, w, mass, motion, results):
-    """Smallest tensions of at least ``minimum``, torques, pulley speeds and pulley accelerations of planar robots."""
-    _required(False, len(cables), parameters, minimum, p, w, mass, motion, results)
-
-
-@_compile
-def required_spatial(cables, parameters, minimum, p, w, mass, motion, results):
-    """Tensions, torques, pulley speeds and pulley accelerations of spatial robots; ``minimum`` has no effect."""
-    _required(True, len(cables), parameters, minimum, p, w, mass, motion, results)
+def cache_folder() -> Path:
+    """Folder in which numba stores the compiled code of this file."""
+    form = Form(dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, lopsided=False)
+    return Path(str(compiled(form).advance.stats.cache_path))

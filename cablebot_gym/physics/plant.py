@@ -15,31 +15,50 @@ from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
 
+def form_of(robot: RobotArrays, lanes: int = kernel.LANES) -> kernel.Form:
+    """Form of a robot, for which the kernel is compiled."""
+    tensor = robot.inertia_tensor
+    products = tensor[..., (0, 0, 1), (1, 2, 2)]
+    return kernel.Form(
+        dimensions=robot.dimensions,
+        coordinates=robot.coordinates,
+        cables=robot.cables,
+        lanes=lanes,
+        jointed=robot.jointed,
+        lopsided=robot.kind == "planar-platform" or bool(np.any(robot.mass_center) or np.any(products)),
+    )
+
+
 def pack_parameters(robot: RobotArrays) -> Array:
     """Kernel parameters without payload: shape (parameter rows,) for one robot, (N, parameter rows) for N robots."""
     batch = robot.base.shape[:-2]
-    rows = np.zeros((*batch, kernel.parameter_rows(robot.cables)))
+    form = form_of(robot)
+    rows = np.zeros((*batch, kernel.parameter_rows(form)))
     rows[..., kernel.MASS] = robot.mass
-    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = 1.0 if robot.planar else robot.moments
+    tensor, columns = robot.inertia_tensor, robot.dimensions
+    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = np.diagonal(tensor, axis1=-2, axis2=-1)
+    if form.lopsided:
+        body = rows[..., kernel.body_parameter(robot.cables) :]
+        body[..., kernel.PRODUCTS : kernel.PRODUCTS + 3] = tensor[..., (0, 0, 1), (1, 2, 2)]
+        body[..., kernel.CENTER : kernel.CENTER + columns] = robot.mass_center
     rows[..., kernel.GRAVITY] = robot.gravity_vector[-1]
     cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
-    columns = robot.base.shape[-1]
     cables[..., kernel.BASE : kernel.BASE + columns] = robot.base
-    cables[..., kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform
+    cables[..., kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform - robot.mass_center
     cables[..., kernel.PER_RADIUS] = 1 / robot.pulley_radius
     cables[..., kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
     cables[..., kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
-    if robot.flexible:
+    if robot.jointed:
         cables[..., kernel.STIFFNESS] = robot.stiffness
         cables[..., kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
         cables[..., kernel.MOTOR_DAMPING] = robot.motor_damping
-        cables[..., kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home)
+        cables[..., kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
     cables[..., kernel.STALL] = robot.stall_torque
     cables[..., kernel.SLOPE] = robot.speed_slope
     cables[..., kernel.LAG] = robot.motor_lag
     rows[..., kernel.FRICTION_SPEED] = FRICTION_SPEED
     cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
-    rows[..., kernel.FIRST_CABLE_PARAMETER :] = cables.reshape(*batch, -1)
+    rows[..., kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(robot.cables)] = cables.reshape(*batch, -1)
     return rows
 
 
@@ -71,20 +90,23 @@ class Plant:
         tiles = -(-count // self.lanes)
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
-        self._parameters = kernel_memory(tiles, kernel.parameter_rows(robot.cables) * self.lanes)
-        self.record = kernel_memory(tiles, kernel.record_rows(robot.cables) * self.lanes)
+        self._form = form = form_of(robot, self.lanes)
+        self._parameters = kernel_memory(tiles, kernel.parameter_rows(form) * self.lanes)
+        self.record = kernel_memory(tiles, kernel.record_rows(form) * self.lanes)
         """The kernel's record; ``kernel`` defines its rows."""
         self._action = self._action_view()
-        self._scratch = kernel_memory(kernel.scratch_rows(robot.cables) * self.lanes)
+        self._scratch = kernel_memory(kernel.scratch_rows(form) * self.lanes)
         self.trajectory_index = np.zeros(self.width, np.int64)
         """Index of the reference trajectory of each lane, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
-        self._cables = (0,) * robot.cables
         self._lags = self._rubs = False  # whether some robot has had a lag or Coulomb friction so far
-        kind = ("one_" if self.lanes == 1 else "") + ("flexible_" if robot.flexible else "")
-        self._advance = getattr(kernel, f"advance_{kind}{'planar' if robot.planar else 'spatial'}")
+        self._advance = kernel.compiled(form).advance
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The attributes without the compiled function, which :meth:`__setstate__` finds again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_advance"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restores a copy or pickle with aligned memory and with ``_action`` as a view of its own record."""
@@ -94,6 +116,7 @@ class Plant:
             memory[...] = state[name]
             setattr(self, name, memory)
         self._action = self._action_view()
+        self._advance = kernel.compiled(self._form).advance
 
     def _action_view(self) -> Array:
         first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
@@ -101,7 +124,7 @@ class Plant:
 
     @property
     def _parameter_rows(self) -> int:
-        return kernel.parameter_rows(self.robot.cables)
+        return kernel.parameter_rows(self._form)
 
     def _view(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
         """View of rows of a tiled memory, shape (tiles, rows, lanes)."""
@@ -129,9 +152,9 @@ class Plant:
         """
         rows = np.asarray(rows, float)
         self._write(self._parameters, 0, np.asarray(index), rows)
-        lag, friction = (kernel.FIRST_CABLE_PARAMETER + row for row in (kernel.LAG, kernel.COULOMB_FRICTION))
-        self._lags |= bool(np.any(rows[:, lag :: kernel.CABLE_PARAMETERS]))
-        self._rubs |= bool(np.any(rows[:, friction :: kernel.CABLE_PARAMETERS]))
+        cables = rows[:, kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(self.robot.cables)]
+        self._lags |= bool(np.any(cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]))
+        self._rubs |= bool(np.any(cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS]))
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
         """Sets the external wrench on the platforms of the robots at ``index``. It stays until it is changed.
@@ -139,18 +162,21 @@ class Plant:
         Args:
             index: robots, shape (k,).
             force: force at the centre of mass in the base frame [N], shape (k, 3), or (k, 2) if planar.
-            moment: moment in the base frame [N·m], shape (k, 3); None for zero. Has no effect on a planar robot.
+            moment: moment in the base frame [N·m], shape (k, 3), or (k, 1) about the normal of a plane; None for zero.
+                Has no effect on a point mass.
         """
         index, force = np.asarray(index), np.asarray(force, float)
         wrench = np.zeros((len(index), 6))
         wrench[:, : force.shape[-1]] = force
-        wrench[:, 3:] = 0.0 if moment is None else moment
+        if moment is not None:
+            moment = np.asarray(moment, float)
+            wrench[:, 6 - moment.shape[-1] :] = moment
         self._write(self._parameters, kernel.FORCE, index, wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
         """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to control step 0."""
         index = np.asarray(index)
-        self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self.robot.cables))))
+        self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self._form))))
         self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
         self._write(self.record, kernel.VELOCITY, index, np.asarray(velocity, float))
         self.step_index[index] = 0
@@ -195,7 +221,6 @@ class Plant:
             step: length of a physics step [s].
         """
         self._advance(
-            self._cables,
             self.unilateral,
             self._lags,
             self._rubs,

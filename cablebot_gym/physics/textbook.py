@@ -399,7 +399,7 @@ def least_action_tensions(
         ValueError: if ``strict`` and no tensions of at least ``minimum`` hold the load.
     """
     radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
-    offset = normalised_action(robot, _torques(robot, 0.0, speed, acceleration), speed)
+    offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
     slope, span = radius / robot.stall_torque, 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
     weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span**2)
     found = least_largest_action(structure, load, minimum, slope, offset, weights=weights)
@@ -442,7 +442,7 @@ def required_torques(
     They include :func:`coulomb_torque`. Of a flexible robot they are the torques of the springs, without it.
     """
     structure, rate = kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
-    return _torques(robot, tensions, *_pulley_motion(robot, structure, rate, velocity, acceleration))
+    return motor_torques(robot, tensions, *_pulley_motion(robot, structure, rate, velocity, acceleration))
 
 
 def _pulley_motion(
@@ -454,7 +454,8 @@ def _pulley_motion(
     return speed, -(_apply(structure, as_numbers(acceleration)) + _apply(rate, velocity)) / robot.pulley_radius
 
 
-def _torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
+def motor_torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
+    """Torques of :func:`required_torques` for pulley speeds and pulley accelerations, each (..., m)."""
     torque: Array = robot.pulley_radius * as_numbers(tensions)
     torque = torque + robot.pulley_inertia * acceleration + robot.damping * speed
     return torque if robot.flexible else torque + coulomb_torque(robot, speed)
@@ -511,7 +512,7 @@ def inverse_dynamics(
         tensions = tension_distribution(structure, wrench, minimum, strict=strict)
     else:
         tensions = least_action_tensions(robot, structure, wrench, speed, second, minimum, strict=strict)
-    torques = _torques(robot, tensions, speed, second)
+    torques = motor_torques(robot, tensions, speed, second)
     return InverseDynamics(tensions=tensions, torques=torques, speeds=speed, pulley_accelerations=second)
 
 

@@ -112,8 +112,8 @@ def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[st
     options += [word for path in sorted(empty) for word in empty[path]]  # a folder before those in it
     options += _readable(path for path in sorted(prefixes) if not any(path.is_relative_to(one) for one in _SYSTEM))
     options += _readable(_sources(specs, working, prefixes))
-    compiled = (kernel.advance_one_planar, outcome.outcome)
-    for index, cache_path in enumerate(sorted({Path(str(one.stats.cache_path)) for one in compiled})):
+    cache_paths = {kernel.cache_folder(), Path(str(outcome.outcome.stats.cache_path))}
+    for index, cache_path in enumerate(sorted(cache_paths)):
         if cache_path.is_dir():  # numba reads compiled code only from folders to which it can write
             copy = folder / f"compiled-{index}"
             shutil.copytree(cache_path, copy, ignore=_UNFINISHED, copy_function=shutil.copyfile)

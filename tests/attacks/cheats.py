@@ -589,7 +589,7 @@ def kept_files(law, tasks):
     """keeps data for later batches in the home, in the working directory, or beside compiled code"""
     from cablebot_gym.physics import kernel
 
-    places = (Path.home(), Path.cwd(), Path(kernel.advance_one_planar.stats.cache_path), _folder())
+    places = (Path.home(), Path.cwd(), kernel.cache_folder(), _folder())
     paths = [folder / ".cheats-kept" for folder in places]
     if found := [path for path in paths if path.exists()]:
         for path in found:

@@ -170,9 +170,8 @@ def evaluated(plant, torques):
     first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
     plant._write(plant.record, first, np.arange(plant.count), torques, kernel.CABLE_RECORDS)
     found = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
-    kind = ("flexible_" if robot.flexible else "") + ("planar" if robot.planar else "spatial")
-    evaluate = getattr(kernel, f"evaluate_{kind}")
-    evaluate(plant._cables, plant.unilateral, plant._parameters, plant.record, plant._scratch, found)
+    evaluate = kernel.compiled(plant._form).evaluate
+    evaluate(plant.unilateral, plant._parameters, plant.record, plant._scratch, found)
     return plant._read(found, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
 
 
