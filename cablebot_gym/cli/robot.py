@@ -132,9 +132,7 @@ def _sag_lines(check: RobotCheck) -> list[str]:
         factor = "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
         text = f"sag {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
         start = "sag        " if number == 1 else " " * 11
-        lines.append(
-            f"{start}cable {number} of {cable.length:.3g} m at its least tension, {cable.tension:.4g} N: {text}"
-        )
+        lines.append(f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}")
     if check.settled is None or check.settled_tension is None:
         return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
     d = check.robot.dimensions
