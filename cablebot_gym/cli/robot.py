@@ -139,7 +139,7 @@ def _sag_lines(check: RobotCheck) -> list[str]:
     moved = [f"{1e3 * math.hypot(*check.settled[:d]):.2f} mm"]
     if check.settled[d:]:
         moved.append(f"{1e3 * max(map(abs, check.settled[d:])):.2f} mrad")
-    text = f"sag and weight of the cables move the home pose by {' and '.join(moved)}"
+    text = f"sag and weight move the home pose by {' and '.join(moved)}"
     return [*lines, f"           {text}, tensions by up to {check.settled_tension:.0%}"]
 
 
