@@ -16,6 +16,7 @@ INTERNAL = (
     "cablebot_gym.envs.outcome",
     "cablebot_gym.envs.pictures",
     "cablebot_gym.envs.references",
+    "cablebot_gym.envs.sensors",
     "cablebot_gym.envs.simulation",
     "cablebot_gym.physics.compiling",
     "cablebot_gym.physics.kernel",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import COORDINATE_NAMES, Cable, Robot
 from cablebot_gym.trajectories import BetweenDwells, Reference, Trajectory
 from cablebot_gym.utils.checks import mapping, number, record
@@ -88,6 +89,8 @@ class Task:
     """Payload of the controller's model [kg]; 0 if the payload is unknown."""
     payload_known: bool
     """Whether the controller's model includes a payload."""
+    measurement: Measurement = POSE
+    """Sensors of the observation, and the nominal resolution of the encoders; never the errors of the sensors."""
 
     @property
     def steps(self) -> int:

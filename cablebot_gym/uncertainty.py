@@ -15,8 +15,10 @@ from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import Kind, Robot
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
 
@@ -215,22 +217,40 @@ class SensorNoise:
     rotation_rate: float = 0.0
     """Standard deviation of the Euler angle rates [rad/s]; ≥ 0."""
     motor_angle: float = 0.0
-    """Standard deviation of the motor angle β′ of a flexible robot [rad]; ≥ 0."""
+    """Standard deviation of the motor angle β′ of a flexible robot, or of any winch [rad]; ≥ 0."""
     motor_speed: float = 0.0
-    """Standard deviation of the motor speed β̇′ of a flexible robot [rad/s]; ≥ 0."""
+    """Standard deviation of the motor speed β̇′ of a flexible robot, or of any winch [rad/s]; ≥ 0."""
+    tension: float = 0.0
+    """Standard deviation of the tension at a load cell [N]; ≥ 0."""
+    tilt: float = 0.0
+    """Standard deviation of the roll ψ and pitch θ of an IMU [rad]; ≥ 0."""
+    yaw: float = 0.0
+    """Standard deviation of the yaw φ of an IMU [rad]; ≥ 0."""
+    angular_rate: float = 0.0
+    """Standard deviation of the angular rate of an IMU [rad/s]; ≥ 0."""
+    specific_force: float = 0.0
+    """Standard deviation of the specific force of an IMU [m/s²]; ≥ 0."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
             object.__setattr__(self, item.name, number(f"sensors.{item.name}", getattr(self, item.name), least=0))
 
-    def deviations(self, robot: Robot) -> Array:
-        """Standard deviations of the measured quantities: pose, velocity and, if flexible, motor angle and speed."""
-        positions, rotations = robot.dimensions, robot.coordinates - robot.dimensions
-        values = [self.position] * positions + [self.rotation] * rotations
-        values += [self.velocity] * positions + [self.rotation_rate] * rotations
-        if robot.flexible:
-            values += [self.motor_angle] * robot.cables + [self.motor_speed] * robot.cables
-        return np.array(values)
+    def deviations(self, robot: Robot, measurement: Measurement = POSE) -> Array:
+        """Standard deviations of the components of the measured blocks of the observation."""
+        positions = robot.dimensions
+        rotations = robot.coordinates - robot.dimensions
+        values: dict[str, ArrayLike] = {
+            "pose": [self.position] * positions + [self.rotation] * rotations,
+            "velocity": [self.velocity] * positions + [self.rotation_rate] * rotations,
+            "motor_angle": self.motor_angle,
+            "motor_speed": self.motor_speed,
+            "tensions": self.tension,
+            "orientation": [self.tilt, self.tilt, self.yaw],
+            "angular_rate": self.angular_rate,
+            "specific_force": self.specific_force,
+        }
+        sizes = measurement.sizes(robot)
+        return np.concatenate([np.broadcast_to(values[name], size) for name, size in sizes.items()])
 
 
 @dataclass(frozen=True, kw_only=True)

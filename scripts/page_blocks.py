@@ -5,8 +5,9 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/page_blocks.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), ``library`` (the real robots), a table of ``cablebot list``, or
-a script in ``examples/``, with its output if the name ends in ``and output``.
+NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and errors),
+``library`` (the real robots), a table of ``cablebot list``, or a script in ``examples/``, with its output if the name
+ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -14,10 +15,13 @@ python scripts/page_blocks.py
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+import measure_winches
 
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
@@ -31,7 +35,12 @@ from cablebot_gym.robots import ELASTIC, find_robot, library
 ROOT = Path(__file__).resolve().parents[1]
 
 PAGES = (
-    *("README.md", "docs/index.md", "docs/getting-started.md", "docs/environments.md", "docs/policies.md"),
+    "README.md",
+    "docs/index.md",
+    "docs/getting-started.md",
+    "docs/environments.md",
+    "docs/policies.md",
+    "docs/measurement.md",
     "docs/robots.md",
 )
 """Pages with blocks."""
@@ -115,6 +124,8 @@ def block(name: str) -> str:
         return readme_table(Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8")))
     if name == "library":
         return library_pages()
+    if name == "measurement":
+        return measure_winches.table(json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8")))
     if name.startswith("examples/"):
         script = ROOT / name.removesuffix(WITH_OUTPUT)
         text = f"```python\n{script.read_text(encoding='utf-8')}```\n"

@@ -14,8 +14,20 @@ import cablebot_gym
 ROOT = Path(__file__).parents[1]
 
 ORDER = (
-    *("utils", "kinematics", "robots", "trajectories", "uncertainty", "task", "physics", "planning", "rendering"),
-    *("envs", "datasets", "policies", "evaluation", "bounds", "plotting", "video", "benchmark", "report", "cli"),
+    *("utils", "kinematics", "robots", "measurement", "trajectories", "uncertainty", "task", "physics", "planning"),
+    *(
+        "rendering",
+        "envs",
+        "datasets",
+        "policies",
+        "evaluation",
+        "bounds",
+        "plotting",
+        "video",
+        "benchmark",
+        "report",
+        "cli",
+    ),
 )
 """Packages and modules of cablebot_gym; each may import itself and those before it."""
 

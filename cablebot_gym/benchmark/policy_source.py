@@ -9,7 +9,7 @@ from pathlib import Path
 from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
 from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.isolated import public_entry
-from cablebot_gym.policies.loading import policy_points
+from cablebot_gym.policies.loading import policy_points, split_estimator
 from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.imports import split_name
@@ -23,6 +23,10 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     are the modules of all installed loaders, the file itself and the statistics beside it. Of a module outside a
     package, the data files are those next to it with a suffix or a name that its source contains, such as ``.npz``.
     """
+    estimator, inner = split_estimator(policy)
+    if estimator is not None:
+        modules, files = policy_source(inner)
+        return (estimator.module, *modules), files
     if is_entry(policy):
         return (), read_entry(Path(policy)).paths(Path(policy))
     if policy.endswith(".zip"):

@@ -131,6 +131,16 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
             "`cablebot list` shows the names and fields.",
         ),
     ),
+    "measurement": (
+        str | None,
+        None,
+        typer.Option(
+            callback=_read_data,
+            help="Sensors of the policy: pose, winches, winches+tensions, winches+tensions+imu, JSON such as "
+            '\'{"kind": "winches", "encoder_resolution": 0.001}\', or a .json file. With winches, --policy ekf+fl runs '
+            "the policy fl behind an estimator.",
+        ),
+    ),
     "control_frequency": (float, 500.0, typer.Option(help="Control steps per second [Hz].")),
     "wrapper": (
         list[str] | None,
@@ -186,6 +196,8 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
         @wraps(command)
         def run(**values: Any) -> None:
             episode = {name: values.pop(name) for name in chosen}
+            if episode.get("measurement") is None:
+                episode.pop("measurement", None)
             if "seed" in episode and episode["seed"] is None:
                 episode["seed"] = secrets.randbits(SEED_BITS) if values.get("isolate") else 0
             if "wrapper" in episode:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs.streams import NormalRows, Purpose, Streams
 from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import Measurement
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import SensorNoise, Uncertainty
@@ -17,8 +18,11 @@ EnvIndices = NDArray[np.int64]
 class Disturbances:
     """Disturbances of N environments, from the uncertainties of their episodes. Allocates memory at first use."""
 
-    def __init__(self, robot: Robot, count: int, control_frequency: float, streams: Streams) -> None:
-        self._robot, self._count, self._frequency, self._streams = robot, count, control_frequency, streams
+    def __init__(
+        self, robot: Robot, measurement: Measurement, count: int, control_frequency: float, streams: Streams
+    ) -> None:
+        self._robot, self._measurement, self._count = robot, measurement, count
+        self._frequency, self._streams = control_frequency, streams
         self._all_indices = np.arange(count)
         self._wrench_interval = np.zeros(count, np.int64)  # [control steps], 0 without wrench
         self._wrench_mean = self._wrench_std = self._factor = np.zeros((count, 0))
@@ -80,7 +84,7 @@ class Disturbances:
             self._noise_std[env_indices] = self._bias[env_indices] = 0.0
             return
         given = (uncertainty.sensors, uncertainty.sensor_bias)
-        noise, bias = ((one or SensorNoise()).deviations(self._robot) for one in given)
+        noise, bias = ((one or SensorNoise()).deviations(self._robot, self._measurement) for one in given)
         if self._noise is None:
             self._noise_std, self._bias, self.noise = (np.zeros((self._count, noise.size)) for _ in range(3))
             self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, noise.size)

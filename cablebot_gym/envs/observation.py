@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.robots import Robot
+from cablebot_gym.measurement import POSE, Measurement
+from cablebot_gym.robots import STANDARD_GRAVITY, Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 
@@ -117,7 +119,7 @@ class ObservationLayout:
         if array.shape[-1:] != (self.size,):
             raise ValueError(
                 f"the observation of robot {self.robot_name!r} has {self.size} components, not shape {array.shape}: "
-                "use the layout, or the policy, of the environment's robot"
+                "use the layout, or the policy, of the environment's robot and measurement"
             )
         return array
 
@@ -164,16 +166,18 @@ def preview_name(ahead: float) -> str:
 
 
 @lru_cache(maxsize=64)
-def observation_layout(robot: Robot) -> ObservationLayout:
-    """Layout for a robot. The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre.
+def observation_layout(robot: Robot, measurement: Measurement = POSE) -> ObservationLayout:
+    """Layout for a robot and a measurement, whose blocks come first.
 
-    The scales follow from the robot alone. Its length L is half of the largest width of the workspace, its angle half
-    of the largest range of an angle, its speed v = r ω_n that of a cable at a motor's free speed, and its time L/v.
+    The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. The scales follow from the
+    robot alone. Its length L is half of the largest width of the workspace, its angle half of the largest range of an
+    angle, its speed v = r ω_n that of a cable at a motor's free speed, and its time L/v.
 
     * poses: L and the angle from the centre of the workspace; their k-th derivatives: divided by the k-th power of L/v;
     * previews: the scale of the velocity times the preview time, at most that of the pose;
     * errors of pose and velocity: the default error bounds, and these over L/v;
-    * motor angles L/r and motor speeds ω_n;
+    * motor angles L/r and motor speeds ω_n; tensions τ_s/r;
+    * orientation, angular rate and specific force: the angle, its derivative, and the gravitational acceleration;
     * payload: the mass that the stall torque of a motor accelerates at v²/L by its cable;
     * time to go: 1 s; slack time: :data:`SLACK_SCALE`; actions: 1.
     """
@@ -194,13 +198,32 @@ def observation_layout(robot: Robot) -> ObservationLayout:
     time = length[0] / (radius * free_speed)
     scales = {order: length / time**order for order in range(5)}
     error = np.where(angles, ErrorBounds().rotation, ErrorBounds().position)
-    payload = float(np.mean(robot.stall_torque)) / radius / scales[2][0]
+    pull = float(np.mean(robot.stall_torque)) / radius
+    payload = pull / scales[2][0]
 
-    motor, spring = (-1e3, 1e3), "motor angle β′; β′ minus the pulley angle β is the spring deflection"
-    motors: list[_Row] = [
-        ("motor_angle", motor, length[0] / radius, m, "rad", spring),
-        ("motor_speed", motor, free_speed, m, "rad/s", "motor speed β̇′"),
-    ]
+    motor, last = (-1e3, 1e3), "over the last action period"
+    spring = "motor angle β′; β′ minus the pulley angle β is the spring deflection"
+    angle, rate = (float(np.max(scales[order], initial=0.0, where=angles)) or 1.0 for order in (0, 1))
+    readings: dict[str, tuple[Any, ArrayLike, str, str]] = {
+        "pose": (bounds[0], error, units[0], "measured pose X, exact without sensor noise"),
+        "velocity": (bounds[1], error / time, units[1], "measured velocity Ẋ, exact without sensor noise"),
+        "motor_angle": (motor, length[0] / radius, "rad", spring if robot.flexible else "motor angle β"),
+        "motor_speed": (motor, free_speed, "rad/s", "motor speed β̇′" if robot.flexible else "motor speed β̇"),
+        "tensions": (
+            (-1e6, 1e6),
+            pull,
+            "N",
+            f"tensions at the load cells at the start of {last.removeprefix('over ')}",
+        ),
+        "orientation": ((-10.0, 10.0), angle, "rad", "roll ψ, pitch θ and yaw φ of the IMU"),
+        "angular_rate": ((-100.0, 100.0), rate, "rad/s", "angular rate of the platform in its own frame"),
+        "specific_force": (
+            (-1e3, 1e3),
+            STANDARD_GRAVITY,
+            "m/s²",
+            f"mean acceleration minus gravity {last}, same frame",
+        ),
+    }
     higher: list[_Row] = [
         ("reference_jerk", bounds[3], scales[3], n, third, "third derivative of X_d"),
         ("reference_snap", bounds[4], scales[4], n, fourth, "fourth derivative of X_d"),
@@ -212,9 +235,7 @@ def observation_layout(robot: Robot) -> ObservationLayout:
     sent = f"the last {LAST_ACTIONS} actions, latest first, clipped to ±1; 0 before the first"
     model = "payload of the controller's model; 0 if the payload is unknown"
     rows: list[_Row] = [
-        ("pose", bounds[0], error, n, units[0], "measured pose X, exact without sensor noise"),
-        ("velocity", bounds[1], error / time, n, units[1], "measured velocity Ẋ, exact without sensor noise"),
-        *(motors if robot.flexible else []),
+        *((name, *readings[name][:2], size, *readings[name][2:]) for name, size in measurement.sizes(robot).items()),
         ("time_to_go", (0.0, 1e3), 1.0, 1, "s", "time until the reference motion ends; 0 afterwards"),
         ("reference_pose", bounds[0], scales[0], n, units[0], "reference pose X_d at the present control instant"),
         ("reference_velocity", bounds[1], scales[1], n, units[1], "first derivative of X_d"),

@@ -86,6 +86,8 @@ class Constants(NamedTuple):
     """Lower and upper bounds of the pose, (2, n)."""
     bounds: Array
     """Lower and upper bounds of the observation, (2, size)."""
+    encoder_resolution: float
+    """Smallest step of the motor angles [rad], the first block of the readings; 0 for exact angles."""
     normalised: bool
     """Whether the observation is normalised."""
     centre: Array
@@ -122,6 +124,9 @@ class Episodes(NamedTuple):
     """Episode settings, (N, columns)."""
     stall: Array
     """True stall torques [N·m], (N, m)."""
+    readings: Array
+    """Exact readings of the sensors of winches and platform, (N, components); (N, 0) if pose and velocity are
+    measured."""
     noise: Array
     """Noise of the measured blocks, (N, components); (N, 0) without noise."""
     sent: Array
@@ -178,7 +183,8 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
     workspace, bounds, weights, turns = batch.workspace, batch.bounds, batch.weights, n > batch.dimensions
     # Arrays as local variables: in the loop, each access to an array of a record counts a reference.
     records, settings, stall, noise, slack_for = now.record, now.settings, now.stall, now.noise, now.slack_for
-    sent, violations, motion_steps = now.sent, now.violated, now.motion_steps
+    sent, violations, motion_steps, readings = now.sent, now.violated, now.motion_steps, now.readings
+    measured, resolution = readings.shape[1], batch.encoder_resolution
     centre, per_scale = batch.centre, batch.per_scale
     steps, trajectories, references, last_rows = now.step, now.trajectory_index, now.references, now.last_rows
     observations, infos, rewards, reasons, completes = out.observation, out.info, out.reward, out.reason, out.complete
@@ -188,19 +194,33 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         step, trajectory = steps[env_index], trajectories[env_index]
         reference = references[trajectory, min(step, last_rows[trajectory])]
 
-        # Observation: pose, velocity, motors of flexible robots, tabulated reference blocks, payload of the model, last
-        # actions, slack time.
+        # Observation: pose, velocity, motors of flexible robots, or readings of winches; tabulated reference blocks,
+        # payload of the model, last actions, slack time.
         observation = observations[env_index]
+        finite, inside = True, True
         for j in range(n):
-            observation[j] = records[tile, (row.pose + j) * lanes + at]
-            observation[n + j] = records[tile, (row.velocity + j) * lanes + at]
+            coordinate = records[tile, (row.pose + j) * lanes + at]
+            rate = records[tile, (row.velocity + j) * lanes + at]
+            finite &= math.isfinite(coordinate) and math.isfinite(rate)
+            inside &= (coordinate >= workspace[0, j]) & (coordinate <= workspace[1, j])
+            if measured == 0:
+                observation[j] = coordinate
+                observation[n + j] = rate
         first_reference = 2 * n
         if batch.flexible:
             first_reference = 2 * n + 2 * m
             for i in range(m):
                 at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
-                observation[2 * n + i] = records[tile, row.motor_angle * lanes + at_cable]
-                observation[2 * n + m + i] = records[tile, row.motor_speed * lanes + at_cable]
+                angle = records[tile, row.motor_angle * lanes + at_cable]
+                motor_speed = records[tile, row.motor_speed * lanes + at_cable]
+                finite &= math.isfinite(angle) and math.isfinite(motor_speed)
+                if measured == 0:
+                    observation[2 * n + i] = angle
+                    observation[2 * n + m + i] = motor_speed
+        if measured > 0:
+            first_reference = measured
+            for j in range(measured):
+                observation[j] = readings[env_index, j]
         for j in range(reference.shape[0]):
             observation[first_reference + j] = reference[j]
         after_reference = first_reference + reference.shape[0]
@@ -215,17 +235,11 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
                 observation[j] = observation[j - m]
             for i in range(m):
                 observation[first_action + i] = min(max(sent[env_index, i], -1.0), 1.0)
-        finite = True
-        for j in range(first_reference):
-            finite &= math.isfinite(observation[j])
-        inside = True
-        for j in range(n):
-            inside &= (observation[j] >= workspace[0, j]) & (observation[j] <= workspace[1, j])
 
         # Errors at this instant. Column 0 of the reference is the time to go; the reference pose follows.
         square, rotation = 0.0, 0.0
         for j in range(n):
-            difference = observation[j] - reference[1 + j]
+            difference = records[tile, (row.pose + j) * lanes + at] - reference[1 + j]
             if j < batch.dimensions:
                 square += difference * difference
             else:
@@ -298,14 +312,19 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         info[_VIOLATED] = 1.0 if violated else 0.0
         info[_COST] = 1.0 if violates else 0.0
 
-        # The observation is complete: noise, saturation at the bounds, scales.
+        # The observation is complete: noise, resolution of the encoders, saturation at the bounds, scales.
         observation[slack_column] = min(slack_for[env_index], bounds[1, slack_column])
         for j in range(noise.shape[1]):
             observation[j] += noise[env_index, j]
+        if resolution > 0.0:
+            for j in range(m):
+                observation[j] = resolution * math.floor(observation[j] / resolution + 0.5)
         for j in range(first_action):
             observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
         if batch.normalised:
-            for j in range(n):  # the time to go precedes the reference pose, and the reference velocity follows it
+            for j in range(
+                n if measured == 0 else 0
+            ):  # the time to go precedes the reference pose, and the reference velocity follows it
                 observation[j] -= observation[first_reference + 1 + j]
                 observation[n + j] -= observation[first_reference + 1 + n + j]
             for j in range(observation.shape[0]):  # the scale of actions is 1

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import Measurement, find_measurement
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
 from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
@@ -77,6 +78,8 @@ class Settings:
     """Uncertainty of the plant, as a tuple of one for all environments, or of N."""
     error_bounds: ErrorBounds
     """Bounds of the tracking errors. A larger error is a violation, and they scale the reward."""
+    measurement: Measurement
+    """Sensors whose readings are in the observation."""
     cable: Cable
     """``unilateral``: cables only pull; ``bilateral``: cables also push, as in the paper's equations."""
     control_frequency: float
@@ -98,7 +101,7 @@ class Settings:
 
     def observation_space(self) -> Box:
         """Observation space of one environment."""
-        layout = observation_layout(self.robot)
+        layout = observation_layout(self.robot, self.measurement)
         return layout.space(normalised=self.normalised_observation, dtype=self.observation_dtype)
 
     @property
@@ -130,6 +133,7 @@ def make_settings(
     initial_error_range: Any = None,
     uncertainty: Any = None,
     error_bounds: Any = None,
+    measurement: Any = None,
     cable: str = "unilateral",
     control_frequency: float = 500.0,
     substeps: int | None = None,
@@ -143,9 +147,10 @@ def make_settings(
     """Checked settings of ``count`` environments from their keywords, which :class:`Settings` describes.
 
     Values are objects or JSON-able data. None stands for the default: no payload, the motion of
-    :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, the default
-    error bounds, :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that satisfy :data:`LONGEST_PHYSICS_STEP`,
-    :data:`MODE_LOSS` and :data:`STABLE_PHASE`. ``uncertainty`` can be a list with one item per environment.
+    :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, pose and
+    velocity as the measurement, the default error bounds, :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that
+    satisfy :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS` and :data:`STABLE_PHASE`. ``uncertainty`` can be a list
+    with one item per environment.
 
     Raises:
         ValueError: if a value is invalid; the message names the keyword.
@@ -180,6 +185,7 @@ def make_settings(
         robot=robot,
         payload_range=payload_range,
         initial_error_range=initial_error_range,
+        measurement=find_measurement(measurement, robot),
         cable=cast(Cable, choice("cable", cable, get_args(Cable))),
         control_frequency=frequency,
         substeps=substeps,

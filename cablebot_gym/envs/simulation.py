@@ -15,6 +15,7 @@ from cablebot_gym.envs import outcome
 from cablebot_gym.envs.disturbances import Disturbances
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.references import ReferenceTables
+from cablebot_gym.envs.sensors import Sensors
 from cablebot_gym.envs.settings import check_options, check_stability, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
@@ -56,7 +57,7 @@ class Simulation:
         """Checked constructor keywords."""
         robot = settings.robot
         self._action_shape = (*batch, robot.cables)
-        self.layout = observation_layout(robot)
+        self.layout = observation_layout(robot, settings.measurement)
         self._plant = Plant(robot, count, cable=settings.cable)
         self._parameters = pack_parameters(robot)
         self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
@@ -68,7 +69,8 @@ class Simulation:
         self._all_indices = np.arange(count)
         self.streams = Streams(count)
         """Random streams of all draws."""
-        self._disturbances = Disturbances(robot, count, settings.control_frequency, self.streams)
+        self._disturbances = Disturbances(robot, settings.measurement, count, settings.control_frequency, self.streams)
+        self._sensors = Sensors(robot, settings.measurement, count, settings.period)
         self.motion_steps = np.ones(count, np.int64)
         """Number of control steps of each environment's motion, (N,)."""
         self.truth: dict[str, Array] = {}
@@ -87,6 +89,7 @@ class Simulation:
             lanes=self._plant.lanes,
             workspace=np.array(robot.pose_bounds, order="C"),  # numba compiles once per memory order
             bounds=np.array([space.low, space.high]),
+            encoder_resolution=settings.measurement.encoder_resolution,
             normalised=settings.normalised_observation,
             centre=self.layout.centre.copy(),  # writable, as in copies of this object: numba compiles once
             per_scale=self.layout.per_scale.copy(),
@@ -116,6 +119,7 @@ class Simulation:
             last_rows=tables.control_ends,
             settings=self._episode_settings,
             stall=self._stall,
+            readings=self._sensors.readings,
             noise=self._disturbances.noise,
             sent=self._sent,
             slack_for=self._slack_for,
@@ -139,6 +143,7 @@ class Simulation:
                 cable=settings.cable,
                 model_payload=float(rows[env_index, outcome.MODEL_PAYLOAD]),
                 payload_known=bool(rows[env_index, outcome.KNOWN]),
+                measurement=settings.measurement,
             )
             for env_index in range(self.count)
         )
@@ -325,6 +330,8 @@ class Simulation:
     def _observe(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
         if not self._disturbances.quiet:
             self._disturbances.measure(env_indices, self._plant.step_index[env_indices])
+        if self.settings.measurement.winches:
+            self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
         outcome.outcome(fresh, env_indices, *self._records)
 
 

@@ -70,6 +70,22 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `last_actions` | 3m | the last three actions, latest first, clipped to ±1; 0 before the first |
     | `slack_time` | 1 | time for which some cable has been slack without a pause, see "Termination" |
 
+    `measurement="winches"` replaces `pose` and `velocity` by the sensors of the winches, of rigid robots too. They are
+    the first blocks:
+
+    | name | size | meaning |
+    |---|---|---|
+    | `motor_angle` | m | motor angle, zero at the home pose of the true robot |
+    | `motor_speed` | m | motor speed |
+    | `tensions` | m | `+tensions`: load cells: tensions at the start of the last control period; at first, at rest |
+    | `orientation` | 3 | `+imu`: roll ψ, pitch θ and yaw φ |
+    | `angular_rate` | 3 | `+imu`: angular rate in the frame of the platform |
+    | `specific_force` | 3 | `+imu`: mean acceleration minus gravity in the last control period, in the same frame |
+
+    `measurement={"kind": "winches", "encoder_resolution": 7.7e-4, "tensions": True}` rounds the motor angles to steps
+    of `encoder_resolution` [rad]. The errors of the sensors are `sensors` and `sensor_bias` of the uncertainty. Reward,
+    termination and info use the true state. The normalised observation has no tracking errors then.
+
     `last_actions` are the actions that the policy sent, before a `delay` of the uncertainty. Together with them and
     `slack_time` the observation has the Markov property if all parameters are known, the motors have no lag, and the
     delay is at most three control periods. It does not have it with a longer delay, with sensor noise or a wrench, or
@@ -204,6 +220,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `uncertainty`* | None | difference between the true and the nominal robot, see below |
     | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds of the tracking errors |
     | `robot` | by id | a name, a `.toml` file, `Robot.to_dict()` data or a `Robot` |
+    | `measurement` | "pose" | sensors: "pose", "winches", "winches+tensions+imu", or data, see "Observation space" |
     | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
     | `control_frequency` | 500 | actions per second [Hz] |
     | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
@@ -236,7 +253,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     * `parameters`: true parameters, drawn around the nominal values at each reset.
     * `wrench`: an external wrench on the platform.
-    * `sensors`: white noise on the blocks `pose`, `velocity`, `motor_angle` and `motor_speed`.
+    * `sensors`: white noise on the measured blocks of the observation.
     * `sensor_bias`: normal errors of the same blocks, constant in an episode.
     * `delay`: number of control steps by which actions arrive late, or `(low, high)` of a number drawn at each reset.
       The observation holds the last three actions; with a longer delay it is not Markov. Until the first action
@@ -270,7 +287,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `factor` | (1, 1) | (low, high) of a uniform factor for each component, drawn once per episode |
 
     `sensors` and `sensor_bias` have standard deviations, 0 by default: `position` [m], `rotation` [rad], `velocity`
-    [m/s], `rotation_rate` [rad/s], `motor_angle` [rad] and `motor_speed` [rad/s].
+    [m/s], `rotation_rate` [rad/s], `motor_angle` [rad] and `motor_speed` [rad/s]; with winches `tension` [N] of the
+    load cells, and `tilt` (roll, pitch) [rad], `yaw` [rad], `angular_rate` [rad/s] and `specific_force` [m/s²] of the
+    IMU.
 
     The wrench and the white noise have a seed of their own, the reset option `noise_seed` (default: the seed). In a
     vector environment it is one integer, which counts up like the seed, or one per environment. Episodes with equal

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -20,8 +20,10 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_criterion
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import POSE
 from cablebot_gym.policies import IsolatedPolicy, Policy, PolicyError, find_policy, name_of
-from cablebot_gym.policies.protocol import checked_actions, reset_policy
+from cablebot_gym.policies.loading import ESTIMATOR_ENTRY_POINT_GROUP
+from cablebot_gym.policies.protocol import checked_actions, measured_kind, reset_policy
 from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
@@ -228,6 +230,11 @@ class Batch:
         self.policy = find_policy(policy, robot, name=self.name, wrappers=wrappers)
         self.wrappers: tuple[str, ...] = getattr(self.policy, "wrappers", ())
         """Names of the wrappers of the policy, the innermost first."""
+        if (reads := measured_kind(self.policy)) != (kind := self.settings.measurement.kind):
+            estimators = sorted(point.name for point in entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP))
+            behind = f"name an estimator, such as {estimators[0]}+{self.name}, or " if estimators else ""
+            remedy = f"{behind}declare measurement = 'winches'" if kind != POSE.kind else "use measurement='winches'"
+            raise ValueError(f"policy {self.name!r} reads measurement {reads!r}, not {kind!r}: {remedy}")
         self.stochastic = bool(getattr(self.policy, "stochastic", False))
         """Whether the policy declares that its actions are random."""
         random = self._uncertainty.random or self.stochastic

@@ -109,7 +109,12 @@ class Recorder:
 
     def _record(self, observation: Array, reward: Array, info: dict[str, Any]) -> None:
         slices = self._env.layout.slices()
-        motion = {name: observation[:, slices[name]] for name in ("pose", "velocity", "reference_pose")}
+        measurement, robot = self._env.settings.measurement, self._env.settings.robot
+        motion = {"reference_pose": observation[:, slices["reference_pose"]]}
+        if measurement.winches:  # "tensions" are the true ones of the info
+            motion |= {f"measured_{name}": observation[:, slices[name]] for name in measurement.sizes(robot)}
+        else:
+            motion = {name: observation[:, slices[name]] for name in ("pose", "velocity")} | motion
         state = {"time": info["time"], **motion, **info, "reward": reward, "true_pose": self._env.pose}
         names = state.keys() if self._names is None else self._names
         self._states.append({name: values[self._indices] for name, values in state.items() if name in names})

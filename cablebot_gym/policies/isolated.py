@@ -19,6 +19,7 @@ import time
 import weakref
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
@@ -26,8 +27,9 @@ from typing import IO, Any
 
 import numpy as np
 
+from cablebot_gym.measurement import POSE
 from cablebot_gym.policies.entry import is_entry
-from cablebot_gym.policies.loading import as_robot, is_own, policy_points
+from cablebot_gym.policies.loading import as_robot, is_own, policy_points, split_estimator
 from cablebot_gym.policies.process import (
     ANSWER,
     DESCRIBE,
@@ -142,6 +144,8 @@ class IsolatedPolicy:
         """Whether the policy declares ``unsaturated_actions``."""
         self.stochastic = flags.get("stochastic") is True
         """Whether the policy declares ``stochastic``."""
+        self.measurement = str(flags.get("measurement", POSE.kind))
+        """Kind of measurement that the policy reads."""
         found = flags.get("wrappers")
         self.wrappers = tuple(_plain(str(name)) for name in found) if isinstance(found, list) else names
         """Names of the wrappers, the innermost first, with those that were found beside the policy."""
@@ -286,6 +290,10 @@ def public_entry(name: str) -> PolicyEntry | None:
     and whether the policy is slow. The factory of such an entry makes an :class:`IsolatedPolicy`. A policy whose
     package cannot be imported is skipped with a warning.
     """
+    estimator, inner = split_estimator(name)
+    if estimator is not None:
+        entry = public_entry(inner)
+        return None if entry is None else replace(entry, name=name, unsaturated_actions=False)
     points = policy_points(name)
     try:
         if points:

@@ -30,6 +30,12 @@ FILE_ENTRY_POINT_GROUP = "cablebot_gym.policy_files"
 :data:`FileLoader`."""
 
 
+ESTIMATOR_ENTRY_POINT_GROUP = "cablebot_gym.estimators"
+"""Entry point group of estimators, which run any policy with the sensors of winches: ``ekf+fl`` names the policy ``fl``
+behind the estimator ``ekf``. An entry point names a function of the nominal robot and the policy that returns a
+policy."""
+
+
 FileLoader = Callable[[Path, Robot], Policy | None]
 """Makes a policy from a ``.zip`` file and a nominal robot. It returns None if the file is of another kind. It raises a
 ValueError with an explanation if the file is of its kind, but is damaged or made for another robot."""
@@ -79,8 +85,15 @@ def holds_unsaturated_actions(name: str) -> bool:
     return any(point.load().unsaturated_actions for point in policy_points(name) if is_own(point))
 
 
+def split_estimator(name: str) -> tuple[EntryPoint | None, str]:
+    """The installed estimator before the first ``+`` of the name of a policy, or None, and the name of the policy."""
+    estimator, _, policy = name.partition("+")
+    points = entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP, name=estimator) if policy else ()
+    return next(((point, policy) for point in points), (None, name))
+
+
 def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
-    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``.
+    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``; ``ekf+…`` behind an estimator.
 
     A factory, a function or a class, is called with the nominal robot, or with nothing if it needs nothing. A file is
     passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of them return None, the file is loaded as a
@@ -102,6 +115,9 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
     robot = as_robot(robot)
     if is_entry(name):
         raise ValueError(f"entry {name!r} runs in a process of its own only: `cablebot dlcc --isolate` does it")
+    estimator, inner = split_estimator(name)
+    if estimator is not None:
+        return as_policy(estimator.load()(robot, load_policy(inner, robot, wrappers=wrappers)))
     entry = policy_entry(name)
     if entry is not None:
         return fitted(entry.factory(robot), robot, f"policy {name!r}", wrappers)

@@ -25,7 +25,15 @@ import numpy as np
 
 from cablebot_gym.policies.entry import entry_spec
 from cablebot_gym.policies.loading import load_policy, policy_entry
-from cablebot_gym.policies.protocol import PolicyError, PolicyFactory, declarations, predicted, raised, reset_policy
+from cablebot_gym.policies.protocol import (
+    PolicyError,
+    PolicyFactory,
+    declarations,
+    measured_kind,
+    predicted,
+    raised,
+    reset_policy,
+)
 from cablebot_gym.policies.real_time import RealTime
 
 HEADER = struct.Struct("<4sBQ")
@@ -63,6 +71,7 @@ class _Server:
             self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot, wrappers=wrappers), real_time))
         unsaturated, stochastic = declarations(self._policy)
         flags = {"unsaturated_actions": unsaturated, "stochastic": stochastic, "note": note, "wrappers": names}
+        flags["measurement"] = measured_kind(self._policy)
         return json.dumps(flags | {"fallbacks": hasattr(self._policy, "fallbacks")}).encode()
 
     def reset(self, tasks: Any) -> bytes:

@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cablebot_gym.measurement import POSE
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
@@ -41,6 +42,8 @@ class Policy(Protocol):
       than the motors have. The paper criterion applies to such policies only.
     * ``stochastic = True`` declares that equal observations may give different actions, also with ``deterministic``.
       Other policies must give equal episodes when they are repeated, in any order of the batch.
+    * ``measurement = "winches"`` declares that the policy reads the sensors of winches, in an environment with this
+      kind of :class:`~cablebot_gym.measurement.Measurement`. Other policies read pose and velocity.
     """
 
     def predict(
@@ -115,6 +118,7 @@ class CallablePolicy:
     def __init__(self, function: Callable[[Array], Any]) -> None:
         self._function = function
         self.unsaturated_actions, self.stochastic = declarations(function)
+        self.measurement = measured_kind(function)
         if hasattr(function, "reset"):
             self.reset = function.reset
 
@@ -154,7 +158,9 @@ class PolicyFactory:
                 f"PolicyFactory calls {self.name}(), which needs {', '.join(missing)}: "
                 f"PolicyFactory(lambda: {self.name}({', '.join(missing)}))"
             )
-        self.unsaturated_actions, self.stochastic = declarations(self._made())
+        made = self._made()
+        self.unsaturated_actions, self.stochastic = declarations(made)
+        self.measurement = measured_kind(made)
         self._instances: list[Policy] = []
 
     def _made(self) -> Policy:
@@ -203,6 +209,11 @@ def required(factory: type) -> list[str]:
 def declarations(policy: Any) -> tuple[bool, bool]:
     """Whether a policy declares ``unsaturated_actions``, and whether it declares ``stochastic``."""
     return bool(getattr(policy, "unsaturated_actions", False)), bool(getattr(policy, "stochastic", False))
+
+
+def measured_kind(policy: Any) -> str:
+    """Kind of measurement that a policy reads: ``pose``, unless it declares another one."""
+    return str(getattr(policy, "measurement", POSE.kind))
 
 
 def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.policies.protocol import Array, as_policy, name_of, reset_policy
+from cablebot_gym.policies.protocol import Array, as_policy, measured_kind, name_of, reset_policy
 from cablebot_gym.task import Task
 
 WARM_UP = 10
@@ -32,6 +32,7 @@ class RealTime:
         self._policy, self._period = as_policy(policy), period
         self.name = name_of(policy)
         self.unsaturated_actions = bool(getattr(self._policy, "unsaturated_actions", False))
+        self.measurement = measured_kind(self._policy)
         self.times: list[float] = []
         """Times of the actions of the present episode [s]."""
         self.reset_time = 0.0

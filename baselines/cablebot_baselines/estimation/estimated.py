@@ -1,0 +1,142 @@
+"""Any policy behind an estimator, and forward kinematics as the simplest estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablebot_baselines.classical.law import first_steps
+from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
+from cablebot_baselines.estimation.forward_kinematics import forward_kinematics
+from cablebot_gym.envs.observation import ObservationLayout, observation_layout
+from cablebot_gym.kinematics import cable_lengths, structure_jacobian
+from cablebot_gym.measurement import POSE
+from cablebot_gym.physics import textbook
+from cablebot_gym.policies.protocol import Policy, declarations, reset_policy
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
+
+Array = NDArray[Any]
+
+
+class Estimator(Protocol):
+    """Estimates pose and velocity of a batch of episodes."""
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Reads the public tasks of the next batch."""
+
+    def update(self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]) -> tuple[Array, Array, Any]:
+        """Pose and velocity, each (N, n), from the blocks of an observation, and the next state."""
+
+
+class KinematicEstimator:
+    """Pose by forward kinematics, and velocity from the motor speeds; no dynamics and no filter.
+
+    The spring deflection of a flexible robot is that at rest at the reference pose.
+
+    Args:
+        robot: nominal robot.
+        difference: whether the velocity is the difference quotient of the poses instead.
+    """
+
+    def __init__(self, robot: Robot, *, difference: bool = False) -> None:
+        self.robot, self._difference, self._period = robot, difference, 2e-3
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Reads the control period."""
+        self._period = 1 / tasks[0].control_frequency
+
+    def update(self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]) -> tuple[Array, Array, Any]:
+        """Pose and velocity, each (N, n), and the pose as the next guess."""
+        robot, angle, reference = self.robot, blocks["motor_angle"], blocks["reference_pose"]
+        if robot.flexible:
+            mass = robot.mass + blocks["model_payload"][:, 0]
+            torque = textbook.static_torque(robot, mass, reference, minimum=textbook.MINIMUM_TENSION)
+            angle = angle - torque / robot.stiffness
+        guess = reference if state is None else np.where(starts[:, None], reference, state)
+        home = cable_lengths(robot.base, robot.platform, robot.home)
+        pose = forward_kinematics(robot.base, robot.platform, home - robot.pulley_radius * angle, guess).pose
+        if self._difference:
+            last = pose if state is None else np.where(starts[:, None], pose, state)
+            return pose, (pose - last) / self._period, pose
+        inverse = np.linalg.pinv(structure_jacobian(robot.base, robot.platform, pose))
+        rates = -robot.pulley_radius * blocks["motor_speed"]
+        return pose, (inverse @ rates[..., None])[..., 0], pose
+
+
+class Estimated:
+    """A policy that reads pose and velocity, with the sensors of winches.
+
+    The policy gets the observation that the environment would have with pose and velocity, with their estimates.
+
+    Args:
+        policy: any policy that reads pose and velocity.
+        robot: nominal robot.
+        estimator: the estimator; None for an :class:`~cablebot_baselines.estimation.ekf.ExtendedKalmanFilter`.
+    """
+
+    measurement = "winches"
+
+    def __init__(self, policy: Policy, robot: Robot, estimator: Estimator | None = None) -> None:
+        self.policy, self.robot = policy, robot
+        self.estimator = ExtendedKalmanFilter(robot) if estimator is None else estimator
+        self.unsaturated_actions, self.stochastic = declarations(policy)
+        self._full = observation_layout(robot)
+        self._measured: ObservationLayout | None = None
+
+    @property
+    def fallbacks(self) -> Any:
+        """The fallbacks of the policy.
+
+        Raises:
+            AttributeError: if it does not count them.
+        """
+        return self.policy.fallbacks  # type: ignore[attr-defined]
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Resets estimator and policy, which gets the tasks with pose and velocity as the measurement."""
+        self._measured = observation_layout(self.robot, tasks[0].measurement)
+        self.estimator.reset(tasks)
+        reset_policy(self.policy, "", lambda: tuple(replace(task, measurement=POSE) for task in tasks))
+
+    def predict(
+        self, observation: ArrayLike, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """Actions (N, m) or (m,), and the state of estimator and policy.
+
+        Raises:
+            RuntimeError: before the first :meth:`reset`, which tells the sensors.
+            ValueError: if the observation is not that of the sensors.
+        """
+        if self._measured is None:
+            raise RuntimeError("call reset(tasks) first: the tasks tell the sensors")
+        rows = np.atleast_2d(np.asarray(observation, float))
+        blocks = self._measured.split(rows)
+        estimate, inner = (None, None) if state is None else state
+        starts = first_steps(state, episode_start, (len(rows),))
+        pose, velocity, estimate = self.estimator.update(blocks, estimate, starts)
+        values = blocks | {"pose": pose, "velocity": velocity}
+        full = np.concatenate([values[block.name] for block in self._full.blocks], axis=-1)
+        space = self._full.space()
+        full = np.clip(np.nan_to_num(full), space.low, space.high)
+        actions, inner = self.policy.predict(full, inner, starts, deterministic)
+        return (actions if np.ndim(observation) > 1 else actions[0]), (estimate, inner)
+
+
+def ekf(robot: Robot, policy: Policy) -> Estimated:
+    """A policy behind the extended Kalman filter, the estimator ``ekf``."""
+    return Estimated(policy, robot)
+
+
+def ekf_homed(robot: Robot, policy: Policy) -> Estimated:
+    """The same, with the motor angles zeroed at the start pose, the estimator ``ekf-homed``."""
+    return Estimated(policy, robot, ExtendedKalmanFilter(robot, homing=True))
+
+
+def fk(robot: Robot, policy: Policy) -> Estimated:
+    """A policy behind forward kinematics, the estimator ``fk``."""
+    return Estimated(policy, robot, KinematicEstimator(robot))

@@ -1,0 +1,88 @@
+"""Exact readings of the sensors of winches and platform. Noise, bias and resolution are added in the outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_gym import kinematics
+from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import Measurement
+from cablebot_gym.physics import kernel
+from cablebot_gym.physics.plant import Plant
+from cablebot_gym.robots import Robot
+
+
+class Sensors:
+    """Sensors of N environments. They read the true state of the true robots.
+
+    Args:
+        robot: nominal robot.
+        measurement: the sensors.
+        count: number of environments, N.
+        period: control period [s].
+    """
+
+    def __init__(self, robot: Robot, measurement: Measurement, count: int, period: float) -> None:
+        self._robot, self._measurement, self._period = robot, measurement, period
+        sizes = measurement.sizes(robot) if measurement.winches else {}
+        self.readings = np.zeros((count, sum(sizes.values())))
+        """Readings in the order of the observation, (N, components); (N, 0) if pose and velocity are measured."""
+        self._velocity = np.zeros((count, robot.base.shape[-1]))  # of the last control instant
+
+    def read(
+        self,
+        env_indices: NDArray[np.int64],
+        plant: Plant,
+        truth: Mapping[str, Array],
+        *,
+        fresh: bool,
+    ) -> None:
+        """Writes the readings of the environments ``env_indices``.
+
+        Args:
+            env_indices: environments, (k,).
+            plant: the plant.
+            truth: true parameters by name, each (N, …).
+            fresh: whether the environments have just been reset.
+        """
+        robot = self._robot
+        pose, velocity = plant.pose[env_indices], plant.velocity[env_indices]
+        if robot.flexible:
+            values = [plant.motor_angle[env_indices], plant.motor_speed[env_indices]]
+        else:
+            base = truth["base_anchors"][env_indices]
+            platform = truth["platform_anchors"][env_indices] if "platform_anchors" in truth else robot.platform
+            home = kinematics.cable_lengths(base, platform, np.broadcast_to(robot.home, pose.shape))
+            length_rates = (kinematics.structure_jacobian(base, platform, pose) @ velocity[..., None])[..., 0]
+            changes = home - kinematics.cable_lengths(base, platform, pose), -length_rates
+            values = [change / robot.pulley_radius for change in changes]
+        if self._measurement.tensions:
+            # After a reset the record has no tensions, but the torques at rest.
+            torques = plant.per_cable(kernel.TORQUE)[env_indices] / robot.pulley_radius
+            values.append(torques if fresh else plant.per_cable(kernel.TENSION)[env_indices])
+        if self._measurement.imu:
+            axes = self._velocity.shape[-1]
+            acceleration = np.zeros_like(pose[:, :axes])
+            if not fresh:  # at rest before the start
+                acceleration = (velocity[:, :axes] - self._velocity[env_indices]) / self._period
+            self._velocity[env_indices] = velocity[:, :axes]
+            values += inertial(robot, pose, velocity, acceleration)
+        self.readings[env_indices] = np.concatenate(values, axis=-1)
+
+
+def inertial(robot: Robot, pose: Array, velocity: Array, acceleration: Array) -> list[Array]:
+    """Orientation, angular rate and specific force in the platform frame, each (..., 3).
+
+    Args:
+        robot: robot with three angles.
+        pose: X, (..., 6).
+        velocity: Ẋ, (..., 6).
+        acceleration: acceleration of the centre of mass, (..., 3) [m/s²].
+    """
+    euler = pose[..., -3:]
+    rate = (kinematics.euler_rate_matrix(euler) @ velocity[..., -3:, None])[..., 0]
+    free = acceleration - robot.gravity * np.array([0.0, 0.0, 1.0])
+    return [euler, rate, (np.swapaxes(kinematics.rotation_matrix(euler), -1, -2) @ free[..., None])[..., 0]]

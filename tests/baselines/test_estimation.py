@@ -1,0 +1,146 @@
+"""Estimation of pose and velocity from the sensors of winches."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from cablebot_baselines.estimation import (
+    Estimated,
+    ExtendedKalmanFilter,
+    KinematicEstimator,
+    calibrate,
+    forward_kinematics,
+    home_offset,
+)
+from cablebot_gym.envs import env_robot
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.kinematics import cable_lengths
+from cablebot_gym.physics import textbook
+from cablebot_gym.policies import load_policy
+from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
+
+EIGHT = (
+    np.array([[x, y, z] for z in (-3.0, 3.0) for x in (-8.0, 8.0) for y in (-5.0, 5.0)]),
+    np.array([[x, y, z] for z in (0.3, -0.3) for x in (-0.1, 0.1) for y in (-0.7, 0.7)]),
+)
+"""Anchors of a robot like IPAnema, with two more cables than coordinates."""
+
+ENCODERS = {"kind": "winches", "encoder_resolution": 2 * np.pi / 8192}
+WHITE = {"sensors": {"motor_angle": 1e-4, "motor_speed": 1e-2}}
+
+
+@pytest.mark.parametrize("geometry", ["planar", "spatial", "eight"])
+def test_forward_kinematics_finds_random_poses_and_residuals_show_wrong_lengths(geometry):
+    robot = {"planar": PLANAR, "spatial": SPATIAL}.get(geometry)
+    base, platform = EIGHT if robot is None else (robot.base, robot.platform)
+    n, rng = 2 if geometry == "planar" else 6, np.random.default_rng(0)
+    home = np.zeros(6) if robot is None else robot.home
+    poses = home + np.r_[[0.1] * min(n, 3), [0.15] * (n - min(n, 3))] * rng.uniform(-1, 1, (200, n))
+    poses[:, 2:3] += 0.2  # below the base of the suspended robot
+    lengths = cable_lengths(base, platform, poses)
+    guess = poses + 0.02 * rng.uniform(-1, 1, poses.shape)
+    found = forward_kinematics(base, platform, lengths, guess)
+    assert found.converged.all()
+    assert np.abs(found.pose - poses).max() < 1e-10
+    assert found.residual.max() < 1e-12
+    wrong = forward_kinematics(base, platform, lengths + 1e-3 * np.eye(len(base))[0], guess).residual
+    assert (wrong.max() < 1e-12) == (len(base) == n)
+
+
+def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertainty=None):
+    """Errors of pose and velocity (steps, N, 2n) in closed loop, and normalised squared errors of the filter."""
+    robot = find_robot(env_robot(env_id))
+    env = gym.make_vec(
+        env_id, num_envs=count, payload=1.0, measurement=measurement, uncertainty=uncertainty, max_episode_steps=None
+    ).unwrapped
+    policy = Estimated(load_policy(law, robot), robot, estimator)
+    rows, _ = env.reset(seed=0)
+    policy.reset(env.tasks)
+    state, errors, squares, last = None, [], [], env.pose
+    for _ in range(300):
+        actions, state = policy.predict(rows, state)
+        estimate = state[0]
+        if isinstance(estimator, ExtendedKalmanFilter):
+            n = robot.coordinates
+            error = estimate.mean[:, :n] - env.pose
+            rate = estimate.mean[:, n : 2 * n] - env._simulation._plant.velocity
+            errors.append(np.concatenate([error, rate], axis=-1))
+            inverse = np.linalg.inv(estimate.covariance[:, : 2 * n, : 2 * n])
+            squares.append(np.einsum("ij,ijk,ik->i", errors[-1], inverse, errors[-1]))
+        else:
+            rate = (estimate - last) / 2e-3 - env._simulation._plant.velocity
+            errors.append(np.concatenate([estimate - env.pose, rate], axis=-1))
+            last = estimate
+        rows = env.step(actions)[0]
+    return np.array(errors[50:]), np.array(squares[50:])
+
+
+@pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0"])
+def test_filter_is_consistent_and_better_than_differences_of_forward_kinematics(env_id):
+    robot = find_robot(env_robot(env_id))
+    noise = {"measurement": ENCODERS, "uncertainty": WHITE}
+    errors, squares = run(env_id, ExtendedKalmanFilter(robot), **noise)
+    raw, _ = run(env_id, KinematicEstimator(robot), **noise)
+    n = robot.coordinates
+    assert 0.3 < squares.mean() / (2 * n) < 2
+    size, raw_size = (np.sqrt((one**2).mean(axis=(0, 1))) for one in (errors, raw))
+    assert (size[:n] < raw_size[:n]).all()
+    assert (size[n:] < raw_size[n:] / 5).all()
+
+
+def test_filter_finds_the_pose_behind_the_springs():
+    errors, _ = run("CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite-tuned")
+    assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
+
+
+def test_homing_removes_the_zero_error():
+    errors, _ = run(
+        "CableBot-Planar-v0",
+        ExtendedKalmanFilter(PLANAR, homing=True),
+        uncertainty={"sensor_bias": {"motor_angle": 0.1}},
+    )
+    assert np.abs(errors[..., :2]).max() < 1e-5
+
+
+def test_law_behind_the_filter_with_exact_sensors_carries_its_payload():
+    """The tolerance is 1 % of the payload."""
+    options = {"search": "bisection", "payload_max": 4.0}
+    full = evaluate_dlcc("fl", "CableBot-Planar-v0", **options)
+    estimated = evaluate_dlcc("ekf+fl", "CableBot-Planar-v0", measurement="winches", **options)
+    assert estimated.payload == pytest.approx(full.payload, rel=0.01)
+
+
+def readings(robot, count, *, seed=0):
+    """Poses, and offsets of the motor angles."""
+    rng, n = np.random.default_rng(seed), robot.coordinates
+    poses = robot.home + 0.08 * rng.uniform(-1, 1, (count, n))
+    if n > 2:
+        poses[:, 2] += 0.25
+    return poses, rng.normal(0, 0.1, robot.cables)
+
+
+def test_calibration_recovers_offsets_from_redundant_cables():
+    poses, offset = readings(PLANAR, 12)
+    found = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
+    np.testing.assert_allclose(found.offset, offset, atol=1e-8)
+    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+
+
+@pytest.mark.parametrize("sensor", ["tensions", "orientation"])
+def test_calibration_of_six_cables_needs_and_uses_a_further_sensor(sensor):
+    poses, offset = readings(SPATIAL, 10)
+    angles, rest = textbook.pulley_angle(SPATIAL, poses) + offset, np.zeros_like(poses)
+    with pytest.raises(ValueError, match="do not determine the offsets"):
+        calibrate(SPATIAL, angles, poses + 0.005)
+    tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, rest, rest)
+    exact = {"tensions": tensions, "orientation": poses[:, 3:]}
+    found = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
+    np.testing.assert_allclose(found.offset, offset, atol=1e-5)
+
+
+def test_home_offset_is_the_difference_at_the_known_pose():
+    poses, offset = readings(SPATIAL, 1)
+    found = home_offset(SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0])
+    np.testing.assert_allclose(found, offset, atol=1e-12)
