@@ -95,7 +95,7 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
         if field.name != "name":
             unit = _UNITS["trajectory"].get(field.name, "")
-            unit = unit.partition(",")[0] if trajectory.name.endswith(("-planar", "-point")) else unit
+            unit = unit.partition(",")[0] if getattr(trajectory, "name", "").endswith(("-planar", "-point")) else unit
             # A field whose default is None gets its value from the other fields.
             default = None if field.default is None else to_jsonable(getattr(trajectory, field.name))
             found[field.name] = {"default": default, "unit": unit}
