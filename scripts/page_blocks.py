@@ -5,8 +5,9 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/page_blocks.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and errors), a table of
-``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
+NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and errors),
+``library`` (the real robots), a table of ``cablebot list``, or a script in ``examples/``, with its output if the name
+ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -25,8 +26,11 @@ import measure_winches
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
 from cablebot_gym.benchmark.tables import motion_title
+from cablebot_gym.bounds.robot_check import RobotCheck, check_model
 from cablebot_gym.cli.listing import tables
+from cablebot_gym.cli.robot import report
 from cablebot_gym.policies import policy_entries
+from cablebot_gym.robots import ELASTIC, find_robot, library
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -37,6 +41,7 @@ PAGES = (
     "docs/environments.md",
     "docs/policies.md",
     "docs/measurement.md",
+    "docs/robots.md",
 )
 """Pages with blocks."""
 
@@ -85,6 +90,30 @@ def _circle(column: Column) -> bool:
     return column == Column(motion=column.motion) and column.motion.startswith("circle-")
 
 
+def library_pages() -> str:
+    """Drawing, check and sources of each robot of the library, with about half of the payload that it carries."""
+    text = ""
+    for name, path in library().items():
+        check = shown_check(name)
+        about = re.findall(r"^# (.*)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        text += f"## {name}\n\n" + "\n".join(line for line in about) + "\n\n"
+        text += f"![{name}: plan, elevations and workspace](figures/robot-{name}.png)\n\n"
+        command = f"cablebot robot check {check.robot.name} --payload {check.payload:g}"
+        text += (
+            "```text\n" + "\n".join([f"$ {command}", *report(check)]) + "\n```\n\n| value | source |\n| --- | --- |\n"
+        )
+        for field, source in check.robot.sources.items():
+            text += f"| `{field}` | {re.sub('^assumed', '**assumed**', source)} |\n"
+        text += "\n"
+    return "\n" + text
+
+
+def shown_check(name: str) -> RobotCheck:
+    """Check of a robot of the library with elastic cables and half of its payload, rounded to two digits."""
+    robot = find_robot(ELASTIC + name)
+    return check_model(robot, payload=float(f"{check_model(robot).limit.largest / 2:.2g}"))
+
+
 def block(name: str) -> str:
     """The text of a block.
 
@@ -93,6 +122,8 @@ def block(name: str) -> str:
     """
     if name == "leaderboard":
         return readme_table(Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8")))
+    if name == "library":
+        return library_pages()
     if name == "measurement":
         return measure_winches.table(json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8")))
     if name.startswith("examples/"):

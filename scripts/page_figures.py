@@ -1,4 +1,4 @@
-"""Simulates and draws the figures of the pages on DLCC and uncertainty, docs/figures/*.png.
+"""Simulates and draws the figures of the pages on DLCC, uncertainty and robots, docs/figures/*.png.
 
 python scripts/page_figures.py
 """
@@ -9,12 +9,15 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+import page_blocks
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.plotting.figures import DPI, TravelledPath, draw_success, draw_torques, new_figure, path_panels
+from cablebot_gym.plotting.robots import draw_robot
+from cablebot_gym.robots import library
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, ORANGE, VERMILLION
 
@@ -38,6 +41,7 @@ def write(folder: Path) -> list[Path]:
         "payloads": payloads(),
         "draws": draw_success(evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)),
     }
+    figures |= {f"robot-{name}": draw_robot(page_blocks.shown_check(name)) for name in library()}
     folder.mkdir(parents=True, exist_ok=True)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})

@@ -25,7 +25,9 @@ LINE = 105
 """Characters of code that fit on a page of the site at 1280 px."""
 
 BLOCKS = [
-    pytest.param(page, name, id=f"{page}: {name}", marks=pytest.mark.slow if "output" in name else [])
+    pytest.param(
+        page, name, id=f"{page}: {name}", marks=pytest.mark.slow if "output" in name or name == "library" else []
+    )
     for page in page_blocks.PAGES
     for name in page_blocks.blocks((ROOT / page).read_text(encoding="utf-8"))
 ]

@@ -14,7 +14,7 @@ from typing import Any
 from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, TimingCell, cell_from_dict, merged
 from cablebot_gym.benchmark.maps import AXES, AnyCell
-from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
+from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation.statistics import fewest_draws
 from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.isolated import IsolatedPolicy, public_entries, public_entry
@@ -69,7 +69,7 @@ class Suite:
     """Description in one line."""
     blocks: tuple[Block, ...]
     """Conditions."""
-    env_ids: tuple[str, ...] = ENV_IDS
+    env_ids: tuple[str, ...] = PAPER_ENV_IDS
     """Environment ids."""
     best_known: bool = True
     """Whether to compute the best known payloads."""

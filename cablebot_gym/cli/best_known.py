@@ -6,13 +6,13 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import BOUNDS, EnvId, Json, episode_options
+from cablebot_gym.cli.options import BOUNDS, FittingEnvId, Json, episode_options
 from cablebot_gym.utils.console import activity
 
 
 @episode_options("robot", "trajectory", *BOUNDS, "control_frequency")
 def best_known(
-    env_id: EnvId,
+    env_id: FittingEnvId,
     episode: dict[str, Any],
     cache: Annotated[
         bool, typer.Option(help="Whether to store the result on disk, and to read a stored result.")

@@ -35,7 +35,7 @@ _OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
 
 @options.episode_options()
 def compare(
-    env_id: options.EnvId,
+    env_id: options.FittingEnvId,
     policies: Annotated[
         str,
         typer.Option(

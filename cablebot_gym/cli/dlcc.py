@@ -33,7 +33,7 @@ class SearchChoice(StrEnum):
 
 @options.episode_options()
 def dlcc(
-    env_id: options.EnvId,
+    env_id: options.FittingEnvId,
     policy: options.PolicyName,
     episode: dict[str, Any],
     criterion: Annotated[
@@ -80,6 +80,8 @@ def dlcc(
     cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
 
     cablebot dlcc CableBot-Spatial-v0 --policy robust-tuned --uncertainty table6
+
+    cablebot dlcc --policy fl --robot cogiro
     """
     from cablebot_gym.evaluation.constraints import CRITERIA
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc

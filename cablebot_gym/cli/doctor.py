@@ -153,7 +153,7 @@ def _statics_test(env_id: str) -> str:
     Raises:
         ArithmeticError: if the platform moves.
     """
-    kind = "planar" if "Planar" in env_id else "spatial"
+    kind = find_robot(env_robot(env_id)).kind
     env = gym.make(env_id, trajectory=f"dwell-{kind}", initial_error=0.0, payload=PAYLOAD)
     try:
         _, info = env.reset(seed=0)

@@ -22,7 +22,7 @@ _UNITS: dict[str, dict[str, str]] = tomllib.loads(
 
 
 def list_(as_json: Json = False) -> None:
-    """List environments, trajectories, uncertainties and installed policies.
+    """List environments, robots, trajectories, uncertainties and installed policies.
 
     The tables of trajectories and uncertainties show the fields and default values of `--trajectory` and
     `--uncertainty` as JSON.
@@ -43,11 +43,13 @@ def _data() -> dict[str, Any]:
     """The lists as JSON-able data."""
     from cablebot_gym.envs import ENV_IDS
     from cablebot_gym.policies import policy_entries
+    from cablebot_gym.robots import robot_names
     from cablebot_gym.trajectories import TRAJECTORIES, trajectory_names
     from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
 
     return {
         "env_ids": list(ENV_IDS),
+        "robots": [_robot_entry(name) for name in robot_names()],
         "trajectories": trajectory_names(),
         "trajectory_fields": {name: _trajectory_fields(make()) for name, make in TRAJECTORIES.items()},
         "uncertainties": list(UNCERTAINTIES),
@@ -57,6 +59,25 @@ def _data() -> dict[str, Any]:
         "policies": [
             {"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in policy_entries().values()
         ],
+    }
+
+
+def _robot_entry(name: str) -> dict[str, Any]:
+    """A robot as JSON-able data. The values of the paper's robots cite its tables in the code."""
+    from cablebot_gym.robots import find_robot
+
+    robot = find_robot(name)
+    assumed = [field for field, source in robot.sources.items() if source.startswith("assumed")]
+    return {
+        "name": name,
+        "kind": robot.kind,
+        "cables": robot.cables,
+        "coordinates": robot.coordinates,
+        "joints": robot.joints,
+        "origin": "library" if robot.sources else "paper",
+        "documented": len(robot.sources) - len(assumed),
+        "assumed": assumed,
+        "sources": dict(robot.sources),
     }
 
 
@@ -74,7 +95,7 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
         if field.name != "name":
             unit = _UNITS["trajectory"].get(field.name, "")
-            unit = unit.partition(",")[0] if getattr(trajectory, "coordinates", None) == 2 else unit
+            unit = unit.partition(",")[0] if getattr(trajectory, "name", "").endswith(("-planar", "-point")) else unit
             # A field whose default is None gets its value from the other fields.
             default = None if field.default is None else to_jsonable(getattr(trajectory, field.name))
             found[field.name] = {"default": default, "unit": unit}
@@ -124,7 +145,7 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     """Name, title, and header and rows of each table."""
     from cablebot_gym.envs import ENV_IDS, env_robot
     from cablebot_gym.policies import policy_entries
-    from cablebot_gym.robots import find_robot
+    from cablebot_gym.robots import find_robot, robot_names
     from cablebot_gym.trajectories import TRAJECTORIES
     from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, ExternalWrench, ParameterDistribution, SensorNoise
 
@@ -133,6 +154,12 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
         robot = find_robot(env_robot(env_id))
         rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.joints])
     yield "ids", "Environments", rows
+
+    rows = [["name", "kind", "cables", "joints", "values with a source"]]
+    for entry in map(_robot_entry, robot_names()):
+        values = "the paper" if not entry["sources"] else f"{entry['documented']} of {len(entry['sources'])}"
+        rows.append([entry["name"], entry["kind"], str(entry["cables"]), entry["joints"], values])
+    yield "robots", "Robots", rows
 
     rows = [["name", "field", "default", "unit"]]
     for name, make in TRAJECTORIES.items():

@@ -22,6 +22,16 @@ if TYPE_CHECKING:
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all.")
 ]
+FittingEnvId = Annotated[
+    str,
+    typer.Argument(
+        metavar="[ID]",
+        help="Environment id, such as CableBot-Spatial-v0. The default is the one that fits --robot. `cablebot list` "
+        "shows all.",
+    ),
+]
+"""The id of a command without another argument. :func:`episode_options` finds it by the robot."""
+
 _POLICY = typer.Option(
     "--policy",
     help="Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or file.py:factory.",
@@ -87,7 +97,7 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         str | None,
         None,
         typer.Option(
-            help="TOML file of a robot of the kind of ID, with its default motion, error bounds and payloads."
+            help="Name or TOML file of a robot of the kind of ID, with its default motion, error bounds and payloads."
         ),
     ),
     "trajectory": (
@@ -212,12 +222,15 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
                 for name, value in bounds.items()
                 if value is not None
             }
+            if values.get("env_id", "") is None:
+                values["env_id"] = _env_id_of(episode["robot"])
             command(**values, episode=episode)
 
         parameters = []
         for own in inspect.signature(command, eval_str=True).parameters.values():
             if own.name != "episode":
-                parameters.append(own.replace(kind=own.KEYWORD_ONLY))
+                default = None if own.annotation == FittingEnvId else own.default
+                parameters.append(own.replace(kind=own.KEYWORD_ONLY, default=default))
                 continue
             for name in chosen:
                 kind, default, option = _EPISODE_OPTIONS[name]
@@ -227,6 +240,15 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
         return run
 
     return decorate
+
+
+def _env_id_of(robot: str | None) -> str:
+    """The environment id of a command without one."""
+    from cablebot_gym.envs import ENV_IDS, fitting_env_id
+
+    if robot is None:
+        raise ValueError(f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot")
+    return fitting_env_id(robot)
 
 
 def command_again(command: str, *arguments: object, episode: Mapping[str, Any], **options: Any) -> str:

@@ -94,19 +94,20 @@ def report(check: RobotCheck) -> list[str]:
     place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
     lines = [f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {_springs(robot)}"]
     if limit.largest < limit.least:
-        lines.append(f"motion     {check.trajectory.name}: no payload can be held {place}: {limit.reason}")
+        lines += [f"motion     {check.trajectory.name}: no payload can be held", f"           {place}:"]
     else:
         held = "carries" if check.held else "does not carry"
         lines.append(
             f"motion     {check.trajectory.name}, {check.trajectory.duration:g} s: {held} {check.payload:g} kg"
         )
         lines.append(f"           exact tracking from {limit.least:.4g} to {limit.largest:.4g} kg")
-        lines.append(f"           limit {place}: {limit.reason}")
+        lines.append(f"           limit {place}:")
+    lines.append(f"           {limit.reason}")
     lines.append(f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation")
     for locked, text in ((True, "motors locked"), (False, "motors free")):
         own = [f"{mode.frequency:.3g} Hz ({mode.direction})" for mode in check.modes if mode.locked == locked]
         if own:
-            lines.append(f"modes      {text}: softest {own[0]}, stiffest {own[1]}; without the stiffness of tensions")
+            lines.append(f"modes      {text}: softest {own[0]}, stiffest {own[1]}")
     if not check.modes:
         lines.append("modes      none: the transmission is rigid and the cables do not stretch")
     step = f"{1e3 * check.physics_step:.3g} ms"
@@ -129,17 +130,17 @@ def _sag_lines(check: RobotCheck) -> list[str]:
     lines = []
     for number, cable in enumerate(check.cables, 1):
         factor = "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
-        text = f"sags by {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
+        text = f"sag {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
         start = "sag        " if number == 1 else " " * 11
-        lines.append(f"{start}cable {number}: least tension {cable.tension:.4g} N, length {cable.length:.3g} m: {text}")
+        lines.append(f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}")
     if check.settled is None or check.settled_tension is None:
         return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
     d = check.robot.dimensions
     moved = [f"{1e3 * math.hypot(*check.settled[:d]):.2f} mm"]
     if check.settled[d:]:
         moved.append(f"{1e3 * max(map(abs, check.settled[d:])):.2f} mrad")
-    text = f"at home_pose, sag and cable weight move the platform by {' and '.join(moved)}"
-    return [*lines, f"           {text} and change tensions by up to {check.settled_tension:.0%}"]
+    text = f"sag and weight move the home pose by {' and '.join(moved)}"
+    return [*lines, f"           {text}, tensions by up to {check.settled_tension:.0%}"]
 
 
 def _densities(check: RobotCheck) -> list[float]:

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, Payload, PolicyName, episode_options, robot_of
+from cablebot_gym.cli.options import FittingEnvId, Payload, PolicyName, episode_options, robot_of
 
 
 @episode_options()
 def rollout(
-    env_id: EnvId,
+    env_id: FittingEnvId,
     policy: PolicyName,
     out: Annotated[Path, typer.Option(help="File of the recording, ending in .npz or .csv.")],
     episode: dict[str, Any],

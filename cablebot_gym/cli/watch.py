@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from cablebot_gym.cli.options import EnvId, Payload, PolicyNameOrNone, command_again, episode_options
+from cablebot_gym.cli.options import FittingEnvId, Payload, PolicyNameOrNone, command_again, episode_options
 from cablebot_gym.cli.video import Policies, Size, Speed, picture_size, record_episodes
 from cablebot_gym.video import SPEED
 
 
 @episode_options()
 def watch(
-    env_id: EnvId,
+    env_id: FittingEnvId,
     episode: dict[str, Any],
     policy: PolicyNameOrNone = None,
     policies: Policies = None,

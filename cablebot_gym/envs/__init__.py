@@ -14,11 +14,26 @@ ENV_ROBOTS = {
     "CableBot-Spatial-v0": "spatial",
     "CableBot-FlexPlanar-v0": "flex-planar",
     "CableBot-FlexSpatial-v0": "flex-spatial",
+    "CableBot-Point-v0": "stadium-camera",
+    "CableBot-PlanarPlatform-v0": "ttk4900",
 }
 """Name of the robot of each environment id."""
 
+ENV_KINDS = {
+    "CableBot-Planar-v0": ("planar", False),
+    "CableBot-Spatial-v0": ("spatial", False),
+    "CableBot-FlexPlanar-v0": ("planar", True),
+    "CableBot-FlexSpatial-v0": ("spatial", True),
+    "CableBot-Point-v0": ("point", False),
+    "CableBot-PlanarPlatform-v0": ("planar-platform", False),
+}
+"""Kind of the robots of each environment id, and whether they are flexible."""
+
 ENV_IDS = tuple(ENV_ROBOTS)
 """All environment ids."""
+
+PAPER_ENV_IDS = ENV_IDS[:4]
+"""Ids of the environments with the paper's robots, for which the leaderboard has results."""
 
 FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
 """Ids of the environments whose robots have joint springs."""
@@ -61,25 +76,38 @@ def described(env_id: str, robot_name: str) -> str:
     return env_id if ENV_ROBOTS.get(env_id) == robot_name else f"{env_id} with robot {robot_name!r}"
 
 
+def fitting_env_id(robot: Any) -> str:
+    """The id of the environments of a robot's kind.
+
+    Raises:
+        ValueError: if the robot is invalid, or there is no id for its kind.
+    """
+    from cablebot_gym.robots import KIND_TEXTS, find_robot  # imported here: importing cablebot_gym must stay fast
+
+    given = find_robot(robot)
+    for env_id, kind in ENV_KINDS.items():
+        if kind == (given.kind, given.flexible):
+            return env_id
+    raise ValueError(
+        f"robot {given.name!r} is {KIND_TEXTS[given.kind]} with a {given.joints} transmission, which has no "
+        "environment: use robot.with_rigid_cables()"
+    )
+
+
 def check_robot(env_id: str, robot: Any) -> None:
     """Checks that an environment id exists and that a robot is of the kind of the id.
 
-    Kinds are planar or spatial, with or without joint springs.
+    Kinds are those of :attr:`~cablebot_gym.robots.Robot.kind`, rigid or flexible.
 
     Raises:
         ValueError: if the id is unknown or the robot does not fit. The message lists the valid ids, or gives the id
             that fits the robot.
     """
     env_robot(env_id)
-    if robot is None:
-        return
-    from cablebot_gym.robots import find_robot  # imported here because importing cablebot_gym must stay fast
+    if robot is not None and (fitting := fitting_env_id(robot)) != env_id:
+        from cablebot_gym.robots import find_robot
 
-    given, defaults = find_robot(robot), {other: find_robot(name) for other, name in ENV_ROBOTS.items()}
-    kind = given.planar, given.flexible
-    fitting_id = next(other for other, default in defaults.items() if (default.planar, default.flexible) == kind)
-    if fitting_id != env_id:
-        raise ValueError(f"robot {given.name!r} does not fit {env_id}: use {fitting_id}")
+        raise ValueError(f"robot {find_robot(robot).name!r} does not fit {env_id}: use {fitting}")
 
 
 class SpecChecked:

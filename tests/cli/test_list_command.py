@@ -10,7 +10,7 @@ import pytest
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import find_robot
+from cablebot_gym.robots import find_robot, robot_names
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, find_uncertainty
 
@@ -22,6 +22,7 @@ def data(cablebot):
 
 def test_json_has_every_name(data):
     assert data["env_ids"] == list(ENV_IDS)
+    assert [robot["name"] for robot in data["robots"]] == robot_names()
     assert data["trajectories"] == trajectory_names()
     assert data["uncertainties"] == list(UNCERTAINTIES)
     assert data["uncertain_parameters"] == list(PARAMETERS)
@@ -30,9 +31,18 @@ def test_json_has_every_name(data):
     assert fl in data["policies"]
 
 
+def test_robots_have_their_kind_and_the_completeness_of_their_sources(data):
+    found = {robot["name"]: robot for robot in data["robots"]}
+    camera, paper = found["flex-stadium-camera"], found["planar"]
+    assert (camera["kind"], camera["cables"], camera["joints"], camera["origin"]) == ("point", 4, "flexible", "library")
+    assert (paper["kind"], paper["origin"], paper["sources"]) == ("planar", "paper", {})
+    assert "mass" not in camera["assumed"]
+    assert camera["documented"] == len(camera["sources"]) - len(camera["assumed"])
+
+
 def test_text_has_every_name_and_unit(cablebot):
     words = set(cablebot("list").out.replace("(", " ").split())
-    for expected in (ENV_IDS, trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries()):
+    for expected in (ENV_IDS, robot_names(), trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries()):
         assert set(expected) <= words
     assert {parameter.unit for parameter in PARAMETERS.values()} <= words
 

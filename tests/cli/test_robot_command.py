@@ -26,7 +26,7 @@ def edited(tmp_path):
 def test_report_of_a_file_has_every_part(cablebot, edited, tmp_path):
     ended = cablebot("robot", "check", edited("gch-klaus"), "--out", tmp_path / "my.svg")
     assert ended.status == 0
-    for text in ("carries 0 kg", "limit at t =", "workspace", "motors locked: softest", "physics steps of", "sags by"):
+    for text in ("carries 0 kg", "limit at t =", "workspace", "motors locked: softest", "physics steps of", "sag "):
         assert text in ended.out
     assert "questions  none" in ended.out
     assert (tmp_path / "my.svg").read_text(encoding="utf-8").count("<svg") == 1

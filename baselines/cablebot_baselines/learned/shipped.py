@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 
 from cablebot_baselines.entries import DATA
-from cablebot_gym.envs import ENV_IDS, env_robot
+from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.policies import Policy, PolicyEntry
-from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -41,14 +41,6 @@ def short_id(env_id: str) -> str:
     return env_id.removeprefix("CableBot-").removesuffix("-v0")
 
 
-def env_id_of(robot: Robot) -> str:
-    """Id of the environment with the same kind of robot: planar or spatial, rigid or flexible."""
-
-    robots = {env_id: find_robot(env_robot(env_id)) for env_id in ENV_IDS}
-    kind = (robot.planar, robot.flexible)
-    return next(env_id for env_id, one in robots.items() if (one.planar, one.flexible) == kind)
-
-
 def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
     """Loads a shipped policy for a nominal robot; the robot's kind selects the weights.
 
@@ -64,7 +56,7 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
     from cablebot_baselines.learned.bundle import Bundle  # imported here: listing policies does not need them
     from cablebot_baselines.learned.policy import LearnedPolicy
 
-    shipped, env_id = SHIPPED[choice("learned policy", name, SHIPPED)], env_id_of(robot)
+    shipped, env_id = SHIPPED[choice("learned policy", name, SHIPPED)], fitting_env_id(robot)
     if env_id not in shipped.env_ids:
         others = ", ".join(other.name for other in SHIPPED.values() if env_id in other.env_ids)
         raise ValueError(f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {others}")
