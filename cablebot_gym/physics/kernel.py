@@ -11,10 +11,6 @@ Here p is the position of the centre of mass c, and b_i is the platform anchor a
 For a point mass y = p̈ and row_i = u_i. For a platform in a plane y = (p̈, φ̈) and row_i = (u_i, R b_i × u_i) in the base
 frame.
 
-A swivel pulley adds terms to the bias, see :func:`_swivelled`. Elastic cables have the tensions of
-:func:`textbook.cable_springs` at the angle β of their pulley, ``J β̈ = κ − c β̇ − torque of the cable``, and the set of
-taut cables follows from their strain. Without joint springs the pulley is the motor.
-
 F and M are the external force and moment at the centre of mass in the base frame; usually they are zero. The torque
 limits and the motors' friction hold at every stage of RK4, not only once per step: the error of a saturated motor falls
 with the fourth power of the step, too. κ is the motor torque less the friction (rigid) or the spring torque. The Euler
@@ -49,21 +45,17 @@ _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
 # on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
-# whose distance is a multiple of 4 KiB share a set of the first-level cache. Robots with elastic cables or swivel pulleys
-# have STRETCH_PARAMETERS further rows for each cable, from stretch_parameter(m, lopsided) on.
+# whose distance is a multiple of 4 KiB share a set of the first-level cache.
 MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
 STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
 CABLE_PARAMETERS = 17
 PRODUCTS, CENTER, BODY_PARAMETERS = 0, 3, 6
-RADIUS, PER_PULLEY_INERTIA, AXIAL_STIFFNESS, AXIAL_DAMPING, FULL_LENGTH, EXTRA_LENGTH, SWIVEL = 0, 1, 2, 3, 4, 5, 6
-STRETCH_PARAMETERS = 7
 
-# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period. With
-# joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow, angle and speed.
+# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
 DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED, LEAST_TENSION, LAGGED = 0, 1, 2, 3, 4, 5, 6, 7, 8
-CABLE_RECORDS, PULLEY_RECORDS = 9, 2
+CABLE_RECORDS = 9
 
 # Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. _TRIG of a platform in a
 # plane: sine and cosine of φ.
@@ -77,8 +69,6 @@ _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 
 _RESULTS = 21
 _GAP, _DECAY, _KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
 _CABLE_ROWS = 28
-# The pulleys between joint springs and elastic cables, after all cables.
-_PULLEY_START, _PULLEY_SUM, _PULLEY_STAGE, _PULLEY_RATE, _PULLEY_ROWS = 0, 2, 4, 6, 7
 
 TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""
@@ -97,10 +87,6 @@ class Form(NamedTuple):
     """Lanes of a tile."""
     jointed: bool
     """Whether there are springs between motors and pulleys."""
-    elastic: bool
-    """Whether the cables stretch."""
-    swivel: bool
-    """Whether the cables run over swivel pulleys."""
     lopsided: bool
     """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
     for every platform in a plane."""
@@ -111,30 +97,19 @@ def body_parameter(cables: int) -> int:
     return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables
 
 
-def stretch_parameter(cables: int, lopsided: bool) -> int:
-    """Row of the first parameter that only robots with elastic cables or swivel pulleys have."""
-    return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables + BODY_PARAMETERS * lopsided
-
-
-def pulley_record(cables: int) -> int:
-    """Row of the angle of the first pulley between a joint spring and an elastic cable."""
-    return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
-
-
 def parameter_rows(form: Form) -> int:
     """Number of parameter rows of a tile."""
-    stretch = STRETCH_PARAMETERS * form.cables * (form.elastic or form.swivel)
-    return stretch_parameter(form.cables, form.lopsided) + stretch
+    return body_parameter(form.cables) + BODY_PARAMETERS * form.lopsided
 
 
 def record_rows(form: Form) -> int:
     """Number of record rows of a tile."""
-    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * (form.elastic and form.jointed)
+    return FIRST_CABLE_RECORD + CABLE_RECORDS * form.cables
 
 
 def scratch_rows(form: Form) -> int:
     """Number of rows of the scratch memory."""
-    return _FIRST_CABLE + _CABLE_ROWS * form.cables + _PULLEY_ROWS * form.cables * (form.elastic and form.jointed)
+    return _FIRST_CABLE + _CABLE_ROWS * form.cables
 
 
 # ---------------------------------------------------------------------------------------------- small helpers
@@ -152,9 +127,7 @@ def _fused(context, a, b, c):
 _fma: Any = intrinsic(_fused)
 
 
-_body, _stretch_parameter, _pulley_record = (
-    _inline(row) for row in (body_parameter, stretch_parameter, pulley_record)
-)
+_body = _inline(body_parameter)
 
 
 @_inline
@@ -206,54 +179,6 @@ def _sincos(angle):
     s = -s if quadrant >= 2.0 else s
     c = -c if (quadrant == 1.0) | (quadrant == 2.0) else c
     return s, c
-
-
-@_inline
-def _atan2(y, x):
-    """Vectorisable ``math.atan2``: reduction to ± π/8, then the minimax polynomial of fdlibm."""
-    wide, high = abs(x), abs(y)
-    longer, shorter = max(wide, high), min(wide, high)
-    steep = shorter > 0.4142135623730950488 * longer
-    t = (shorter - longer if steep else shorter) / (longer + shorter if steep else longer)
-    z = t * t
-    r = _fma(z, 1.62858201153657823623e-02, -3.65315727442169155270e-02)
-    r = _fma(z, _fma(z, r, 4.97687799461593236017e-02), -5.83357013379057348645e-02)
-    r = _fma(z, _fma(z, r, 6.66107313738753120669e-02), -7.69187620504482999495e-02)
-    r = _fma(z, _fma(z, r, 9.09088713343650656196e-02), -1.11111104054623557880e-01)
-    r = _fma(z, _fma(z, r, 1.42857142725034663711e-01), -1.99999999998764832476e-01)
-    r = _fma(z, r, 3.33333333333329318027e-01)
-    angle = _fma(-t * z, r, t)
-    angle = angle + 0.78539816339744830962 if steep else angle
-    angle = 1.57079632679489661923 - angle if high > wide else angle
-    angle = 3.14159265358979323846 - angle if x < 0.0 else angle
-    return -angle if y < 0.0 else angle
-
-
-# -------------------------------------------------------------------------------- swivel pulleys: one lane at a time
-
-
-@_inline
-def _swivelled(lengths, radius, s, v):
-    """Direction, length and bend of a cable over a swivel pulley of the signed radius, from the anchors' difference s.
-
-    As :class:`kinematics._Swivelled`, in the base frame. The bend (v·n)²/f + (u_h/d)(v·e)² is the part of q̈ by which the
-    free length f turns: in the plane of the pulley, where n is normal to the cable, and with the pulley about its axis,
-    where d is the distance from the axis and e points sideways. The length is zero if ``lengths`` is False.
-    """
-    rho, side = abs(radius), -1.0 if radius < 0.0 else 1.0
-    reach = math.sqrt(s[0] * s[0] + s[1] * s[1])
-    per_reach = 1.0 / reach
-    height, across = side * s[2], reach - rho
-    square = across * across + height * height
-    free = math.sqrt(square - rho * rho)
-    out, down = (free * across - rho * height) / square, (rho * across + free * height) / square
-    x, y = s[0] * per_reach, s[1] * per_reach
-    normal, sideways = out * side * v[2] - down * (x * v[0] + y * v[1]), x * v[1] - y * v[0]
-    bend = normal * normal / free + out * sideways * sideways * per_reach
-    length = 0.0
-    if lengths:
-        length = free + rho * (math.pi + _atan2(-out, down))
-    return (out * x, out * y, side * down), length, bend
 
 
 # ---------------------------------------------------------------------------------- spatial robot: one lane at a time
@@ -319,15 +244,7 @@ def _tensor(m, lopsided, p, at, lanes):
 
 
 @_inline
-def _to_base(vector, offset, w, at, lanes):
-    """offset + R vector."""
-    first, second = _load(w, _ROTATION, at, lanes), _load(w, _ROTATION + 3, at, lanes)
-    third = _load(w, _ROTATION + 6, at, lanes)
-    return _ahead(vector[0], first, _ahead(vector[1], second, _ahead(vector[2], third, offset)))
-
-
-@_inline
-def _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i):
+def _spatial_cable(lopsided, p, w, at, lanes, i):
     """Direction, moment arm, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     b = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PLATFORM, at, lanes)
@@ -335,30 +252,18 @@ def _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i):
     omega = _load(w, _OMEGA, at, lanes)
     velocity = _load(w, _BODY_VELOCITY, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
+    s = (
+        _dot(_load(w, _ROTATION, at, lanes), d) + b[0],
+        _dot(_load(w, _ROTATION + 3, at, lanes), d) + b[1],
+        _dot(_load(w, _ROTATION + 6, at, lanes), d) + b[2],
+    )
+    length = math.sqrt(_dot(s, s))
+    per_length = 1.0 / length
+    u = (s[0] * per_length, s[1] * per_length, s[2] * per_length)
     turning = _cross(omega, b)
     point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
-    if swivel:
-        radius = p[(_stretch_parameter(m, lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
-        s, v = _to_base(b, d, w, at, lanes), _to_base(point, (0.0, 0.0, 0.0), w, at, lanes)
-        u, length, bend = _swivelled(lengths, radius, s, v)
-        u = (
-            _dot(_load(w, _ROTATION, at, lanes), u),
-            _dot(_load(w, _ROTATION + 3, at, lanes), u),
-            _dot(_load(w, _ROTATION + 6, at, lanes), u),
-        )
-        rate = _dot(u, point)
-    else:
-        s = (
-            _dot(_load(w, _ROTATION, at, lanes), d) + b[0],
-            _dot(_load(w, _ROTATION + 3, at, lanes), d) + b[1],
-            _dot(_load(w, _ROTATION + 6, at, lanes), d) + b[2],
-        )
-        length = math.sqrt(_dot(s, s))
-        per_length = 1.0 / length
-        u = (s[0] * per_length, s[1] * per_length, s[2] * per_length)
-        rate = _dot(u, point)
-        bend = (_dot(point, point) - rate * rate) * per_length
-    bias = _dot(u, _cross(omega, turning)) + bend
+    rate = _dot(u, point)
+    bias = _dot(u, _cross(omega, turning)) + (_dot(point, point) - rate * rate) * per_length
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
     _store(w, row + _ROW + 3, at, lanes, _cross(b, u))
@@ -584,26 +489,20 @@ def _point_load(p, w, at, lanes):
 
 
 @_inline
-def _point_cable(m, swivel, lengths, p, w, at, lanes, i):
+def _point_cable(p, w, at, lanes, i):
     """Direction, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     position, velocity = _load(w, _STAGE, at, lanes), _load(w, _STAGE + 6, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
-    if swivel:
-        radius = p[(_stretch_parameter(m, False) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
-        u, length, bend = _swivelled(lengths, radius, d, velocity)
-        rate = _dot(u, velocity)
-    else:
-        length = math.sqrt(_dot(d, d))
-        per_length = 1.0 / length
-        u = (d[0] * per_length, d[1] * per_length, d[2] * per_length)
-        rate = _dot(u, velocity)
-        bend = (_dot(velocity, velocity) - rate * rate) * per_length
+    length = math.sqrt(_dot(d, d))
+    per_length = 1.0 / length
+    u = (d[0] * per_length, d[1] * per_length, d[2] * per_length)
+    rate = _dot(u, velocity)
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
     w[(row + _LENGTH) * lanes + at] = length
     w[(row + _LENGTH_RATE) * lanes + at] = rate
-    w[(row + _BIAS) * lanes + at] = bend
+    w[(row + _BIAS) * lanes + at] = (_dot(velocity, velocity) - rate * rate) * per_length
 
 
 @_inline
@@ -707,33 +606,6 @@ def _free_tension(n, p, w, at, lanes, i):
 
 
 @_inline
-def _pulled_lane(d, n, m, lopsided, p, w, at, lanes):
-    """y for the tensions of elastic cables."""
-    mass = p[MASS * lanes + at]
-    if n == 6:
-        f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
-        for i in range(m):
-            f, g = _add_pull(f, g, w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at], w, at, lanes, i)
-        _store(w, _Y, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
-        _store(w, _Y + 3, at, lanes, _times(_inverse(_tensor(m, lopsided, p, at, lanes)), g))
-    elif n == 3:
-        masses, (fx, fy, fz) = _three_masses(d, p, at, lanes), _load(w, _LOAD, at, lanes)
-        for i in range(m):
-            tension = w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
-            ux, uy, uz = _load(w, _FIRST_CABLE + _CABLE_ROWS * i + _ROW, at, lanes)
-            fx, fy, fz = _fma(-tension, ux, fx), _fma(-tension, uy, fy), _fma(-tension, uz, fz)
-        _store(w, _Y, at, lanes, (fx / masses[0], fy / masses[1], fz / masses[2]))
-    else:
-        fx, fy = p[FORCE * lanes + at], _fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
-        for i in range(m):
-            row = _FIRST_CABLE + _CABLE_ROWS * i
-            tension = w[(row + _KNOWN) * lanes + at]
-            fx = _fma(-tension, w[(row + _ROW) * lanes + at], fx)
-            fy = _fma(-tension, w[(row + _ROW + 1) * lanes + at], fy)
-        w[_Y * lanes + at], w[(_Y + 1) * lanes + at] = fx / mass, fy / mass
-
-
-@_inline
 def _solve_lane(d, n, m, lopsided, p, w, at, lanes):
     if n == 6:
         _spatial_solve(m, lopsided, p, w, at, lanes)
@@ -770,7 +642,7 @@ def _settle_lane(d, n, m, lopsided, p, w, at, lanes):
 
 
 @_inline
-def _kinematics(d, n, m, swivel, lengths, lopsided, p, w, lanes):
+def _kinematics(d, n, m, lopsided, p, w, lanes):
     if n == 6:
         for at in range(lanes):
             _spatial_platform(m, lopsided, p, w, at, lanes)
@@ -783,9 +655,9 @@ def _kinematics(d, n, m, swivel, lengths, lopsided, p, w, lanes):
     for i in range(m):
         for at in range(lanes):
             if n == 6:
-                _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i)
+                _spatial_cable(lopsided, p, w, at, lanes, i)
             elif d == 3:
-                _point_cable(m, swivel, lengths, p, w, at, lanes, i)
+                _point_cable(p, w, at, lanes, i)
             elif n == 3:
                 _plane_cable(p, w, at, lanes, i)
             else:
@@ -793,26 +665,8 @@ def _kinematics(d, n, m, swivel, lengths, lopsided, p, w, lanes):
 
 
 @_inline
-def _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes):
+def _dynamics(d, n, m, lopsided, unilateral, p, w, lanes):
     """Accelerations of the stage, with the taut sets of all lanes."""
-    if elastic:
-        for at in range(lanes):
-            _pulled_lane(d, n, m, lopsided, p, w, at, lanes)
-    else:
-        _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes)
-    for at in range(lanes):
-        if n == 6:
-            _spatial_acceleration(m, lopsided, p, w, at, lanes)
-        elif n == 3 and d == 2:
-            _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
-        else:
-            for j in range(n):
-                w[(_RATE + j) * lanes + at] = w[(_Y + j) * lanes + at]
-
-
-@_inline
-def _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes):
-    """y and the taut sets of all lanes whose cables do not stretch."""
     _known_tensions(m, p, w, lanes)
     for at in range(lanes):
         _solve_lane(d, n, m, lopsided, p, w, at, lanes)
