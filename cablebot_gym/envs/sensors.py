@@ -30,7 +30,7 @@ class Sensors:
         sizes = measurement.sizes(robot) if measurement.winches else {}
         self.readings = np.zeros((count, sum(sizes.values())))
         """Readings in the order of the observation, (N, components); (N, 0) if pose and velocity are measured."""
-        self._velocity = np.zeros((count, robot.base.shape[-1]))  # of the last control instant
+        self._velocity = np.zeros((count, robot.dimensions))  # of the last control instant
 
     def read(
         self,
@@ -55,9 +55,10 @@ class Sensors:
         else:
             base = truth["base_anchors"][env_indices]
             platform = truth["platform_anchors"][env_indices] if "platform_anchors" in truth else robot.platform
-            home = kinematics.cable_lengths(base, platform, np.broadcast_to(robot.home, pose.shape))
-            length_rates = (kinematics.structure_jacobian(base, platform, pose) @ velocity[..., None])[..., 0]
-            changes = home - kinematics.cable_lengths(base, platform, pose), -length_rates
+            home = kinematics.cable_lengths(base, platform, np.broadcast_to(robot.home, pose.shape), robot.swivel)
+            structure = kinematics.structure_jacobian(base, platform, pose, robot.swivel)
+            length_rates = (structure @ velocity[..., None])[..., 0]
+            changes = home - kinematics.cable_lengths(base, platform, pose, robot.swivel), -length_rates
             values = [change / robot.pulley_radius for change in changes]
         if self._measurement.tensions:
             # After a reset the record has no tensions, but the torques at rest.
@@ -80,9 +81,9 @@ def inertial(robot: Robot, pose: Array, velocity: Array, acceleration: Array) ->
         robot: robot with three angles.
         pose: X, (..., 6).
         velocity: Ẋ, (..., 6).
-        acceleration: acceleration of the centre of mass, (..., 3) [m/s²].
+        acceleration: acceleration of the frame's origin, where the sensor is, (..., 3) [m/s²].
     """
     euler = pose[..., -3:]
     rate = (kinematics.euler_rate_matrix(euler) @ velocity[..., -3:, None])[..., 0]
-    free = acceleration - robot.gravity * np.array([0.0, 0.0, 1.0])
+    free = acceleration - robot.gravity_vector
     return [euler, rate, (np.swapaxes(kinematics.rotation_matrix(euler), -1, -2) @ free[..., None])[..., 0]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
+from oracles.platforms import PLATFORMS
 
 from cablebot_baselines.estimation import (
     Estimated,
@@ -16,37 +17,30 @@ from cablebot_baselines.estimation import (
 )
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
-
-EIGHT = (
-    np.array([[x, y, z] for z in (-3.0, 3.0) for x in (-8.0, 8.0) for y in (-5.0, 5.0)]),
-    np.array([[x, y, z] for z in (0.3, -0.3) for x in (-0.1, 0.1) for y in (-0.7, 0.7)]),
-)
-"""Anchors of a robot like IPAnema, with two more cables than coordinates."""
 
 ENCODERS = {"kind": "winches", "encoder_resolution": 2 * np.pi / 8192}
 WHITE = {"sensors": {"motor_angle": 1e-4, "motor_speed": 1e-2}}
 
 
-@pytest.mark.parametrize("geometry", ["planar", "spatial", "eight"])
-def test_forward_kinematics_finds_random_poses_and_residuals_show_wrong_lengths(geometry):
-    robot = {"planar": PLANAR, "spatial": SPATIAL}.get(geometry)
-    base, platform = EIGHT if robot is None else (robot.base, robot.platform)
-    n, rng = 2 if geometry == "planar" else 6, np.random.default_rng(0)
-    home = np.zeros(6) if robot is None else robot.home
-    poses = home + np.r_[[0.1] * min(n, 3), [0.15] * (n - min(n, 3))] * rng.uniform(-1, 1, (200, n))
-    poses[:, 2:3] += 0.2  # below the base of the suspended robot
-    lengths = cable_lengths(base, platform, poses)
+@pytest.mark.parametrize("name", ["planar", "spatial", "ipanema-3", "cogiro", "turning", "camera"])
+def test_forward_kinematics_finds_random_poses_and_residuals_show_wrong_lengths(name):
+    """``cogiro`` has swivel pulleys, ``turning`` a platform in a plane."""
+    robot, rng = PLATFORMS[name] if name in PLATFORMS else find_robot(name), np.random.default_rng(0)
+    turning = np.arange(robot.coordinates) >= robot.dimensions
+    poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(-1, 1, (200, robot.coordinates))
+    if not robot.planar:
+        poses[:, 2] += 0.2  # below the base of the suspended robot
+    lengths = textbook.cable_lengths(robot, poses)
     guess = poses + 0.02 * rng.uniform(-1, 1, poses.shape)
-    found = forward_kinematics(base, platform, lengths, guess)
+    found = forward_kinematics(robot, lengths, guess)
     assert found.converged.all()
     assert np.abs(found.pose - poses).max() < 1e-10
-    assert found.residual.max() < 1e-12
-    wrong = forward_kinematics(base, platform, lengths + 1e-3 * np.eye(len(base))[0], guess).residual
-    assert (wrong.max() < 1e-12) == (len(base) == n)
+    assert found.residual.max() < 1e-11
+    wrong = forward_kinematics(robot, lengths + 1e-3 * np.eye(robot.cables)[0], guess).residual
+    assert (wrong.max() < 1e-11) == (robot.cables == robot.coordinates)
 
 
 def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertainty=None):

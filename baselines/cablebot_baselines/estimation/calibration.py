@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.kinematics import structure_jacobian
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import SensorNoise
@@ -45,13 +44,12 @@ def home_offset(robot: Robot, angles: ArrayLike, pose: ArrayLike, *, mass: float
         pose: the known pose, (..., n).
         mass: mass of platform and payload, which winds the springs of a flexible robot [kg]; None without payload.
     """
-    wound: Array = np.zeros(robot.cables)
+    held, minimum = robot.mass if mass is None else mass, textbook.allocated_minimum(robot)
     if robot.flexible:
-        torque = textbook.static_torque(
-            robot, robot.mass if mass is None else mass, pose, minimum=textbook.MINIMUM_TENSION
-        )
-        wound = torque / robot.stiffness
-    offset: Array = np.asarray(angles, float) - wound - textbook.pulley_angle(robot, pose)
+        rest = textbook.static_motor_angle(robot, held, pose, minimum=minimum)
+    else:
+        rest = textbook.pulley_angle(robot, pose)
+    offset: Array = np.asarray(angles, float) - rest
     return offset
 
 
@@ -90,7 +88,7 @@ def calibrate(
         offset, pose = unknown[:m], unknown[m:].reshape(count, n)
         parts = [(angles - offset - textbook.pulley_angle(robot, pose)) / noise.motor_angle]
         if tensions is not None:
-            structure = structure_jacobian(robot.base, robot.platform, pose)
+            structure = textbook.jacobian(robot, pose)
             force = np.swapaxes(structure, -1, -2) @ np.asarray(tensions, float)[..., None]
             # Moments have a lever, so that a row of Sᵀ has an error of its own size.
             size = noise.tension * np.linalg.norm(structure, axis=-2)

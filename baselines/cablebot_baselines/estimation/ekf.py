@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_baselines.estimation.forward_kinematics import forward_kinematics
-from cablebot_gym.kinematics import cable_lengths, euler_rate_matrix, jacobian_and_rate, rotation_matrix
+from cablebot_gym.kinematics import euler_rate_matrix, jacobian_and_rate, rotation_matrix
 from cablebot_gym.measurement import Measurement
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
@@ -99,9 +99,10 @@ class ExtendedKalmanFilter:
         zero_error: float = 0.3e-3,
         homing: bool = False,
     ) -> None:
-        self.robot, self.noise, self.homing = robot, noise, homing
+        self._given, self.robot = robot, textbook.joint_equivalent(robot)  # springs in place of elastic cables
+        self.noise, self.homing = noise, homing
         self._zero_error = 0.0 if homing else zero_error / robot.pulley_radius
-        n, axes = robot.coordinates, robot.base.shape[-1]
+        n, axes = robot.coordinates, robot.dimensions
         size = float(np.mean(np.linalg.norm(robot.platform, axis=-1))) or 1.0
         self._unit = np.where(np.arange(n) < axes, 1.0, 1.0 / size)
         self._disturbance = (0.3 if robot.flexible else 3.0) if disturbance is None else disturbance
@@ -173,18 +174,18 @@ class ExtendedKalmanFilter:
         robot, n, angle = self.robot, self.robot.coordinates, blocks["motor_angle"]
         count, mass = len(angle), self._mass(blocks)
         start = np.broadcast_to(self._start if len(self._start) == count else self._start[:1], (count, n))
-        torque = textbook.static_torque(robot, mass, start, minimum=textbook.MINIMUM_TENSION)
-        wound = torque / robot.stiffness if robot.flexible else np.zeros_like(angle)
+        torque = textbook.static_torque(robot, mass, start, minimum=textbook.allocated_minimum(robot))
+        wound = torque / textbook.joint_stiffness(self._given, start) if robot.flexible else np.zeros_like(angle)
         offset = np.zeros_like(angle)
         tare = np.zeros_like(angle)
         if self.homing:
             offset = angle - wound - textbook.pulley_angle(robot, start)
             if "tensions" in blocks:
                 tare = blocks["tensions"] - torque / robot.pulley_radius
-        home = cable_lengths(robot.base, robot.platform, robot.home)
+        home = textbook.cable_lengths(robot, robot.home)
         lengths = home - robot.pulley_radius * (angle - wound - offset)
-        pose = forward_kinematics(robot.base, robot.platform, lengths, start).pose
-        structure, _ = jacobian_and_rate(robot.base, robot.platform, pose, np.zeros_like(pose))
+        pose = forward_kinematics(robot, lengths, start).pose
+        structure = textbook.jacobian(robot, pose)
         inverse = np.linalg.pinv(structure)
         velocity = -(inverse @ (robot.pulley_radius * blocks["motor_speed"])[..., None])[..., 0]
         covariance = np.zeros((count, 3 * n, 3 * n))
@@ -254,7 +255,7 @@ class ExtendedKalmanFilter:
 
         if robot.flexible:  # means over the last period: of the motor angle by its cubic, of the spring by its torque
             angles = (angle + state.angle) / 2 - period / 12 * (speed - state.speed)
-            angles = angles - (torque + correction) / robot.stiffness
+            angles = angles - (torque + correction) / textbook.joint_stiffness(self._given, pose)
         else:
             angles = angle
         values = self._readings(blocks, pose, velocity, acceleration, angles)
@@ -284,7 +285,7 @@ class ExtendedKalmanFilter:
         ``angles`` are the pulley angles now, or of a flexible robot in the middle of the last control period.
         """
         robot, n, ago = self.robot, self.robot.coordinates, self._period / 2 if self.robot.flexible else 0.0
-        structure, rate = jacobian_and_rate(robot.base, robot.platform, pose, velocity)
+        structure, rate = jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
         turning, turning_rate = (-matrix / robot.pulley_radius[:, None] for matrix in (structure, rate))
         zero = np.zeros_like(turning)
         variance = [np.full(robot.cables, self._angle_noise**2)]
@@ -300,9 +301,9 @@ class ExtendedKalmanFilter:
             gradients.append(np.concatenate([turning_rate, turning, zero], axis=-1))
             variance.append(np.full(robot.cables, self._speed_noise**2))
         if "orientation" in blocks:
-            euler, axes = pose[:, -3:], robot.base.shape[-1]
+            euler = pose[:, -3:]
             to_omega, turned = euler_rate_matrix(euler), np.swapaxes(rotation_matrix(euler), -1, -2)
-            free = acceleration[:, :axes] - robot.gravity * np.array([0.0, 0.0, 1.0])
+            free = acceleration[:, :3] - robot.gravity_vector
             innovations += [
                 blocks["orientation"] - euler,
                 blocks["angular_rate"] - (to_omega @ velocity[:, -3:, None])[..., 0],

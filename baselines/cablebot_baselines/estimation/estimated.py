@@ -13,7 +13,6 @@ from cablebot_baselines.classical.law import first_steps
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
 from cablebot_baselines.estimation.forward_kinematics import forward_kinematics
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
-from cablebot_gym.kinematics import cable_lengths, structure_jacobian
 from cablebot_gym.measurement import POSE
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies.protocol import Policy, declarations, reset_policy
@@ -55,15 +54,16 @@ class KinematicEstimator:
         robot, angle, reference = self.robot, blocks["motor_angle"], blocks["reference_pose"]
         if robot.flexible:
             mass = robot.mass + blocks["model_payload"][:, 0]
-            torque = textbook.static_torque(robot, mass, reference, minimum=textbook.MINIMUM_TENSION)
-            angle = angle - torque / robot.stiffness
+            minimum = textbook.allocated_minimum(robot)
+            rest = textbook.static_motor_angle(robot, mass, reference, minimum=minimum)
+            angle = angle - (rest - textbook.pulley_angle(robot, reference))
         guess = reference if state is None else np.where(starts[:, None], reference, state)
-        home = cable_lengths(robot.base, robot.platform, robot.home)
-        pose = forward_kinematics(robot.base, robot.platform, home - robot.pulley_radius * angle, guess).pose
+        home = textbook.cable_lengths(robot, robot.home)
+        pose = forward_kinematics(robot, home - robot.pulley_radius * angle, guess).pose
         if self._difference:
             last = pose if state is None else np.where(starts[:, None], pose, state)
             return pose, (pose - last) / self._period, pose
-        inverse = np.linalg.pinv(structure_jacobian(robot.base, robot.platform, pose))
+        inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         rates = -robot.pulley_radius * blocks["motor_speed"]
         return pose, (inverse @ rates[..., None])[..., 0], pose
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.kinematics import cable_lengths, structure_jacobian
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import Robot
 
 Array = NDArray[Any]
 
@@ -36,7 +37,7 @@ class ForwardKinematics:
 
 
 def forward_kinematics(
-    base: ArrayLike, platform: ArrayLike, lengths: ArrayLike, guess: ArrayLike, *, iterations: int = ITERATIONS
+    robot: Robot, lengths: ArrayLike, guess: ArrayLike, *, iterations: int = ITERATIONS
 ) -> ForwardKinematics:
     """The poses whose cable lengths are nearest to the given ones, near a guess.
 
@@ -44,8 +45,7 @@ def forward_kinematics(
     platform. A step that increases the length errors is halved.
 
     Args:
-        base: base anchors, as for :func:`cablebot_gym.kinematics.cable_vectors`.
-        platform: platform anchors.
+        robot: nominal robot.
         lengths: cable lengths, (..., m) with m ≥ n [m].
         guess: initial poses, (..., n) or (n,).
         iterations: largest number of steps.
@@ -55,11 +55,11 @@ def forward_kinematics(
     n, shape = guess.shape[-1], lengths.shape[:-1]
     wanted = lengths.reshape(-1, lengths.shape[-1])
     pose = np.array(np.broadcast_to(guess, (*shape, n))).reshape(-1, n)
-    error = wanted - cable_lengths(base, platform, pose)
+    error = wanted - textbook.cable_lengths(robot, pose)
     step_size = np.full(len(pose), np.inf)
     active = np.arange(len(pose))
     for _ in range(iterations):
-        structure = structure_jacobian(base, platform, pose[active])
+        structure = textbook.jacobian(robot, pose[active])
         back = np.swapaxes(structure, -1, -2)
         normal = back @ structure
         damping = _DAMPING * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] * np.eye(n)
@@ -67,7 +67,7 @@ def forward_kinematics(
         fraction = np.ones((len(active), 1))
         before = np.sum(error[active] ** 2, axis=-1)
         for _ in range(6):
-            new = wanted[active] - cable_lengths(base, platform, pose[active] + fraction * step)
+            new = wanted[active] - textbook.cable_lengths(robot, pose[active] + fraction * step)
             worse = np.sum(new**2, axis=-1) > before + 1e-24
             if not worse.any():
                 break
