@@ -20,7 +20,7 @@ ANCHORS = {"parameters": {"base_anchors": {"low": -0.01, "high": 0.01, "relative
 
 def sensors(env_id):
     """All sensors that a robot can have."""
-    return "winches+tensions" + ("" if "Planar" in env_id else "+imu")
+    return "winches+tensions" + ("+imu" if "Spatial" in env_id else "")
 
 
 @pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
@@ -35,7 +35,7 @@ def test_environment_with_winches_passes_the_checks_of_gymnasium(env_id):
 @pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
 def test_single_and_vector_environments_return_equal_readings(env_id):
     keywords = {
-        "measurement": {"kind": "winches", "encoder_resolution": 1e-3, "tensions": True, "imu": "Planar" not in env_id},
+        "measurement": {"kind": "winches", "encoder_resolution": 1e-3, "tensions": True, "imu": "Spatial" in env_id},
         "uncertainty": "hardware",
     }
     single, vector = gym.make(env_id, **keywords), gym.make_vec(env_id, num_envs=5, **keywords)
