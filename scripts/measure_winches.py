@@ -74,7 +74,8 @@ def cases(env_id: str) -> Iterator[dict[str, Any]]:
     yield {"estimator": "ekf", "sensors": "winches", "errors": "calibrated"}
     yield {"estimator": "ekf", "sensors": "winches+tensions", "errors": "load-cells"}
     if not robot.planar:
-        yield {"estimator": "ekf", "sensors": "winches+tensions+imu", "errors": "imu"}
+        for estimator in ("ekf", "ekf-homed"):
+            yield {"estimator": estimator, "sensors": "winches+tensions+imu", "errors": "imu"}
     yield {"estimator": "ekf-homed", "sensors": "winches+tensions", "errors": "load-cells"}
     yield {"estimator": "ekf", "sensors": "winches", "errors": "uncalibrated"}
     yield {"estimator": "ekf-homed", "sensors": "winches", "errors": "uncalibrated"}

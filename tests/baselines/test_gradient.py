@@ -108,7 +108,7 @@ def test_violations_equal_the_inverse_dynamics_with_and_without_payload():
 def test_invalid_training_is_rejected():
     with pytest.raises(ValueError, match="remove 'shift'"):
         made(PLANAR, Shift(), features=("rbf_progress", "shift"))
-    with pytest.raises(ValueError, match="softness is for planar robots, but 'spatial' is spatial"):
+    with pytest.raises(ValueError, match="softness is for planar robots with three cables"):
         made(SPATIAL, Shift(), softness=(1.0,) * 5)
     with pytest.raises(ValueError, match="below the robot's 1 N"):
         made(SPATIAL, Shift(), tension=0.5)

@@ -75,6 +75,18 @@ def test_imu_at_rest_reads_gravity_and_load_cells_hold_the_weight():
     np.testing.assert_allclose(pulls, [0, 0, -(robot.mass + 2.0) * robot.gravity], atol=1e-9)
 
 
+def test_accelerometer_reads_the_mean_acceleration_of_the_last_period():
+    robot, velocities = find_robot("spatial"), []
+    env = gym.make("CableBot-Spatial-v0", measurement="winches+imu").unwrapped
+    env.reset()
+    for action in ([0.3] * 6, [0.5] * 6):
+        observation = env.step(np.array(action))[0]
+        velocities.append(env._simulation._plant.velocity[0, :3])
+    acceleration = (velocities[1] - velocities[0]) / env.settings.period
+    expected = rotation_matrix(env.pose[3:]).T @ (acceleration - [0, 0, robot.gravity])
+    np.testing.assert_allclose(env.layout.split(observation)["specific_force"], expected, atol=1e-9)
+
+
 def test_gyroscope_reads_the_rate_in_the_frame_of_the_platform():
     rng, step = np.random.default_rng(1), 1e-6
     pose, velocity = 0.5 * rng.normal(size=6), rng.normal(size=6)

@@ -30,7 +30,8 @@ the spring."""
 def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     """The robot as MJCF XML: controls are motor torques [N·m], positive winding in; integrator RK4.
 
-    Spatial: a free body, ``qpos = (p, quaternion of R)``, ``qvel = (ṗ, ω_body)``. Planar: two slides, ``qpos = X``.
+    In space: a free body, ``qpos = (p, quaternion of R)``, ``qvel = (ṗ, ω_body)``. A point mass slides along the axes,
+    and a platform in a plane turns on a hinge too, ``qpos = X``.
     Reflected to its cable a pulley is a tendon with ``armature = J/r²`` and ``damping = c/r²``, its motor one with
     ``gear = −1/r``.
 
@@ -44,7 +45,7 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
         timestep: of one RK4 step [s].
     """
     mass = robot.mass + payload
-    gravity = 0.0 if robot.planar else robot.gravity
+    gravity = _numbers(_padded(robot.gravity_vector))
     switched_off = _SWITCHED_OFF if robot.flexible else (*_SWITCHED_OFF, "spring")
     flags = " ".join(f'{flag}="disable"' for flag in switched_off)
     body = f"{_joints_and_inertia(robot, mass)}{_sites('platform', robot.platform)}"
@@ -64,7 +65,7 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     )
     return f"""<mujoco model="{_escaped(robot.name)}">
 <compiler angle="radian" inertiafromgeom="false"/>
-<option timestep="{timestep!r}" integrator="RK4" jacobian="dense" gravity="0 0 {gravity!r}"><flag {flags}/></option>
+<option timestep="{timestep!r}" integrator="RK4" jacobian="dense" gravity="{gravity}"><flag {flags}/></option>
 <worldbody>{_sites("base", robot.base)}<body name="platform" {_body_frame(robot)}>{body}</body>{winches}</worldbody>
 <tendon>{tendons}{springs}</tendon>
 <actuator>{motors}</actuator>
@@ -75,7 +76,7 @@ def _winches_and_springs(robot: Robot) -> tuple[str, str]:
     """Bodies and tendons of the motors behind their springs; all springs are unwound at home with β′ = 0."""
     home = cable_lengths(robot.base, robot.platform, robot.home)
     per_radius2 = 1 / robot.pulley_radius**2
-    diagonal = np.linalg.norm(np.diff(robot.pose_bounds[:, :3], axis=0))
+    diagonal = np.linalg.norm(np.diff(robot.pose_bounds[:, : robot.dimensions], axis=0))
     room = _WINCH_ROOM * (diagonal + robot.pulley_radius * robot.stall_torque / robot.stiffness)
     columns = (robot.motor_inertia * per_radius2, robot.motor_damping * per_radius2, robot.stiffness * per_radius2)
     winches, springs = "", ""
@@ -95,24 +96,35 @@ def _winches_and_springs(robot: Robot) -> tuple[str, str]:
 
 
 def _body_frame(robot: Robot) -> str:
-    if robot.planar:
+    if robot.kind != "spatial":
         return 'pos="0 0 0"'
     return f'pos="{_numbers(robot.home[:3])}" quat="{_numbers(quaternion(robot.home[3:]))}"'
 
 
 def _joints_and_inertia(robot: Robot, mass: float) -> str:
-    if robot.planar:  # a point mass; the moments have no effect, but MuJoCo wants some
-        slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
-        return f'{slides}<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1 1 1"/>'
+    place = f'<inertial pos="{_numbers(_padded(robot.mass_center))}" mass="{mass!r}"'
+    if robot.kind != "spatial":  # the moments that have no effect are the same: MuJoCo wants some
+        axes = ("1 0 0", "0 1 0", "0 0 1")[: robot.dimensions]
+        joints = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in axes)
+        if robot.kind == "planar-platform":
+            joints += '<joint type="hinge" axis="0 0 1"/>'
+        return f'{joints}{place} diaginertia="{_numbers([1.0 if robot.point_mass else robot.inertia[0]] * 3)}"/>'
+    tensor = robot.inertia_tensor
+    if np.any(products := tensor[(0, 0, 1), (1, 2, 2)]):
+        return f'<freejoint/>{place} fullinertia="{_numbers([*tensor.diagonal(), *products])}"/>'
     # A plate's largest moment is the sum of the others; MuJoCo refuses the last digit that rounding may put on top.
     largest = sum(sorted(robot.inertia)[:2])
     moments = _numbers(min(moment, largest) for moment in robot.inertia)
-    return f'<freejoint/><inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moments}"/>'
+    return f'<freejoint/>{place} diaginertia="{moments}"/>'
+
+
+def _padded(points: Array) -> Array:
+    """Points or vectors in space, z = 0 for those in a plane."""
+    return np.pad(points, ((0, 0),) * (points.ndim - 1) + ((0, 3 - points.shape[-1]),))
 
 
 def _sites(prefix: str, points: Array) -> str:
-    padded = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    return "".join(f'<site name="{prefix}{i}" pos="{_numbers(point)}"/>' for i, point in enumerate(padded))
+    return "".join(f'<site name="{prefix}{i}" pos="{_numbers(point)}"/>' for i, point in enumerate(_padded(points)))
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -147,7 +159,7 @@ def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
 
 
 class MujocoRobot:
-    """One robot in MuJoCo, in the paper's coordinates: ``X = (x, y)`` or ``(x, y, z, ψ, θ, φ)``, and β′ if flexible.
+    """One robot in MuJoCo, in the pose X of its kind, and β′ if flexible.
 
     It starts at rest in ``robot.home_pose``, springs unwound; ``timestep`` is MuJoCo's [s]. :attr:`model` and
     :attr:`data` are MuJoCo's own objects, to use freely.
@@ -163,8 +175,8 @@ class MujocoRobot:
         self.robot = robot
         self.model: Any = self._mujoco.MjModel.from_xml_string(mjcf(robot, payload, timestep))
         self.data: Any = self._mujoco.MjData(self.model)
-        self._platform_speeds = 2 if robot.planar else 6
-        self._platform_positions = 2 if robot.planar else 7  # a quaternion has four numbers
+        self._platform_speeds = robot.coordinates
+        self._platform_positions = robot.coordinates + (robot.kind == "spatial")  # a quaternion has four numbers
         self._home_lengths = cable_lengths(robot.base, robot.platform, robot.home)
         self.set_state(robot.home, np.zeros(robot.coordinates))
 
@@ -176,7 +188,7 @@ class MujocoRobot:
         pose, velocity = np.asarray(pose, float), np.asarray(velocity, float)
         self._mujoco.mj_resetData(self.model, self.data)
         positions, speeds = self._platform_qpos, self._platform_qvel
-        if self.robot.planar:
+        if self.robot.kind != "spatial":
             positions[:], speeds[:] = pose, velocity
         else:
             positions[:3], positions[3:] = pose[:3], quaternion(pose[3:])
@@ -201,7 +213,7 @@ class MujocoRobot:
     def state(self) -> tuple[Array, Array]:
         """``(X, Ẋ)``, new arrays of shape (n,)."""
         positions, speeds = np.array(self._platform_qpos), np.array(self._platform_qvel)
-        if self.robot.planar:
+        if self.robot.kind != "spatial":
             return positions, speeds
         euler = euler_angles(positions[3:])
         rates = np.linalg.solve(euler_rate_matrix(euler), speeds[3:])
@@ -220,7 +232,7 @@ class MujocoRobot:
     def accelerations(self, torques: ArrayLike) -> Array:
         """``Ẍ`` in the present state under motor torques of shape (m,) [N·m], shape (n,)."""
         qacc = self._forward(torques)[: self._platform_speeds]
-        if self.robot.planar:
+        if self.robot.kind != "spatial":
             return qacc
         pose, velocity = self.state()
         turning = euler_rate_matrix_rate(pose[3:], velocity[3:]) @ velocity[3:]

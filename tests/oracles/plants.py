@@ -12,6 +12,7 @@ from cablebot_gym import kinematics
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Transmission
+from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 UNEQUAL = SPATIAL.replace(
     name="unequal",
@@ -81,6 +82,11 @@ rigid_robots = each_of(QUAD, UNEQUAL)
 flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
 every_robot = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
 smooth_and_rough = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH)
+FLEX_HANGING = with_transmission(HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01).replace(
+    name="flex-hanging", mass=1.0
+)
+OTHER_KINDS = (FLEX_HANGING, _rough(TURNING), CAMERA, CRANE)
+every_kind = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH, *OTHER_KINDS)
 papers_flexible = each_of(FLEX_PLANAR, FLEX_SPATIAL)
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
@@ -126,7 +132,7 @@ def held_states(robot, pose, velocity=0.0, minimum=20.0):
 
 def off_centre(robot):
     """A pose without symmetry, and a velocity in all coordinates."""
-    if robot.planar:
+    if robot.kind == "planar":
         return np.array([0.05, 0.02]), np.array([0.3, -0.4])
     return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array([0.2, -0.3, 0.1, 0.4, -0.3, 0.5])
 
@@ -232,13 +238,9 @@ def take_up_torques(robot, state, torques, acceleration, tension, cable):
 def energies(robot, state, cable="bilateral", mass=None):
     """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs, each (N,)."""
     mass = robot.mass if mass is None else mass
-    kinetic = mass / 2 * np.sum(state.velocity[..., : 2 if robot.planar else 3] ** 2, axis=-1)
-    potential = 0.0 * kinetic
-    if not robot.planar:
-        to_omega = kinematics.euler_rate_matrix(state.pose[..., 3:])
-        omega = np.einsum("...ij,...j->...i", to_omega, state.velocity[..., 3:])
-        kinetic = kinetic + np.sum(np.array(robot.inertia) * omega**2, axis=-1) / 2
-        potential = -mass * robot.gravity * state.pose[..., 2]
+    at = kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :] + state.pose[..., : robot.dimensions]
+    momentum = textbook.mass_matrix(robot, mass, state.pose) @ state.velocity[..., None]
+    kinetic, potential = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2, -mass * at @ robot.gravity_vector
     pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
     kinetic = kinetic + np.sum(robot.pulley_inertia * pulley**2, axis=-1) / 2
     if robot.flexible:

@@ -15,12 +15,22 @@ from oracles.plants import (
     each_of,
     rigid_robots,
 )
+from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import PLANAR, SPATIAL
 
 every_robot = each_of(PLANAR, QUAD, NINE, SPATIAL, UNEQUAL, FLEX_UNEQUAL, *ROUGH)
+TRIPOD = CAMERA.replace(name="tripod", base_anchors=(*CAMERA.base_anchors[:2], (0.1, 4.0, 0.0)))
+"""As many cables as coordinates in space."""
+TRIANGLE = TURNING.replace(
+    name="triangle",
+    base_anchors=((-1.5, -1.2), (1.5, -1.2), (0.3, -1.4)),
+    platform_anchors=((-0.2, -0.1), (0.2, -0.1), (-0.2, -0.1)),
+)
+"""As many cables as coordinates in a plane."""
+other_kinds = each_of(HANGING, TRIPOD, TRIANGLE, TURNING, CAMERA, CRANE)
 
 
 def random_motion(robot, shape, seed=1):
@@ -56,6 +66,20 @@ def test_results_are_those_of_the_textbook(robot, minimum):
         assert condition.max() > 1e3
         assert np.max(errors / condition) <= 2e-15
     assert errors.max() <= 2e-11
+
+
+@other_kinds
+def test_motions_of_every_kind_need_the_tensions_of_the_textbook(robot):
+    """Unique ones, and the same choice of redundant ones; an error is left only of loads that no tensions hold."""
+    mass, pose, velocity, acceleration = random_motion(robot, (200,))
+    motion = mass, robot.home + 0.3 * (pose - robot.home), velocity, 0.1 * acceleration
+    expected = textbook.inverse_dynamics(robot, *motion, minimum=4.0, strict=False)
+    load = textbook.load(robot, *motion)
+    missing = load + np.einsum("kmn,km->kn", textbook.jacobian(robot, motion[1]), expected.tensions)
+    held = np.abs(missing).max(axis=1) < 1e-6
+    assert held.mean() > 0.5
+    errors = worst_errors(inverse_dynamics(robot, *motion, minimum=4.0), expected)
+    assert errors[:, held].max() <= 1e-11
 
 
 def test_error_near_a_singular_pose_does_not_grow_with_the_squared_condition():

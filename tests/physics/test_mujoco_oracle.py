@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from oracles import mujoco_model
 from oracles.plants import (
+    FLEX_HANGING,
     FLEX_QUAD,
     FLEX_UNEQUAL,
+    OTHER_KINDS,
     QUAD,
     ROUGH,
     UNEQUAL,
@@ -28,6 +30,7 @@ from oracles.plants import (
     textbook_rates,
     worst_relative_error,
 )
+from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
@@ -44,7 +47,7 @@ def loaded_peer(peer, state, lane):
         peer.set_motors(state.angle[lane], state.speed[lane])
 
 
-@each_of(PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL, QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH)
+@each_of(PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL, QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH, *OTHER_KINDS)
 def test_accelerations_of_textbook_and_kernel_are_those_of_mujoco(robot):
     """Reached: 5e-15; flexible 2e-12, and 4e-12 by differences: winches far off cost MuJoCo's springs digits.
 
@@ -74,13 +77,13 @@ def test_accelerations_of_textbook_and_kernel_are_those_of_mujoco(robot):
         assert worst_relative_error(turned, np.array(motors)) <= 1e-10
 
 
-@every_robot
+@each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, FLEX_HANGING, TURNING, CAMERA, CRANE)
 def test_wrench_acts_at_the_centre_of_mass_in_the_base_frame(robot):
     state, action = random_states(robot, STATES, seed=22)
     torques, rng = action * robot.stall_torque, np.random.default_rng(23)
     force, moment = rng.uniform(-50, 50, (STATES, 3)), rng.uniform(-10, 10, (STATES, 3))
     compiled, peer, expected = loaded_plant(robot, state), mujoco_model.MujocoRobot(robot), []
-    compiled.set_wrench(np.arange(STATES), force[:, :2] if robot.planar else force, moment)
+    compiled.set_wrench(np.arange(STATES), force[:, : robot.dimensions], moment)
     for lane in range(STATES):
         loaded_peer(peer, state, lane)
         peer.set_wrench(force[lane], moment[lane])

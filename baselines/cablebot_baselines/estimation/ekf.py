@@ -27,6 +27,10 @@ DATA_SHEET = SensorNoise(
 INITIAL_DISTURBANCE = 0.3
 """Standard deviation of the disturbance d at the start [m/s²]; of angles, divided by the platform's size."""
 
+TARE_READINGS = 50
+"""Number of readings whose mean is the bias of the load cells that homing finds. During them the torque of the motors
+is taken as exact."""
+
 CELL_TIME = 0.1
 """Time constant of the correction of the torque by load cells [s]."""
 
@@ -48,6 +52,10 @@ class KalmanState:
     """Covariance of ``mean``, (N, 3n, 3n)."""
     offset: Array
     """Offset of the motor angles that homing found, (N, m) [rad]; zero without homing."""
+    tare: Array
+    """Bias of the load cells that homing found, (N, m) [N]; zero without homing."""
+    count: Array
+    """Number of readings since the start, (N,)."""
     angle: Array
     """Last motor angles, without offset (N, m) [rad]."""
     speed: Array
@@ -76,8 +84,8 @@ class ExtendedKalmanFilter:
         cell_bias: standard deviation of the constant error of a load cell, as a fraction of the tension at this torque.
         zero_error: standard deviation of the zero errors of the cable lengths [m]. It weights the angles against the
             orientation of an IMU; without one, or with homing, it has no effect.
-        homing: whether the zero of the motor angles is set at the start: the robot then rests at the start pose of the
-            task. It makes an error of this pose an error of the angles.
+        homing: whether the zeros of motor angles and load cells are set at the start: the robot then rests at the start
+            pose of the task with the payload of the model. Errors of these two become errors of the zeros.
     """
 
     def __init__(
@@ -168,8 +176,11 @@ class ExtendedKalmanFilter:
         torque = textbook.static_torque(robot, mass, start, minimum=textbook.MINIMUM_TENSION)
         wound = torque / robot.stiffness if robot.flexible else np.zeros_like(angle)
         offset = np.zeros_like(angle)
+        tare = np.zeros_like(angle)
         if self.homing:
             offset = angle - wound - textbook.pulley_angle(robot, start)
+            if "tensions" in blocks:
+                tare = blocks["tensions"] - torque / robot.pulley_radius
         home = cable_lengths(robot.base, robot.platform, robot.home)
         lengths = home - robot.pulley_radius * (angle - wound - offset)
         pose = forward_kinematics(robot.base, robot.platform, lengths, start).pose
@@ -196,6 +207,8 @@ class ExtendedKalmanFilter:
             mean=mean,
             covariance=covariance,
             offset=offset,
+            tare=tare,
+            count=np.ones(count),
             angle=angle - offset,
             speed=blocks["motor_speed"],
             tensions=torque / robot.pulley_radius,
@@ -218,11 +231,14 @@ class ExtendedKalmanFilter:
         acceleration, tensions = textbook.forward_dynamics(
             robot, mass, pose + period / 2 * velocity, velocity, torque + state.correction, cable="bilateral"
         )
-        correction = state.correction
+        correction, tare, count = state.correction, state.tare, state.count + 1
         if "tensions" in blocks:  # at the start of the period: of springs, the mean over the period before counts too
             then = (tensions + state.tensions) / 2 if robot.flexible else tensions
-            seen = robot.pulley_radius * (blocks["tensions"] - np.maximum(then, 0.0)) + correction
-            correction = correction + self._cell_gain * (self._cell_weight * seen - correction)
+            excess = blocks["tensions"] - np.maximum(then, 0.0)
+            taring = (count <= TARE_READINGS)[:, None] & self.homing
+            tare = np.where(taring, tare + (excess - tare) / count[:, None], tare)
+            seen = robot.pulley_radius * (excess - tare) + correction
+            correction = correction + self._cell_gain * np.where(taring, 0.0, self._cell_weight * seen - correction)
         acceleration = acceleration + disturbance
         pose = pose + period * velocity + period**2 / 2 * acceleration
         velocity = velocity + period * acceleration
@@ -247,6 +263,8 @@ class ExtendedKalmanFilter:
             mean=mean,
             covariance=covariance,
             offset=state.offset,
+            tare=tare,
+            count=count,
             angle=angle,
             speed=speed,
             tensions=tensions,

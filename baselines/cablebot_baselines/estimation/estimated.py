@@ -133,7 +133,7 @@ def ekf(robot: Robot, policy: Policy) -> Estimated:
 
 
 def ekf_homed(robot: Robot, policy: Policy) -> Estimated:
-    """The same, with the motor angles zeroed at the start pose, the estimator ``ekf-homed``."""
+    """The same, with motor angles and load cells zeroed at the start pose, the estimator ``ekf-homed``."""
     return Estimated(policy, robot, ExtendedKalmanFilter(robot, homing=True))
 
 
