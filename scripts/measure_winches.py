@@ -15,8 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym import ENV_IDS
-from cablebot_gym.envs import env_robot
+from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.robots import Robot, find_robot
@@ -117,7 +116,7 @@ def table(data: dict[str, Any]) -> str:
         "uncalibrated": "encoders, zero before calibration",
         "": "–",
     }
-    env_ids = [env_id for env_id in ENV_IDS if any(one["env_id"] == env_id for one in data["cases"])]
+    env_ids = [env_id for env_id in PAPER_ENV_IDS if any(one["env_id"] == env_id for one in data["cases"])]
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
     for one in data["cases"]:
         key = (one["sensors"], one["estimator"], one["errors"])
@@ -138,7 +137,9 @@ def table(data: dict[str, Any]) -> str:
 def main() -> None:
     """Computes the missing cases."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--env", nargs="*", default=list(ENV_IDS), choices=ENV_IDS, help="environments; all by default")
+    parser.add_argument(
+        "--env", nargs="*", default=list(PAPER_ENV_IDS), choices=PAPER_ENV_IDS, help="environments; all by default"
+    )
     parser.add_argument("--out", type=Path, default=FOLDER / "results.json", help="file of the results")
     arguments = parser.parse_args()
     data: dict[str, Any] = {"draws": DRAWS, "resolution": RESOLUTION, "versions": versions(), "cases": []}

@@ -11,7 +11,7 @@ from typing import Any
 
 from cablebot_baselines.learned.runs import rank
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, stem
-from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.evaluation.batch import DEFAULT_DRAWS
 from cablebot_gym.utils.files import atomic_write_text
 from cards.statistics import iqm, iqm_interval, scores
@@ -275,7 +275,7 @@ def read_cards(folder: Path = WEIGHTS) -> list[Card]:
     """
     cards = []
     for name in SHIPPED:
-        for path in (folder / f"{stem(name, env_id)}.json" for env_id in ENV_IDS):
+        for path in (folder / f"{stem(name, env_id)}.json" for env_id in PAPER_ENV_IDS):
             if not path.is_file():
                 continue
             try:

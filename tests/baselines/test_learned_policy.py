@@ -21,10 +21,9 @@ from cablebot_baselines.learned.steering import (
     Shift,
     Steering,
 )
-from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import PolicyCell, compute
 from cablebot_gym.benchmark.suites import find_policies
-from cablebot_gym.envs import env_robot
+from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import load_policy
@@ -33,7 +32,7 @@ from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.utils import code_hash
 
-PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID, FLEX_SPATIAL_ID = ENV_IDS
+PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID, FLEX_SPATIAL_ID = PAPER_ENV_IDS
 DWELL = {"name": "dwell-planar", "duration": 0.05}
 PERIOD = 1 / 500
 FEATURES = ("pose", "shift", "shift_velocity", "actions", "error", "time_since_start", "rbf_progress", "model_payload")

@@ -25,8 +25,8 @@ from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.runs import TrainingResult, read_yaml
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
 from cablebot_baselines.learned.wrappers import make_steered_vec
-from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
+from cablebot_gym.envs import PAPER_ENV_IDS
 
 PLANAR = "CableBot-Planar-v0"
 QUICK = {"control_frequency": 100, "payload_max": 1.0, "resolution": 0.5}
@@ -96,7 +96,7 @@ def copied(trained, tmp_path):
 
 def test_shipped_configurations_are_valid():
     for algorithm in ALGORITHMS:
-        for env_id in ENV_IDS:
+        for env_id in PAPER_ENV_IDS:
             made = make_config(read_yaml(env_id, runs.Path(algorithm)))
             names = [wrapper.__name__ for wrapper, _ in made.wrappers]
             assert names == ["PayloadCurriculum", "Steered"]

@@ -16,7 +16,7 @@ from cablebot_gym.benchmark.engine import local
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.suites import find_policies, find_suite, suite_cells
 from cablebot_gym.benchmark.verification import confirm
-from cablebot_gym.envs import ENV_IDS, FLEXIBLE_ENV_IDS, env_robot
+from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
@@ -105,7 +105,7 @@ def without(whole, *parts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 @pytest.mark.parametrize(("name", "payload_known"), [("hardware", False), ("table6", True)])
 def test_no_part_of_hardware_decides_alone_and_one_of_table_6_does(results, env_id, name, payload_known):
     """Half of the payload that ``table6`` costs an adaptive law returns without one part.

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import AXES, varied_fields
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
-from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
+from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import find_trajectory, held_out_seeds
@@ -78,7 +77,7 @@ def test_suite_has_every_fast_policy_under_all_conditions_and_payload_unknown_on
     }
     assert {(cell.env_id, cell.policy) for cell in some} == fast
     missing = {one for one in SHARED if one[2] == "sensors"} if name == "standard" else set()
-    for env_id in ENV_IDS:
+    for env_id in PAPER_ENV_IDS:
         own = [cell for cell in some if cell.env_id == env_id]
         motions = [str(cell.trajectory["name"]).partition("-")[0] for cell in own]
         conditions = [(cell.payload_model, cell.uncertainty, cell.criterion) for cell in own]
@@ -109,7 +108,7 @@ def test_real_time_repeats_every_episode_often_enough_for_a_bound():
 
 
 def test_policies_are_assigned_to_the_environments_that_they_support():
-    assert find_policies(["fl", "motor-pd", "fl"], ENV_IDS) == {
+    assert find_policies(["fl", "motor-pd", "fl"], PAPER_ENV_IDS) == {
         PLANAR: ("fl",),
         SPATIAL: ("fl",),
         "CableBot-FlexPlanar-v0": ("motor-pd",),
@@ -133,8 +132,8 @@ def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_th
         ),
     ):
         module(name, text)
-    found = find_policies([], ENV_IDS)
-    assert [env_id for env_id in ENV_IDS if "theirs" in found[env_id]] == [SPATIAL]
+    found = find_policies([], PAPER_ENV_IDS)
+    assert [env_id for env_id in PAPER_ENV_IDS if "theirs" in found[env_id]] == [SPATIAL]
     assert "fl" in found[PLANAR]
     assert "broken" not in {name for names in found.values() for name in names}
     assert policy_source("theirs") == (("toy_other",), (tmp_path / "toy_other.py",))
@@ -171,7 +170,7 @@ def test_unknown_or_unsuitable_names_raise(names, ids, message):
 
 def test_maps_vary_one_parameter_around_the_cells_of_the_standard_suite():
     values = {block.axis: set(block.values) for block in find_suite("maps").blocks}
-    for env_id in ENV_IDS:
+    for env_id in PAPER_ENV_IDS:
         own = [cell for cell in policy_cells("maps", ["apg-loops"]) if cell.env_id == env_id]
         for name, expected in values.items():
             found = {AXES[name].value(cell) for cell in own if set(varied_fields(cell)) <= set(AXES[name].fields)}
@@ -179,7 +178,7 @@ def test_maps_vary_one_parameter_around_the_cells_of_the_standard_suite():
         assert sorted(len(varied_fields(cell)) for cell in own)[:2] == [0, 1]  # the default cell is in all maps
         assert all(len(varied_fields(cell)) <= 1 for cell in own)
     shared = {cell.key for cell in cells("maps")} & {cell.key for cell in cells("standard")}
-    assert len([key for key in shared if '"best-known"' in key]) == len(ENV_IDS)
+    assert len([key for key in shared if '"best-known"' in key]) == len(PAPER_ENV_IDS)
 
 
 def test_paper_maps_vary_bounds_and_circle_in_si_units():

@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from cablebot_gym.robots import library
+from cablebot_gym.envs import ENV_KINDS, ENV_ROBOTS, fitting_env_id
+from cablebot_gym.robots import find_robot, library
 
 
 @pytest.fixture
@@ -61,6 +62,19 @@ def test_impossible_robot_is_refused_with_its_remedy(cablebot, edited, name, old
     assert (ended.status, ended.out) == (1, "")
     assert ended.err.startswith("refused: robot file")
     assert remedy in ended.err
+
+
+def test_command_without_id_finds_that_of_the_robot(cablebot):
+    found = {name: fitting_env_id(name) for name in ("cogiro", "stadium-camera", "ttk4900", "flex-cogiro", "planar")}
+    assert list(found.values()) == [
+        *("CableBot-Spatial-v0", "CableBot-Point-v0", "CableBot-PlanarPlatform-v0"),
+        *("CableBot-FlexSpatial-v0", "CableBot-Planar-v0"),
+    ]
+    kinds = {env_id: (find_robot(name).kind, find_robot(name).flexible) for env_id, name in ENV_ROBOTS.items()}
+    assert kinds == ENV_KINDS
+    assert "give an environment id, one of" in cablebot("dlcc", "--policy", "fl").message(2)
+    unknown = cablebot("rollout", "--policy", "no", "--robot", "ttk4900", "--out", "run.csv").message(2)
+    assert "unknown policy 'no'" in unknown
 
 
 def test_unknown_robot_and_task_are_invalid_input(cablebot):

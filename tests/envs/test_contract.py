@@ -22,7 +22,7 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.trajectories import find_trajectory
 
 ROBOTS = {
@@ -30,6 +30,8 @@ ROBOTS = {
     "CableBot-Spatial-v0": SPATIAL,
     "CableBot-FlexPlanar-v0": FLEX_PLANAR,
     "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
+    "CableBot-Point-v0": find_robot("stadium-camera"),
+    "CableBot-PlanarPlatform-v0": find_robot("ttk4900"),
 }
 each_id = pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
 PLANAR_ID = "CableBot-Planar-v0"
@@ -238,8 +240,7 @@ def test_results_are_copies(count):
 @each_id
 def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     robot = ROBOTS[env_id]
-    kind = "planar" if robot.planar else "spatial"
-    trajectory = {"name": f"lemniscate-{kind}", "duration": 0.3, "dwell": 0.1}
+    trajectory = {"name": f"lemniscate-{robot.kind}", "amplitude": [0.2, 0.1], "duration": 0.3, "dwell": 0.1}
     frequency = 70.0  # 0.5 s are 35 periods; 0.5 s is reached and passed
     env = gym.make(env_id, trajectory=trajectory, control_frequency=frequency, termination_radius=10.0).unwrapped
     wanted = find_trajectory(trajectory, robot.coordinates)

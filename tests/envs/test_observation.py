@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from cablebot_gym.envs import ENV_IDS, TERMINATION_REASONS
+from cablebot_gym.envs import ENV_IDS, PAPER_ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, ROBOTS, SPATIAL
@@ -142,10 +142,10 @@ def test_normalised_observation_is_the_layouts_function_bit_for_bit(env_id):
     assert vector.single_observation_space == twin.observation_space
 
 
-@each_id
+@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 def test_normalised_components_are_of_order_one_on_all_named_motions(env_id):
     env, twin, policy = tracking(env_id)
-    names = trajectory_names(env.settings.robot.coordinates)
+    names = trajectory_names(env.settings.robot.kind)
     seen = [observations(env, twin, policy, trajectory=name, payload=float(i % 3)) for i, name in enumerate(names)]
     raw, normalised = (np.concatenate(values) for values in zip(*seen, strict=True))
     assert np.mean(np.abs(normalised) <= 10) > 0.99

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import cablebot_gym
+from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
@@ -187,7 +187,7 @@ def test_start_errors_are_uniform_within_their_half_widths():
 
 
 @pytest.mark.parametrize("trajectory", ["circle", "paper", "loop"])
-@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 def test_episodes_of_all_payloads_start_at_the_start_pose_of_the_task(env_id, trajectory):
     kind = "planar" if "Planar" in env_id else "spatial"
     keywords = {"trajectory": f"{trajectory}-{kind}", "error_bounds": {"position": 0.014}}
@@ -201,7 +201,7 @@ def test_episodes_of_all_payloads_start_at_the_start_pose_of_the_task(env_id, tr
         np.testing.assert_array_equal(env.pose, [expected] * 3)
 
 
-@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 def test_torques_after_a_reset_hold_the_true_robot_at_rest(env_id):
     """With the true mass and anchors: in the second environment beyond what the motors can hold."""
     planar = "Planar" in env_id

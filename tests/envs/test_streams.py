@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import cablebot_gym
+from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.envs.streams import BLOCK, NormalRows, Purpose, Streams
 from cablebot_gym.physics import kernel
 from cablebot_gym.uncertainty import ExternalWrench, ParameterDistribution, SensorNoise, Uncertainty
 
-each_id = pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+each_id = pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 two_ids = pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexSpatial-v0"])
 MASS = {"platform_mass": ParameterDistribution(low=-0.2, high=0.2)}
 FORCES = ExternalWrench(force_std=1.0)

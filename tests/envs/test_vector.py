@@ -11,8 +11,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-import cablebot_gym
-from cablebot_gym.envs import TERMINATION_REASONS
+from cablebot_gym.envs import PAPER_ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -137,7 +136,7 @@ LATE: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
+@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 @pytest.mark.parametrize(
     ("uncertainty", "count", "mode"),
     [("table6+sensors", 3, MODES[0]), (LATE, 3, MODES[1]), (LATE, 33, MODES[2])],
