@@ -49,8 +49,8 @@ _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
 # on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
-# whose distance is a multiple of 4 KiB share a set of the first-level cache. Robots with elastic cables or swivel pulleys
-# have STRETCH_PARAMETERS further rows for each cable, from stretch_parameter(m, lopsided) on.
+# whose distance is a multiple of 4 KiB share a set of the first-level cache. From stretch_parameter(m, lopsided) on,
+# robots with elastic cables or swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
 MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
 STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
@@ -152,9 +152,7 @@ def _fused(context, a, b, c):
 _fma: Any = intrinsic(_fused)
 
 
-_body, _stretch_parameter, _pulley_record = (
-    _inline(row) for row in (body_parameter, stretch_parameter, pulley_record)
-)
+_body, _stretch_parameter, _pulley_record = (_inline(row) for row in (body_parameter, stretch_parameter, pulley_record))
 
 
 @_inline
@@ -236,9 +234,10 @@ def _atan2(y, x):
 def _swivelled(lengths, radius, s, v):
     """Direction, length and bend of a cable over a swivel pulley of the signed radius, from the anchors' difference s.
 
-    As :class:`kinematics._Swivelled`, in the base frame. The bend (v·n)²/f + (u_h/d)(v·e)² is the part of q̈ by which the
-    free length f turns: in the plane of the pulley, where n is normal to the cable, and with the pulley about its axis,
-    where d is the distance from the axis and e points sideways. The length is zero if ``lengths`` is False.
+    As :class:`kinematics._Swivelled`, in the base frame. The bend (v·n)²/f + (u_h/d)(v·e)² is the part of q̈ that comes
+    from the turning of the free length f: in the plane of the pulley, where n is normal to the cable, and with the
+    pulley about its axis, where d is the distance from the axis and e points sideways. The length is zero if
+    ``lengths`` is False.
     """
     rho, side = abs(radius), -1.0 if radius < 0.0 else 1.0
     reach = math.sqrt(s[0] * s[0] + s[1] * s[1])
@@ -831,14 +830,6 @@ def _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes):
             for at in range(lanes):
                 if w[_WRONG * lanes + at] > 0.0:
                     _settle_lane(d, n, m, lopsided, p, w, at, lanes)
-    for at in range(lanes):
-        if n == 6:
-            _spatial_acceleration(m, lopsided, p, w, at, lanes)
-        elif n == 3 and d == 2:
-            _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
-        else:
-            for j in range(n):
-                w[(_RATE + j) * lanes + at] = w[(_Y + j) * lanes + at]
 
 
 @_inline
@@ -862,21 +853,63 @@ def _springs(m, unilateral, p, w, lanes):
 
 
 @_inline
-def _motor_speed(jointed, p, w, at, lanes, i):
-    if jointed:
+def _pulley(m, i):
+    """Scratch row of pulley i between its joint spring and its elastic cable."""
+    return _FIRST_CABLE + _CABLE_ROWS * m + _PULLEY_ROWS * i
+
+
+@_inline
+def _stretch(m, jointed, lopsided, unilateral, p, w, lanes):
+    """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of pulleys and motors.
+
+    The joint springs push, too: cables that are slack do not hold their pulleys.
+    """
+    for i in range(m):
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+        more = _stretch_parameter(m, lopsided) + STRETCH_PARAMETERS * i
+        pulley = _pulley(m, i) + _PULLEY_STAGE if jointed else row + _MOTOR_STAGE
+        for at in range(lanes):
+            radius, stiffness = p[(more + RADIUS) * lanes + at], p[(more + AXIAL_STIFFNESS) * lanes + at]
+            angle, speed = w[pulley * lanes + at], w[(pulley + 1) * lanes + at]
+            per_free = 1.0 / (p[(more + FULL_LENGTH) * lanes + at] - radius * angle)
+            length = w[(row + _LENGTH) * lanes + at] + p[(more + EXTRA_LENGTH) * lanes + at]
+            strain, rate = length * per_free - 1.0, (w[(row + _LENGTH_RATE) * lanes + at] + radius * speed) * per_free
+            tension = stiffness * strain + p[(more + AXIAL_DAMPING) * lanes + at] * rate
+            wound = 0.5 * stiffness * strain * strain
+            if unilateral:
+                tension = 0.0 if strain <= 0.0 else max(tension, 0.0)
+                wound = 0.0 if strain <= 0.0 else wound
+            w[(row + _KNOWN) * lanes + at] = w[(row + _FREE_TENSION) * lanes + at] = tension
+            w[(row + _TAUT) * lanes + at] = 1.0 if tension > 0.0 else 0.0
+            damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * radius * radius * speed
+            pulling = radius * (tension + wound) + damping
+            torque, per_inertia = w[(row + _TORQUE) * lanes + at], p[(more + PER_PULLEY_INERTIA) * lanes + at]
+            if jointed:
+                twist = p[(par + STIFFNESS) * lanes + at] * (w[(row + _MOTOR_STAGE) * lanes + at] - angle)
+                w[(_pulley(m, i) + _PULLEY_RATE) * lanes + at] = (twist - pulling) * per_inertia
+                friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + _MOTOR_STAGE + 1) * lanes + at]
+                rest = torque - twist - friction
+                w[(row + _MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+            else:
+                w[(row + _MOTOR_RATE) * lanes + at] = (torque - pulling) * per_inertia
+
+
+@_inline
+def _motor_speed(flexible, p, w, at, lanes, i):
+    if flexible:
         return w[(_FIRST_CABLE + _CABLE_ROWS * i + _MOTOR_STAGE + 1) * lanes + at]
     per_radius = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PER_RADIUS) * lanes + at]
     return -w[(_FIRST_CABLE + _CABLE_ROWS * i + _LENGTH_RATE) * lanes + at] * per_radius
 
 
 @_inline
-def _request(m, jointed, lags, h, p, w, record, lanes):
+def _request(m, flexible, lags, h, p, w, record, lanes):
     """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
     for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
-            speed = _motor_speed(jointed, p, w, at, lanes, i)
+            speed = _motor_speed(flexible, p, w, at, lanes, i)
             action = min(max(record[(rec + DEMAND) * lanes + at], -1.0), 1.0)
             stall, slope = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
             w[(row + _REQUEST) * lanes + at] = stall * action - slope * speed
@@ -891,7 +924,7 @@ def _request(m, jointed, lags, h, p, w, record, lanes):
 
 
 @_inline
-def _drive(m, jointed, lags, stage, p, w, lanes):
+def _drive(m, flexible, lags, stage, p, w, lanes):
     """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
     for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
@@ -900,12 +933,12 @@ def _drive(m, jointed, lags, stage, p, w, lanes):
                 w[(row + _GAP) * lanes + at] *= w[(row + _DECAY) * lanes + at]
         for at in range(lanes):
             stall, drop = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
-            drop *= _motor_speed(jointed, p, w, at, lanes, i)
+            drop *= _motor_speed(flexible, p, w, at, lanes, i)
             torque = w[(row + _REQUEST) * lanes + at]
             if lags:
                 torque += w[(row + _GAP) * lanes + at]
             torque = min(max(torque, -stall - drop), stall - drop)
-            w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at] = torque
+            w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = torque
 
 
 @_inline
@@ -917,12 +950,12 @@ def _coulomb(p, at, lanes, i, speed):
 
 
 @_inline
-def _rub(m, jointed, p, w, lanes):
+def _rub(m, flexible, p, w, lanes):
     """Subtracts the Coulomb friction from the motor torques."""
     for i in range(m):
-        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if jointed else _DRIVE)
+        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if flexible else _DRIVE)
         for at in range(lanes):
-            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(jointed, p, w, at, lanes, i))
+            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(flexible, p, w, at, lanes, i))
 
 
 @_inline
@@ -964,23 +997,26 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
 
 
 @_inline
-def _rk4(d, n, m, jointed, lopsided, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
+def _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
     """One physics step of a tile; _START becomes the new state."""
+    flexible = jointed or elastic
     for stage in range(4):
-        _kinematics(d, n, m, lopsided, p, w, lanes)
+        _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
         if stage == 0 and period_starts:
-            _request(m, jointed, lags, h, p, w, record, lanes)
-        _drive(m, jointed, lags, stage, p, w, lanes)
+            _request(m, flexible, lags, h, p, w, record, lanes)
+        _drive(m, flexible, lags, stage, p, w, lanes)
         if stage == 0 and period_starts:
             for i in range(m):
                 row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
                 for at in range(lanes):
-                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at]
+                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at]
         if rubs:
-            _rub(m, jointed, p, w, lanes)
-        if jointed:
+            _rub(m, flexible, p, w, lanes)
+        if elastic:
+            _stretch(m, jointed, lopsided, unilateral, p, w, lanes)
+        elif jointed:
             _springs(m, unilateral, p, w, lanes)
-        _dynamics(d, n, m, lopsided, unilateral, p, w, lanes)
+        _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes)
         if stage == 0:
             _note_tensions(m, period_starts, unilateral, w, record, lanes)
         # Positions first: their rate is the velocity of the stage, which changes next.
@@ -990,12 +1026,24 @@ def _rk4(d, n, m, jointed, lopsided, lags, rubs, period_starts, unilateral, h, p
                 value = 6 * half + j
                 for at in range(lanes):
                     _blend(stage, h, w, at, lanes, _START + value, _SUM + value, _STAGE + value, rate_row + j)
-        if jointed:
+        if flexible:
             for half in range(2):
                 rate_row = _MOTOR_STAGE + 1 if half == 0 else _MOTOR_RATE
                 for i in range(m):
                     row = _FIRST_CABLE + _CABLE_ROWS * i
                     start, total, value = row + _MOTOR_START + half, row + _MOTOR_SUM + half, row + _MOTOR_STAGE + half
+                    for at in range(lanes):
+                        _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
+        if jointed and elastic:
+            for half in range(2):
+                rate_row = _PULLEY_STAGE + 1 if half == 0 else _PULLEY_RATE
+                for i in range(m):
+                    row = _pulley(m, i)
+                    start, total, value = (
+                        row + _PULLEY_START + half,
+                        row + _PULLEY_SUM + half,
+                        row + _PULLEY_STAGE + half,
+                    )
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
 
@@ -1019,7 +1067,7 @@ def _note_errors(d, n, period_starts, w, record, at, lanes, reference):
 
 
 @_inline
-def _load_tile(n, m, jointed, record, w, lanes):
+def _load_tile(n, m, jointed, elastic, record, w, lanes):
     """Copies the state to the scratch memory. The search starts with the last known slack cables."""
     for j in range(n):
         for at in range(lanes):
@@ -1031,7 +1079,7 @@ def _load_tile(n, m, jointed, record, w, lanes):
         for at in range(lanes):
             slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
             w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
-    if jointed:
+    if jointed or elastic:
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
@@ -1039,21 +1087,47 @@ def _load_tile(n, m, jointed, record, w, lanes):
                     value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
                     w[(row + _MOTOR_START + half) * lanes + at] = value
                     w[(row + _MOTOR_STAGE + half) * lanes + at] = value
+    if jointed and elastic:
+        for i in range(m):
+            for half in range(2):
+                for at in range(lanes):
+                    value = record[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at]
+                    w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at] = value
+                    w[(_pulley(m, i) + _PULLEY_STAGE + half) * lanes + at] = value
 
 
 @_inline
 def _advance(
-    d, n, m, jointed, lopsided, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h
+    d,
+    n,
+    m,
+    jointed,
+    elastic,
+    swivel,
+    lopsided,
+    lanes,
+    unilateral,
+    lags,
+    rubs,
+    parameters,
+    record,
+    w,
+    paths,
+    ends,
+    path,
+    step,
+    steps,
+    h,
 ):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, jointed, r, w, lanes)
+        _load_tile(n, m, jointed, elastic, r, w, lanes)
         if not unilateral:
             for i in range(m):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
         for substep in range(steps):
-            _rk4(d, n, m, jointed, lopsided, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
+            _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
@@ -1066,7 +1140,12 @@ def _advance(
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
-            if jointed:
+            if jointed and elastic:
+                for half in range(2):
+                    for at in range(lanes):
+                        value = w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at]
+                        r[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at] = value
+            if jointed or elastic:
                 for half in range(2):
                     for at in range(lanes):
                         r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
@@ -1077,20 +1156,23 @@ def _advance(
 
 
 @_inline
-def _evaluate(d, n, m, jointed, lopsided, lanes, unilateral, parameters, record, w, acceleration):
+def _evaluate(d, n, m, jointed, elastic, swivel, lopsided, lanes, unilateral, parameters, record, w, acceleration):
+    flexible = jointed or elastic
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, jointed, r, w, lanes)
+        _load_tile(n, m, jointed, elastic, r, w, lanes)
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
-                w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + _TAUT) * lanes + at] = 1.0
-        _kinematics(d, n, m, lopsided, p, w, lanes)
-        _rub(m, jointed, p, w, lanes)
-        if jointed:
+        _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
+        _rub(m, flexible, p, w, lanes)
+        if elastic:
+            _stretch(m, jointed, lopsided, unilateral, p, w, lanes)
+        elif jointed:
             _springs(m, unilateral, p, w, lanes)
-        _dynamics(d, n, m, lopsided, unilateral, p, w, lanes)
+        _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes)
         _note_tensions(m, True, unilateral, w, r, lanes)
         for j in range(n):
             for at in range(lanes):
@@ -1238,7 +1320,7 @@ def _try_pair(w, at, lanes, i, j):
 
 
 @_inline
-def _required_motor(n, jointed, p, w, at, lanes, i):
+def _required_motor(n, flexible, p, w, at, lanes, i):
     """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
     par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
@@ -1248,16 +1330,16 @@ def _required_motor(n, jointed, p, w, at, lanes, i):
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
     pull = w[(row + _RESULTS + TENSIONS) * lanes + at] - inertia - damping
     speed = -rate * per_radius
-    friction = _coulomb(p, at, lanes, i, speed) if not jointed else 0.0
+    friction = _coulomb(p, at, lanes, i, speed) if not flexible else 0.0
     w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
     w[(row + _RESULTS + SPEEDS) * lanes + at] = speed
     w[(row + _RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
 
 
 @_inline
-def _wrench(d, n, m, lopsided, p, w, lanes):
+def _wrench(d, n, m, swivel, lopsided, p, w, lanes):
     """y and the wrench that the cables have to apply, Σ row_i T_i, in _LOAD, for the motion of a tile."""
-    _kinematics(d, n, m, lopsided, p, w, lanes)
+    _kinematics(d, n, m, swivel, False, lopsided, p, w, lanes)
     if n == 6:
         for at in range(lanes):
             _spatial_y(m, lopsided, p, w, at, lanes)
@@ -1296,7 +1378,7 @@ def _tile_of_motion(n, lanes, first, p, w, mass, motion):
 
 
 @_inline
-def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass, motion, results):
+def _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, minimum, p, w, mass, motion, results):
     """Inverse dynamics of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
@@ -1304,7 +1386,7 @@ def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
         _tile_of_motion(n, lanes, first, p, w, mass, motion)
-        _wrench(d, n, m, lopsided, p, w, lanes)
+        _wrench(d, n, m, swivel, lopsided, p, w, lanes)
         if n == 6:
             for at in range(lanes):
                 _spatial_tensions(w, at, lanes)
@@ -1318,7 +1400,7 @@ def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass
             _planar_tensions(m, minimum, w, lanes)
         for i in range(m):
             for at in range(lanes):
-                _required_motor(n, jointed, p, w, at, lanes, i)
+                _required_motor(n, jointed or elastic, p, w, at, lanes, i)
         for result in range(4):
             for at in range(min(lanes, count - first)):
                 for i in range(m):
@@ -1327,7 +1409,9 @@ def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass
 
 
 @_inline
-def _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results):
+def _demanded(
+    d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results
+):
     """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
@@ -1335,7 +1419,7 @@ def _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structur
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
         _tile_of_motion(n, lanes, first, p, w, mass, motion)
-        _wrench(d, n, m, lopsided, p, w, lanes)
+        _wrench(d, n, m, swivel, lopsided, p, w, lanes)
         for i in range(m):
             par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
             for at in range(min(lanes, count - first)):
@@ -1384,7 +1468,7 @@ def compiled(form: Form) -> Compiled:
     """The functions for a form: one source, compiled for one lane and for a tile, for each kind and each number of
     cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
 
-    d, n, m, lanes, jointed, lopsided = form
+    d, n, m, lanes, jointed, elastic, swivel, lopsided = form
 
     @_compile
     def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
@@ -1393,6 +1477,8 @@ def compiled(form: Form) -> Compiled:
             n,
             m,
             jointed,
+            elastic,
+            swivel,
             lopsided,
             lanes,
             unilateral,
@@ -1411,20 +1497,24 @@ def compiled(form: Form) -> Compiled:
 
     @_compile
     def evaluate(unilateral, parameters, record, w, acceleration):
-        _evaluate(d, n, m, jointed, lopsided, lanes, unilateral, parameters, record, w, acceleration)
+        _evaluate(d, n, m, jointed, elastic, swivel, lopsided, lanes, unilateral, parameters, record, w, acceleration)
 
     @_compile
     def required(parameters, minimum, p, w, mass, motion, results):
-        _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass, motion, results)
+        _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, minimum, p, w, mass, motion, results)
 
     @_compile
     def demanded(parameters, p, w, mass, motion, structure, load, results):
-        _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results)
+        _demanded(
+            d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results
+        )
 
     return Compiled(advance, evaluate, required, demanded)
 
 
 def cache_folder() -> Path:
     """Folder in which numba stores the compiled code of this file."""
-    form = Form(dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, lopsided=False)
+    form = Form(
+        dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, elastic=False, swivel=False, lopsided=False
+    )
     return Path(str(compiled(form).advance.stats.cache_path))
