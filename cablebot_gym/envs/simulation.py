@@ -263,16 +263,25 @@ class Simulation:
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
-        torque = angle = speed = np.zeros((len(env_indices), robot.cables))
+        torque = angle = speed = pulley_angle = np.zeros((len(env_indices), robot.cables))
         try:
             torque = torque + self._torques_at_rest(robot, uncertainty, robot.mass + payload, pose)
         except np.linalg.LinAlgError as error:
             raise ValueError("no tensions hold the robot at rest at its start pose: choose another one") from error
+        stretch: Array | float = 1.0
         if robot.flexible:
             wound = np.clip(torque, -robot.stall_torque, robot.stall_torque)
-            angle = textbook.pulley_angle(robot, pose) + wound / robot.stiffness
+            if robot.elastic:
+                tensions = wound / robot.pulley_radius
+                strain = tensions / robot.axial_stiffness
+                angle, pulley_angle = textbook.rest_angles(robot, tensions, pose)
+                torque = torque * (1 + strain / 2)  # the cable on the pulley is stretched, too
+                stretch = 1 + strain
+            else:
+                angle = textbook.pulley_angle(robot, pose) + wound / robot.stiffness
         if robot.flexible or uncertainty.delay:
             speed = textbook.pulley_speed(robot, pose, velocity)
+            speed = speed / stretch
 
         def apply() -> None:
             self._stall[env_indices] = robot.stall_torque
@@ -282,6 +291,8 @@ class Simulation:
             self._plant.set_state(env_indices, pose, velocity)
             if robot.flexible:
                 self._plant.set_motors(env_indices, angle, speed)
+            if robot.jointed and robot.elastic:
+                self._plant.set_pulleys(env_indices, pulley_angle, speed)
             self._plant.set_torques(env_indices, torque)
             holding = np.clip(textbook.normalised_action(robot, torque, speed), -1.0, 1.0)
             self._disturbances.reset(env_indices, uncertainty, holding)

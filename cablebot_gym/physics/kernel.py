@@ -11,6 +11,10 @@ Here p is the position of the centre of mass c, and b_i is the platform anchor a
 For a point mass y = p̈ and row_i = u_i. For a platform in a plane y = (p̈, φ̈) and row_i = (u_i, R b_i × u_i) in the base
 frame.
 
+A swivel pulley adds terms to the bias, see :func:`_swivelled`. Elastic cables have the tensions of
+:func:`textbook.cable_springs` at the angle β of their pulley, ``J β̈ = κ − c β̇ − torque of the cable``, and the set of
+taut cables follows from their strain. Without joint springs the pulley is the motor.
+
 F and M are the external force and moment at the centre of mass in the base frame; usually they are zero. The torque
 limits and the motors' friction hold at every stage of RK4, not only once per step: the error of a saturated motor falls
 with the fourth power of the step, too. κ is the motor torque less the friction (rigid) or the spring torque. The Euler
@@ -45,17 +49,21 @@ _compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
 # on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
-# whose distance is a multiple of 4 KiB share a set of the first-level cache.
+# whose distance is a multiple of 4 KiB share a set of the first-level cache. From stretch_parameter(m, lopsided) on,
+# robots with elastic cables or swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
 MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
 BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
 STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
 CABLE_PARAMETERS = 17
 PRODUCTS, CENTER, BODY_PARAMETERS = 0, 3, 6
+RADIUS, PER_PULLEY_INERTIA, AXIAL_STIFFNESS, AXIAL_DAMPING, FULL_LENGTH, EXTRA_LENGTH, SWIVEL = 0, 1, 2, 3, 4, 5, 6
+STRETCH_PARAMETERS = 7
 
-# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period.
+# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period. With
+# joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow, angle and speed.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
 DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED, LEAST_TENSION, LAGGED = 0, 1, 2, 3, 4, 5, 6, 7, 8
-CABLE_RECORDS = 9
+CABLE_RECORDS, PULLEY_RECORDS = 9, 2
 
 # Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. _TRIG of a platform in a
 # plane: sine and cosine of φ.
@@ -69,6 +77,8 @@ _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 
 _RESULTS = 21
 _GAP, _DECAY, _KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
 _CABLE_ROWS = 28
+# The pulleys between joint springs and elastic cables, after all cables.
+_PULLEY_START, _PULLEY_SUM, _PULLEY_STAGE, _PULLEY_RATE, _PULLEY_ROWS = 0, 2, 4, 6, 7
 
 TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""
@@ -87,6 +97,10 @@ class Form(NamedTuple):
     """Lanes of a tile."""
     jointed: bool
     """Whether there are springs between motors and pulleys."""
+    elastic: bool
+    """Whether the cables stretch."""
+    swivel: bool
+    """Whether the cables run over swivel pulleys."""
     lopsided: bool
     """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
     for every platform in a plane."""
@@ -97,19 +111,30 @@ def body_parameter(cables: int) -> int:
     return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables
 
 
+def stretch_parameter(cables: int, lopsided: bool) -> int:
+    """Row of the first parameter that only robots with elastic cables or swivel pulleys have."""
+    return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables + BODY_PARAMETERS * lopsided
+
+
+def pulley_record(cables: int) -> int:
+    """Row of the angle of the first pulley between a joint spring and an elastic cable."""
+    return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
+
+
 def parameter_rows(form: Form) -> int:
     """Number of parameter rows of a tile."""
-    return body_parameter(form.cables) + BODY_PARAMETERS * form.lopsided
+    stretch = STRETCH_PARAMETERS * form.cables * (form.elastic or form.swivel)
+    return stretch_parameter(form.cables, form.lopsided) + stretch
 
 
 def record_rows(form: Form) -> int:
     """Number of record rows of a tile."""
-    return FIRST_CABLE_RECORD + CABLE_RECORDS * form.cables
+    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * (form.elastic and form.jointed)
 
 
 def scratch_rows(form: Form) -> int:
     """Number of rows of the scratch memory."""
-    return _FIRST_CABLE + _CABLE_ROWS * form.cables
+    return _FIRST_CABLE + _CABLE_ROWS * form.cables + _PULLEY_ROWS * form.cables * (form.elastic and form.jointed)
 
 
 # ---------------------------------------------------------------------------------------------- small helpers
@@ -127,7 +152,7 @@ def _fused(context, a, b, c):
 _fma: Any = intrinsic(_fused)
 
 
-_body = _inline(body_parameter)
+_body, _stretch_parameter, _pulley_record = (_inline(row) for row in (body_parameter, stretch_parameter, pulley_record))
 
 
 @_inline
@@ -179,6 +204,55 @@ def _sincos(angle):
     s = -s if quadrant >= 2.0 else s
     c = -c if (quadrant == 1.0) | (quadrant == 2.0) else c
     return s, c
+
+
+@_inline
+def _atan2(y, x):
+    """Vectorisable ``math.atan2``: reduction to ± π/8, then the minimax polynomial of fdlibm."""
+    wide, high = abs(x), abs(y)
+    longer, shorter = max(wide, high), min(wide, high)
+    steep = shorter > 0.4142135623730950488 * longer
+    t = (shorter - longer if steep else shorter) / (longer + shorter if steep else longer)
+    z = t * t
+    r = _fma(z, 1.62858201153657823623e-02, -3.65315727442169155270e-02)
+    r = _fma(z, _fma(z, r, 4.97687799461593236017e-02), -5.83357013379057348645e-02)
+    r = _fma(z, _fma(z, r, 6.66107313738753120669e-02), -7.69187620504482999495e-02)
+    r = _fma(z, _fma(z, r, 9.09088713343650656196e-02), -1.11111104054623557880e-01)
+    r = _fma(z, _fma(z, r, 1.42857142725034663711e-01), -1.99999999998764832476e-01)
+    r = _fma(z, r, 3.33333333333329318027e-01)
+    angle = _fma(-t * z, r, t)
+    angle = angle + 0.78539816339744830962 if steep else angle
+    angle = 1.57079632679489661923 - angle if high > wide else angle
+    angle = 3.14159265358979323846 - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle
+
+
+# -------------------------------------------------------------------------------- swivel pulleys: one lane at a time
+
+
+@_inline
+def _swivelled(lengths, radius, s, v):
+    """Direction, length and bend of a cable over a swivel pulley of the signed radius, from the anchors' difference s.
+
+    As :class:`kinematics._Swivelled`, in the base frame. The bend (v·n)²/f + (u_h/d)(v·e)² is the part of q̈ that comes
+    from the turning of the free length f: in the plane of the pulley, where n is normal to the cable, and with the
+    pulley about its axis, where d is the distance from the axis and e points sideways. The length is zero if
+    ``lengths`` is False.
+    """
+    rho, side = abs(radius), -1.0 if radius < 0.0 else 1.0
+    reach = math.sqrt(s[0] * s[0] + s[1] * s[1])
+    per_reach = 1.0 / reach
+    height, across = side * s[2], reach - rho
+    square = across * across + height * height
+    free = math.sqrt(square - rho * rho)
+    out, down = (free * across - rho * height) / square, (rho * across + free * height) / square
+    x, y = s[0] * per_reach, s[1] * per_reach
+    normal, sideways = out * side * v[2] - down * (x * v[0] + y * v[1]), x * v[1] - y * v[0]
+    bend = normal * normal / free + out * sideways * sideways * per_reach
+    length = 0.0
+    if lengths:
+        length = free + rho * (math.pi + _atan2(-out, down))
+    return (out * x, out * y, side * down), length, bend
 
 
 # ---------------------------------------------------------------------------------- spatial robot: one lane at a time
@@ -244,7 +318,15 @@ def _tensor(m, lopsided, p, at, lanes):
 
 
 @_inline
-def _spatial_cable(lopsided, p, w, at, lanes, i):
+def _to_base(vector, offset, w, at, lanes):
+    """offset + R vector."""
+    first, second = _load(w, _ROTATION, at, lanes), _load(w, _ROTATION + 3, at, lanes)
+    third = _load(w, _ROTATION + 6, at, lanes)
+    return _ahead(vector[0], first, _ahead(vector[1], second, _ahead(vector[2], third, offset)))
+
+
+@_inline
+def _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i):
     """Direction, moment arm, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     b = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PLATFORM, at, lanes)
@@ -252,18 +334,30 @@ def _spatial_cable(lopsided, p, w, at, lanes, i):
     omega = _load(w, _OMEGA, at, lanes)
     velocity = _load(w, _BODY_VELOCITY, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
-    s = (
-        _dot(_load(w, _ROTATION, at, lanes), d) + b[0],
-        _dot(_load(w, _ROTATION + 3, at, lanes), d) + b[1],
-        _dot(_load(w, _ROTATION + 6, at, lanes), d) + b[2],
-    )
-    length = math.sqrt(_dot(s, s))
-    per_length = 1.0 / length
-    u = (s[0] * per_length, s[1] * per_length, s[2] * per_length)
     turning = _cross(omega, b)
     point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
-    rate = _dot(u, point)
-    bias = _dot(u, _cross(omega, turning)) + (_dot(point, point) - rate * rate) * per_length
+    if swivel:
+        radius = p[(_stretch_parameter(m, lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
+        s, v = _to_base(b, d, w, at, lanes), _to_base(point, (0.0, 0.0, 0.0), w, at, lanes)
+        u, length, bend = _swivelled(lengths, radius, s, v)
+        u = (
+            _dot(_load(w, _ROTATION, at, lanes), u),
+            _dot(_load(w, _ROTATION + 3, at, lanes), u),
+            _dot(_load(w, _ROTATION + 6, at, lanes), u),
+        )
+        rate = _dot(u, point)
+    else:
+        s = (
+            _dot(_load(w, _ROTATION, at, lanes), d) + b[0],
+            _dot(_load(w, _ROTATION + 3, at, lanes), d) + b[1],
+            _dot(_load(w, _ROTATION + 6, at, lanes), d) + b[2],
+        )
+        length = math.sqrt(_dot(s, s))
+        per_length = 1.0 / length
+        u = (s[0] * per_length, s[1] * per_length, s[2] * per_length)
+        rate = _dot(u, point)
+        bend = (_dot(point, point) - rate * rate) * per_length
+    bias = _dot(u, _cross(omega, turning)) + bend
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
     _store(w, row + _ROW + 3, at, lanes, _cross(b, u))
@@ -489,20 +583,26 @@ def _point_load(p, w, at, lanes):
 
 
 @_inline
-def _point_cable(p, w, at, lanes, i):
+def _point_cable(m, swivel, lengths, p, w, at, lanes, i):
     """Direction, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     position, velocity = _load(w, _STAGE, at, lanes), _load(w, _STAGE + 6, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
-    length = math.sqrt(_dot(d, d))
-    per_length = 1.0 / length
-    u = (d[0] * per_length, d[1] * per_length, d[2] * per_length)
-    rate = _dot(u, velocity)
+    if swivel:
+        radius = p[(_stretch_parameter(m, False) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
+        u, length, bend = _swivelled(lengths, radius, d, velocity)
+        rate = _dot(u, velocity)
+    else:
+        length = math.sqrt(_dot(d, d))
+        per_length = 1.0 / length
+        u = (d[0] * per_length, d[1] * per_length, d[2] * per_length)
+        rate = _dot(u, velocity)
+        bend = (_dot(velocity, velocity) - rate * rate) * per_length
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
     w[(row + _LENGTH) * lanes + at] = length
     w[(row + _LENGTH_RATE) * lanes + at] = rate
-    w[(row + _BIAS) * lanes + at] = (_dot(velocity, velocity) - rate * rate) * per_length
+    w[(row + _BIAS) * lanes + at] = bend
 
 
 @_inline
@@ -606,6 +706,33 @@ def _free_tension(n, p, w, at, lanes, i):
 
 
 @_inline
+def _pulled_lane(d, n, m, lopsided, p, w, at, lanes):
+    """y for the tensions of elastic cables."""
+    mass = p[MASS * lanes + at]
+    if n == 6:
+        f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
+        for i in range(m):
+            f, g = _add_pull(f, g, w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at], w, at, lanes, i)
+        _store(w, _Y, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
+        _store(w, _Y + 3, at, lanes, _times(_inverse(_tensor(m, lopsided, p, at, lanes)), g))
+    elif n == 3:
+        masses, (fx, fy, fz) = _three_masses(d, p, at, lanes), _load(w, _LOAD, at, lanes)
+        for i in range(m):
+            tension = w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
+            ux, uy, uz = _load(w, _FIRST_CABLE + _CABLE_ROWS * i + _ROW, at, lanes)
+            fx, fy, fz = _fma(-tension, ux, fx), _fma(-tension, uy, fy), _fma(-tension, uz, fz)
+        _store(w, _Y, at, lanes, (fx / masses[0], fy / masses[1], fz / masses[2]))
+    else:
+        fx, fy = p[FORCE * lanes + at], _fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
+        for i in range(m):
+            row = _FIRST_CABLE + _CABLE_ROWS * i
+            tension = w[(row + _KNOWN) * lanes + at]
+            fx = _fma(-tension, w[(row + _ROW) * lanes + at], fx)
+            fy = _fma(-tension, w[(row + _ROW + 1) * lanes + at], fy)
+        w[_Y * lanes + at], w[(_Y + 1) * lanes + at] = fx / mass, fy / mass
+
+
+@_inline
 def _solve_lane(d, n, m, lopsided, p, w, at, lanes):
     if n == 6:
         _spatial_solve(m, lopsided, p, w, at, lanes)
@@ -642,7 +769,7 @@ def _settle_lane(d, n, m, lopsided, p, w, at, lanes):
 
 
 @_inline
-def _kinematics(d, n, m, lopsided, p, w, lanes):
+def _kinematics(d, n, m, swivel, lengths, lopsided, p, w, lanes):
     if n == 6:
         for at in range(lanes):
             _spatial_platform(m, lopsided, p, w, at, lanes)
@@ -655,9 +782,9 @@ def _kinematics(d, n, m, lopsided, p, w, lanes):
     for i in range(m):
         for at in range(lanes):
             if n == 6:
-                _spatial_cable(lopsided, p, w, at, lanes, i)
+                _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i)
             elif d == 3:
-                _point_cable(p, w, at, lanes, i)
+                _point_cable(m, swivel, lengths, p, w, at, lanes, i)
             elif n == 3:
                 _plane_cable(p, w, at, lanes, i)
             else:
@@ -665,8 +792,26 @@ def _kinematics(d, n, m, lopsided, p, w, lanes):
 
 
 @_inline
-def _dynamics(d, n, m, lopsided, unilateral, p, w, lanes):
+def _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes):
     """Accelerations of the stage, with the taut sets of all lanes."""
+    if elastic:
+        for at in range(lanes):
+            _pulled_lane(d, n, m, lopsided, p, w, at, lanes)
+    else:
+        _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes)
+    for at in range(lanes):
+        if n == 6:
+            _spatial_acceleration(m, lopsided, p, w, at, lanes)
+        elif n == 3 and d == 2:
+            _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
+        else:
+            for j in range(n):
+                w[(_RATE + j) * lanes + at] = w[(_Y + j) * lanes + at]
+
+
+@_inline
+def _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes):
+    """y and the taut sets of all lanes whose cables do not stretch."""
     _known_tensions(m, p, w, lanes)
     for at in range(lanes):
         _solve_lane(d, n, m, lopsided, p, w, at, lanes)
@@ -685,14 +830,6 @@ def _dynamics(d, n, m, lopsided, unilateral, p, w, lanes):
             for at in range(lanes):
                 if w[_WRONG * lanes + at] > 0.0:
                     _settle_lane(d, n, m, lopsided, p, w, at, lanes)
-    for at in range(lanes):
-        if n == 6:
-            _spatial_acceleration(m, lopsided, p, w, at, lanes)
-        elif n == 3 and d == 2:
-            _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
-        else:
-            for j in range(n):
-                w[(_RATE + j) * lanes + at] = w[(_Y + j) * lanes + at]
 
 
 @_inline
@@ -716,21 +853,63 @@ def _springs(m, unilateral, p, w, lanes):
 
 
 @_inline
-def _motor_speed(jointed, p, w, at, lanes, i):
-    if jointed:
+def _pulley(m, i):
+    """Scratch row of pulley i between its joint spring and its elastic cable."""
+    return _FIRST_CABLE + _CABLE_ROWS * m + _PULLEY_ROWS * i
+
+
+@_inline
+def _stretch(m, jointed, lopsided, unilateral, p, w, lanes):
+    """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of pulleys and motors.
+
+    The joint springs push, too: cables that are slack do not hold their pulleys.
+    """
+    for i in range(m):
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
+        more = _stretch_parameter(m, lopsided) + STRETCH_PARAMETERS * i
+        pulley = _pulley(m, i) + _PULLEY_STAGE if jointed else row + _MOTOR_STAGE
+        for at in range(lanes):
+            radius, stiffness = p[(more + RADIUS) * lanes + at], p[(more + AXIAL_STIFFNESS) * lanes + at]
+            angle, speed = w[pulley * lanes + at], w[(pulley + 1) * lanes + at]
+            per_free = 1.0 / (p[(more + FULL_LENGTH) * lanes + at] - radius * angle)
+            length = w[(row + _LENGTH) * lanes + at] + p[(more + EXTRA_LENGTH) * lanes + at]
+            strain, rate = length * per_free - 1.0, (w[(row + _LENGTH_RATE) * lanes + at] + radius * speed) * per_free
+            tension = stiffness * strain + p[(more + AXIAL_DAMPING) * lanes + at] * rate
+            wound = 0.5 * stiffness * strain * strain
+            if unilateral:
+                tension = 0.0 if strain <= 0.0 else max(tension, 0.0)
+                wound = 0.0 if strain <= 0.0 else wound
+            w[(row + _KNOWN) * lanes + at] = w[(row + _FREE_TENSION) * lanes + at] = tension
+            w[(row + _TAUT) * lanes + at] = 1.0 if tension > 0.0 else 0.0
+            damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * radius * radius * speed
+            pulling = radius * (tension + wound) + damping
+            torque, per_inertia = w[(row + _TORQUE) * lanes + at], p[(more + PER_PULLEY_INERTIA) * lanes + at]
+            if jointed:
+                twist = p[(par + STIFFNESS) * lanes + at] * (w[(row + _MOTOR_STAGE) * lanes + at] - angle)
+                w[(_pulley(m, i) + _PULLEY_RATE) * lanes + at] = (twist - pulling) * per_inertia
+                friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + _MOTOR_STAGE + 1) * lanes + at]
+                rest = torque - twist - friction
+                w[(row + _MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+            else:
+                w[(row + _MOTOR_RATE) * lanes + at] = (torque - pulling) * per_inertia
+
+
+@_inline
+def _motor_speed(flexible, p, w, at, lanes, i):
+    if flexible:
         return w[(_FIRST_CABLE + _CABLE_ROWS * i + _MOTOR_STAGE + 1) * lanes + at]
     per_radius = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PER_RADIUS) * lanes + at]
     return -w[(_FIRST_CABLE + _CABLE_ROWS * i + _LENGTH_RATE) * lanes + at] * per_radius
 
 
 @_inline
-def _request(m, jointed, lags, h, p, w, record, lanes):
+def _request(m, flexible, lags, h, p, w, record, lanes):
     """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
     for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
-            speed = _motor_speed(jointed, p, w, at, lanes, i)
+            speed = _motor_speed(flexible, p, w, at, lanes, i)
             action = min(max(record[(rec + DEMAND) * lanes + at], -1.0), 1.0)
             stall, slope = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
             w[(row + _REQUEST) * lanes + at] = stall * action - slope * speed
@@ -745,7 +924,7 @@ def _request(m, jointed, lags, h, p, w, record, lanes):
 
 
 @_inline
-def _drive(m, jointed, lags, stage, p, w, lanes):
+def _drive(m, flexible, lags, stage, p, w, lanes):
     """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
     for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
@@ -754,12 +933,12 @@ def _drive(m, jointed, lags, stage, p, w, lanes):
                 w[(row + _GAP) * lanes + at] *= w[(row + _DECAY) * lanes + at]
         for at in range(lanes):
             stall, drop = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
-            drop *= _motor_speed(jointed, p, w, at, lanes, i)
+            drop *= _motor_speed(flexible, p, w, at, lanes, i)
             torque = w[(row + _REQUEST) * lanes + at]
             if lags:
                 torque += w[(row + _GAP) * lanes + at]
             torque = min(max(torque, -stall - drop), stall - drop)
-            w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at] = torque
+            w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = torque
 
 
 @_inline
@@ -771,12 +950,12 @@ def _coulomb(p, at, lanes, i, speed):
 
 
 @_inline
-def _rub(m, jointed, p, w, lanes):
+def _rub(m, flexible, p, w, lanes):
     """Subtracts the Coulomb friction from the motor torques."""
     for i in range(m):
-        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if jointed else _DRIVE)
+        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if flexible else _DRIVE)
         for at in range(lanes):
-            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(jointed, p, w, at, lanes, i))
+            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(flexible, p, w, at, lanes, i))
 
 
 @_inline
@@ -818,23 +997,26 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
 
 
 @_inline
-def _rk4(d, n, m, jointed, lopsided, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
+def _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
     """One physics step of a tile; _START becomes the new state."""
+    flexible = jointed or elastic
     for stage in range(4):
-        _kinematics(d, n, m, lopsided, p, w, lanes)
+        _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
         if stage == 0 and period_starts:
-            _request(m, jointed, lags, h, p, w, record, lanes)
-        _drive(m, jointed, lags, stage, p, w, lanes)
+            _request(m, flexible, lags, h, p, w, record, lanes)
+        _drive(m, flexible, lags, stage, p, w, lanes)
         if stage == 0 and period_starts:
             for i in range(m):
                 row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
                 for at in range(lanes):
-                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at]
+                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at]
         if rubs:
-            _rub(m, jointed, p, w, lanes)
-        if jointed:
+            _rub(m, flexible, p, w, lanes)
+        if elastic:
+            _stretch(m, jointed, lopsided, unilateral, p, w, lanes)
+        elif jointed:
             _springs(m, unilateral, p, w, lanes)
-        _dynamics(d, n, m, lopsided, unilateral, p, w, lanes)
+        _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes)
         if stage == 0:
             _note_tensions(m, period_starts, unilateral, w, record, lanes)
         # Positions first: their rate is the velocity of the stage, which changes next.
@@ -844,12 +1026,24 @@ def _rk4(d, n, m, jointed, lopsided, lags, rubs, period_starts, unilateral, h, p
                 value = 6 * half + j
                 for at in range(lanes):
                     _blend(stage, h, w, at, lanes, _START + value, _SUM + value, _STAGE + value, rate_row + j)
-        if jointed:
+        if flexible:
             for half in range(2):
                 rate_row = _MOTOR_STAGE + 1 if half == 0 else _MOTOR_RATE
                 for i in range(m):
                     row = _FIRST_CABLE + _CABLE_ROWS * i
                     start, total, value = row + _MOTOR_START + half, row + _MOTOR_SUM + half, row + _MOTOR_STAGE + half
+                    for at in range(lanes):
+                        _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
+        if jointed and elastic:
+            for half in range(2):
+                rate_row = _PULLEY_STAGE + 1 if half == 0 else _PULLEY_RATE
+                for i in range(m):
+                    row = _pulley(m, i)
+                    start, total, value = (
+                        row + _PULLEY_START + half,
+                        row + _PULLEY_SUM + half,
+                        row + _PULLEY_STAGE + half,
+                    )
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
 
@@ -873,7 +1067,7 @@ def _note_errors(d, n, period_starts, w, record, at, lanes, reference):
 
 
 @_inline
-def _load_tile(n, m, jointed, record, w, lanes):
+def _load_tile(n, m, jointed, elastic, record, w, lanes):
     """Copies the state to the scratch memory. The search starts with the last known slack cables."""
     for j in range(n):
         for at in range(lanes):
@@ -885,7 +1079,7 @@ def _load_tile(n, m, jointed, record, w, lanes):
         for at in range(lanes):
             slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
             w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
-    if jointed:
+    if jointed or elastic:
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
@@ -893,21 +1087,47 @@ def _load_tile(n, m, jointed, record, w, lanes):
                     value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
                     w[(row + _MOTOR_START + half) * lanes + at] = value
                     w[(row + _MOTOR_STAGE + half) * lanes + at] = value
+    if jointed and elastic:
+        for i in range(m):
+            for half in range(2):
+                for at in range(lanes):
+                    value = record[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at]
+                    w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at] = value
+                    w[(_pulley(m, i) + _PULLEY_STAGE + half) * lanes + at] = value
 
 
 @_inline
 def _advance(
-    d, n, m, jointed, lopsided, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h
+    d,
+    n,
+    m,
+    jointed,
+    elastic,
+    swivel,
+    lopsided,
+    lanes,
+    unilateral,
+    lags,
+    rubs,
+    parameters,
+    record,
+    w,
+    paths,
+    ends,
+    path,
+    step,
+    steps,
+    h,
 ):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, jointed, r, w, lanes)
+        _load_tile(n, m, jointed, elastic, r, w, lanes)
         if not unilateral:
             for i in range(m):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
         for substep in range(steps):
-            _rk4(d, n, m, jointed, lopsided, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
+            _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
@@ -920,7 +1140,12 @@ def _advance(
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
-            if jointed:
+            if jointed and elastic:
+                for half in range(2):
+                    for at in range(lanes):
+                        value = w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at]
+                        r[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at] = value
+            if jointed or elastic:
                 for half in range(2):
                     for at in range(lanes):
                         r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
@@ -931,20 +1156,23 @@ def _advance(
 
 
 @_inline
-def _evaluate(d, n, m, jointed, lopsided, lanes, unilateral, parameters, record, w, acceleration):
+def _evaluate(d, n, m, jointed, elastic, swivel, lopsided, lanes, unilateral, parameters, record, w, acceleration):
+    flexible = jointed or elastic
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, jointed, r, w, lanes)
+        _load_tile(n, m, jointed, elastic, r, w, lanes)
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
-                w[(row + (_TORQUE if jointed else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + _TAUT) * lanes + at] = 1.0
-        _kinematics(d, n, m, lopsided, p, w, lanes)
-        _rub(m, jointed, p, w, lanes)
-        if jointed:
+        _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
+        _rub(m, flexible, p, w, lanes)
+        if elastic:
+            _stretch(m, jointed, lopsided, unilateral, p, w, lanes)
+        elif jointed:
             _springs(m, unilateral, p, w, lanes)
-        _dynamics(d, n, m, lopsided, unilateral, p, w, lanes)
+        _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes)
         _note_tensions(m, True, unilateral, w, r, lanes)
         for j in range(n):
             for at in range(lanes):
@@ -1092,7 +1320,7 @@ def _try_pair(w, at, lanes, i, j):
 
 
 @_inline
-def _required_motor(n, jointed, p, w, at, lanes, i):
+def _required_motor(n, flexible, p, w, at, lanes, i):
     """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
     par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
@@ -1102,16 +1330,16 @@ def _required_motor(n, jointed, p, w, at, lanes, i):
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
     pull = w[(row + _RESULTS + TENSIONS) * lanes + at] - inertia - damping
     speed = -rate * per_radius
-    friction = _coulomb(p, at, lanes, i, speed) if not jointed else 0.0
+    friction = _coulomb(p, at, lanes, i, speed) if not flexible else 0.0
     w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
     w[(row + _RESULTS + SPEEDS) * lanes + at] = speed
     w[(row + _RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
 
 
 @_inline
-def _wrench(d, n, m, lopsided, p, w, lanes):
+def _wrench(d, n, m, swivel, lopsided, p, w, lanes):
     """y and the wrench that the cables have to apply, Σ row_i T_i, in _LOAD, for the motion of a tile."""
-    _kinematics(d, n, m, lopsided, p, w, lanes)
+    _kinematics(d, n, m, swivel, False, lopsided, p, w, lanes)
     if n == 6:
         for at in range(lanes):
             _spatial_y(m, lopsided, p, w, at, lanes)
@@ -1150,7 +1378,7 @@ def _tile_of_motion(n, lanes, first, p, w, mass, motion):
 
 
 @_inline
-def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass, motion, results):
+def _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, minimum, p, w, mass, motion, results):
     """Inverse dynamics of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
@@ -1158,7 +1386,7 @@ def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
         _tile_of_motion(n, lanes, first, p, w, mass, motion)
-        _wrench(d, n, m, lopsided, p, w, lanes)
+        _wrench(d, n, m, swivel, lopsided, p, w, lanes)
         if n == 6:
             for at in range(lanes):
                 _spatial_tensions(w, at, lanes)
@@ -1172,7 +1400,7 @@ def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass
             _planar_tensions(m, minimum, w, lanes)
         for i in range(m):
             for at in range(lanes):
-                _required_motor(n, jointed, p, w, at, lanes, i)
+                _required_motor(n, jointed or elastic, p, w, at, lanes, i)
         for result in range(4):
             for at in range(min(lanes, count - first)):
                 for i in range(m):
@@ -1181,7 +1409,9 @@ def _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass
 
 
 @_inline
-def _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results):
+def _demanded(
+    d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results
+):
     """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
@@ -1189,7 +1419,7 @@ def _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structur
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
         _tile_of_motion(n, lanes, first, p, w, mass, motion)
-        _wrench(d, n, m, lopsided, p, w, lanes)
+        _wrench(d, n, m, swivel, lopsided, p, w, lanes)
         for i in range(m):
             par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
             for at in range(min(lanes, count - first)):
@@ -1238,7 +1468,7 @@ def compiled(form: Form) -> Compiled:
     """The functions for a form: one source, compiled for one lane and for a tile, for each kind and each number of
     cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
 
-    d, n, m, lanes, jointed, lopsided = form
+    d, n, m, lanes, jointed, elastic, swivel, lopsided = form
 
     @_compile
     def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
@@ -1247,6 +1477,8 @@ def compiled(form: Form) -> Compiled:
             n,
             m,
             jointed,
+            elastic,
+            swivel,
             lopsided,
             lanes,
             unilateral,
@@ -1265,20 +1497,24 @@ def compiled(form: Form) -> Compiled:
 
     @_compile
     def evaluate(unilateral, parameters, record, w, acceleration):
-        _evaluate(d, n, m, jointed, lopsided, lanes, unilateral, parameters, record, w, acceleration)
+        _evaluate(d, n, m, jointed, elastic, swivel, lopsided, lanes, unilateral, parameters, record, w, acceleration)
 
     @_compile
     def required(parameters, minimum, p, w, mass, motion, results):
-        _required(d, n, m, jointed, lopsided, lanes, parameters, minimum, p, w, mass, motion, results)
+        _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, minimum, p, w, mass, motion, results)
 
     @_compile
     def demanded(parameters, p, w, mass, motion, structure, load, results):
-        _demanded(d, n, m, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results)
+        _demanded(
+            d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results
+        )
 
     return Compiled(advance, evaluate, required, demanded)
 
 
 def cache_folder() -> Path:
     """Folder in which numba stores the compiled code of this file."""
-    form = Form(dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, lopsided=False)
+    form = Form(
+        dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, elastic=False, swivel=False, lopsided=False
+    )
     return Path(str(compiled(form).advance.stats.cache_path))

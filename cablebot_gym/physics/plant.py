@@ -25,6 +25,8 @@ def form_of(robot: RobotArrays, lanes: int = kernel.LANES) -> kernel.Form:
         cables=robot.cables,
         lanes=lanes,
         jointed=robot.jointed,
+        elastic=robot.elastic,
+        swivel=robot.swivel is not None,
         lopsided=robot.kind == "planar-platform" or bool(np.any(robot.mass_center) or np.any(products)),
     )
 
@@ -58,6 +60,19 @@ def pack_parameters(robot: RobotArrays) -> Array:
     cables[..., kernel.LAG] = robot.motor_lag
     rows[..., kernel.FRICTION_SPEED] = FRICTION_SPEED
     cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
+    if form.elastic or form.swivel:
+        stretch = np.zeros((*batch, robot.cables, kernel.STRETCH_PARAMETERS))
+        stretch[..., kernel.RADIUS] = robot.pulley_radius
+        if robot.swivel is not None:
+            stretch[..., kernel.SWIVEL] = robot.swivel
+        if robot.elastic:
+            home = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
+            stretch[..., kernel.PER_PULLEY_INERTIA] = 1 / robot.pulley_inertia
+            stretch[..., kernel.AXIAL_STIFFNESS] = robot.axial_stiffness
+            stretch[..., kernel.AXIAL_DAMPING] = robot.axial_damping
+            stretch[..., kernel.FULL_LENGTH] = home + robot.extra_length
+            stretch[..., kernel.EXTRA_LENGTH] = robot.extra_length
+        rows[..., kernel.stretch_parameter(robot.cables, form.lopsided) :] = stretch.reshape(*batch, -1)
     rows[..., kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(robot.cables)] = cables.reshape(*batch, -1)
     return rows
 
@@ -184,10 +199,19 @@ class Plant:
             self.step_index[self.count :] = 0
 
     def set_motors(self, index: Array, angle: Array, speed: Array) -> None:
-        """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after :meth:`set_state`."""
+        """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after :meth:`set_state`.
+
+        With elastic cables and without joint springs they are those of the pulleys.
+        """
         first = kernel.FIRST_CABLE_RECORD
         for row, values in ((kernel.MOTOR_ANGLE, angle), (kernel.MOTOR_SPEED, speed)):
             self._write(self.record, first + row, np.asarray(index), np.asarray(values, float), kernel.CABLE_RECORDS)
+
+    def set_pulleys(self, index: Array, angle: Array, speed: Array) -> None:
+        """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and elastic cables."""
+        for row, values in enumerate((angle, speed)):
+            first = kernel.pulley_record(self.robot.cables) + row
+            self._write(self.record, first, np.asarray(index), np.asarray(values, float), kernel.PULLEY_RECORDS)
 
     def set_torques(self, index: Array, torques: Array) -> None:
         """Sets the recorded motor torques (len(index), m) [N·m] after :meth:`set_state`.
@@ -254,6 +278,20 @@ class Plant:
     def motor_speed(self) -> Array:
         """Motor speeds β̇′ of flexible robots, shape (N, m) [rad/s]."""
         return self.per_cable(kernel.MOTOR_SPEED)
+
+    @property
+    def pulley_angle(self) -> Array:
+        """Pulley angles β of robots with elastic cables, shape (N, m) [rad]."""
+        return self._pulley(0) if self.robot.jointed else self.motor_angle
+
+    @property
+    def pulley_speed(self) -> Array:
+        """Pulley speeds β̇ of robots with elastic cables, shape (N, m) [rad/s]."""
+        return self._pulley(1) if self.robot.jointed else self.motor_speed
+
+    def _pulley(self, row: int) -> Array:
+        first = kernel.pulley_record(self.robot.cables) + row
+        return self._read(self.record, first, self.robot.cables, kernel.PULLEY_RECORDS)
 
     def per_cable(self, row: int) -> Array:
         """A row of the record per cable, such as ``kernel.TENSION``, shape (N, m)."""
