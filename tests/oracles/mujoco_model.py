@@ -57,9 +57,9 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
             zip(radii, robot.pulley_inertia.tolist(), robot.damping.tolist(), strict=True)
         )
     )
-    winches, springs = _winches_and_springs(robot) if robot.flexible else ("", "")
-    place, sign = ("joint", 1) if robot.flexible else ("tendon", -1)
-    driven = "winch" if robot.flexible else "cable"
+    winches, springs = _winches_and_springs(robot) if robot.jointed else ("", "")
+    place, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
+    driven = "winch" if robot.jointed else "cable"
     motors = "".join(
         f'<motor name="motor{i}" {place}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
     )
@@ -193,7 +193,7 @@ class MujocoRobot:
         else:
             positions[:3], positions[3:] = pose[:3], quaternion(pose[3:])
             speeds[:3], speeds[3:] = velocity[:3], euler_rate_matrix(pose[3:]) @ velocity[3:]
-        if self.robot.flexible:
+        if self.robot.jointed:
             unwound = (self._home_lengths - self.lengths()) / self.robot.pulley_radius
             self._mujoco.mj_fwdVelocity(self.model, self.data)
             self.set_motors(unwound, -self.data.ten_velocity[: self.robot.cables] / self.robot.pulley_radius)
@@ -202,6 +202,18 @@ class MujocoRobot:
         """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after :meth:`set_state`."""
         self.data.qpos[self._platform_positions :] = np.asarray(angle) * self.robot.pulley_radius
         self.data.qvel[self._platform_speeds :] = np.asarray(speed) * self.robot.pulley_radius
+
+    def set_free_lengths(self, lengths: ArrayLike) -> None:
+        """Makes the cables elastic with free lengths l (m,) [m]: one-sided springs EA/l, and dampers also if slack.
+
+        The pulleys stand still, so the robot must not have joint springs.
+        """
+        robot, free = self.robot, np.asarray(lengths)
+        self.model.tendon_stiffness[:] = robot.axial_stiffness / free
+        self.model.tendon_damping[:] = robot.axial_damping / free
+        self.model.tendon_armature[:] = 0.0
+        self.model.tendon_lengthspring[:, 0] = 0.0
+        self.model.tendon_lengthspring[:, 1] = free - robot.extra_length
 
     def set_wrench(self, force: ArrayLike, moment: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """External force [N] and moment [N·m] at the platform's centre of mass, in the base frame, each of shape (3,).

@@ -28,9 +28,10 @@ from oracles.plants import (
     random_states,
     state_of,
     textbook_rates,
+    with_transmission,
     worst_relative_error,
 )
-from oracles.platforms import CAMERA, CRANE, TURNING
+from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
@@ -75,6 +76,26 @@ def test_accelerations_of_textbook_and_kernel_are_those_of_mujoco(robot):
         moved, turned = motion_accelerations(robot, state, torques, mass=mass)
         assert worst_relative_error(moved, np.array(platform)) <= 1e-10
         assert worst_relative_error(turned, np.array(motors)) <= 1e-10
+
+
+@pytest.mark.parametrize("spread", [0.5, 2.0], ids=["taut", "slack"])
+@each_of(HANGING, TURNING, CAMERA, CRANE)
+def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
+    """Their damping while taut; MuJoCo's dampers push slack cables, too. The pulleys stand still."""
+    damping = 30.0 if spread < 1 else 0.0
+    robot = with_transmission(robot, axial_stiffness=2e4, axial_damping=damping, extra_length=0.3)
+    state, _ = random_states(robot, STATES, seed=24, reach=0.4)
+    tensions = 400 * (1 + spread * np.random.default_rng(25).uniform(-1, 1, (STATES, robot.cables)))
+    angle = textbook.rest_angles(robot, tensions, state.pose)[1]
+    compiled = loaded_plant(robot, State(state.pose, state.velocity, angle, 0 * angle), "unilateral")
+    home, peer, expected = textbook.cable_lengths(robot, robot.home), mujoco_model.MujocoRobot(robot), []
+    for lane in range(STATES):
+        peer.set_state(state.pose[lane], state.velocity[lane])
+        peer.set_free_lengths(home + robot.extra_length - robot.pulley_radius * angle[lane])
+        expected.append(peer.accelerations(np.zeros(robot.cables)))
+    found, pulled = evaluated(compiled, np.zeros_like(angle))
+    assert np.all(pulled > 0) if spread < 1 else np.any(pulled == 0)
+    assert worst_relative_error(found, np.array(expected)) <= 1e-9
 
 
 @each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, FLEX_HANGING, TURNING, CAMERA, CRANE)
