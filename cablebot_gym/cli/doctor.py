@@ -19,7 +19,7 @@ import typer
 from cablebot_gym.cli.app import COMMAND_GROUP
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.textbook import allocated_minimum, normalised_action, static_torque
+from cablebot_gym.physics.textbook import allocated_minimum, holding_torque, normalised_action, static_torque
 from cablebot_gym.planning.library import cache_folder
 from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, PolicyEntry
 from cablebot_gym.robots import find_robot
@@ -160,7 +160,7 @@ def _statics_test(env_id: str) -> str:
         task: Task = env.unwrapped.task  # type: ignore[attr-defined]
         robot, pose = task.robot, task.trajectory(0.0).position
         minimum = allocated_minimum(robot)
-        torque = static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum)
+        torque = holding_torque(robot, static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum))
         action = normalised_action(robot, torque, np.zeros(robot.cables))
         for _ in range(STEPS):
             _, _, _, _, info = env.step(action)

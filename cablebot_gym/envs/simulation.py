@@ -275,7 +275,7 @@ class Simulation:
                 tensions = wound / robot.pulley_radius
                 strain = tensions / robot.axial_stiffness
                 angle, pulley_angle = textbook.rest_angles(robot, tensions, pose)
-                torque = torque * (1 + strain / 2)  # the cable on the pulley is stretched, too
+                torque = textbook.holding_torque(robot, torque)
                 stretch = 1 + strain
             else:
                 angle = textbook.pulley_angle(robot, pose) + wound / robot.stiffness

@@ -150,9 +150,17 @@ def cable_lengths(robot: RobotArrays, pose: ArrayLike) -> Array:
 
 
 def static_torque(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0) -> Array:
-    """Motor torque τ = r T at rest [N·m], shape (..., m). T and ``minimum`` are as in :func:`required_tensions`."""
+    """Torque r T at rest [N·m], shape (..., m). T and ``minimum`` are as in :func:`required_tensions`.
+
+    With elastic cables :func:`holding_torque` of it is the motor torque.
+    """
     rest = np.zeros_like(np.asarray(pose, float))
     return robot.pulley_radius * required_tensions(robot, mass, pose, rest, rest, minimum=minimum, strict=False)
+
+
+def holding_torque(robot: RobotArrays, torque: Array) -> Array:
+    """Motor torque at rest for a torque r T, (..., m): r T (1 + ε/2) with elastic cables of strain ε = T/EA."""
+    return torque * (1 + torque / robot.pulley_radius / robot.axial_stiffness / 2) if robot.elastic else torque
 
 
 def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tuple[Array, Array]:
@@ -166,7 +174,7 @@ def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tup
         strain = tensions / robot.axial_stiffness
         stretched = (cable_lengths(robot, pose) + robot.extra_length) * strain / (1 + strain)
         pulley = pulley + stretched / robot.pulley_radius
-        torque = torque * (1 + strain / 2)
+        torque = holding_torque(robot, torque)
     return (pulley + torque / robot.stiffness if robot.jointed else pulley), pulley
 
 

@@ -27,8 +27,8 @@ def test_json_has_every_name(data):
     assert data["uncertainties"] == list(UNCERTAINTIES)
     assert data["uncertain_parameters"] == list(PARAMETERS)
     assert [policy["name"] for policy in data["policies"]] == list(policy_entries())
-    fl = {"name": "fl", "kind": "classical", "env_ids": ["CableBot-Planar-v0", "CableBot-Spatial-v0"]}
-    assert fl in data["policies"]
+    fl4 = {"name": "fl4", "kind": "classical", "env_ids": ["CableBot-FlexSpatial-v0"]}
+    assert fl4 in data["policies"]
 
 
 def test_robots_have_their_kind_and_the_completeness_of_their_sources(data):

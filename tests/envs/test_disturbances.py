@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cablebot_gym import ENV_IDS
+from cablebot_gym import ENV_IDS, PAPER_ENV_IDS
 from cablebot_gym.envs import env_robot
 from cablebot_gym.physics import kernel, textbook
-from cablebot_gym.robots import Robot, Transmission, find_robot
+from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.trajectories import Reference
 from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, Uncertainty
 
 ROBOTS = {env_id: find_robot(env_robot(env_id)) for env_id in ENV_IDS}
 MEASURED = ("pose", "velocity", "motor_angle", "motor_speed")
-each_id = pytest.mark.parametrize("env_id", list(ROBOTS))
+each_id = pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 two_ids = pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexSpatial-v0"])
 
 
 def has(robot, name):
     """Whether a robot has a parameter."""
-    return not ((PARAMETERS[name].flexible and not robot.flexible) or (PARAMETERS[name].spatial and robot.planar))
+    return PARAMETERS[name].belongs_to(robot)
 
 
 each_parameter = pytest.mark.parametrize(
@@ -89,14 +89,16 @@ def spread_of(name, low=0.05, high=0.1):
 
 def replaced(robot: Robot, truth) -> Robot:
     """The robot whose nominal values are the true ones, with the nominal free speed."""
-    spring = {name: tuple(truth[name]) for name in ("stiffness", "motor_inertia", "motor_damping") if name in truth}
-    body = {} if robot.planar else {"platform_anchors": truth["platform_anchors"], "inertia": truth["platform_inertia"]}
+    names = ("stiffness", "motor_inertia", "motor_damping", "axial_stiffness")
+    spring = {name: tuple(truth[name]) for name in names if name in truth}
+    body = {}
+    if not robot.point_mass:
+        body = {"platform_anchors": truth["platform_anchors"], "inertia": truth["platform_inertia"]}
     return robot.replace(
         mass=float(truth["platform_mass"]),
         base_anchors=truth["base_anchors"],
         motors=robot.motors.replace(stall_torque=tuple(truth["motor_strength"]), lag=tuple(truth["motor_lag"])),
-        transmission=Transmission(
-            pulley_radius=robot.transmission.pulley_radius,
+        transmission=robot.transmission.replace(
             pulley_inertia=tuple(truth["pulley_inertia"]),
             damping=tuple(truth["damping"]),
             coulomb_friction=tuple(truth["coulomb_friction"]),
@@ -109,7 +111,7 @@ def replaced(robot: Robot, truth) -> Robot:
 @each_parameter
 def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
     """The uncertain environment is the one of a robot that nominally has the drawn values."""
-    keywords = {"payload": 1.5, "payload_known": False, "substeps": 8}
+    keywords = {"payload": 1.5, "payload_known": False, "substeps": 32 if ROBOTS[env_id].elastic else 8}
     uncertainty = Uncertainty(parameters={name: spread_of(name)})
     uncertain, usual = (single(env_id, uncertainty=form, **keywords) for form in (uncertainty, None))
     actions = random_actions(env_id, 30)

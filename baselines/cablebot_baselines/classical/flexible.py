@@ -198,7 +198,8 @@ class MotorPD(FlexibleLaw):
         pose, velocity, acceleration, jerk, snap = (blocks[f"reference_{name}"] for name in names)
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
         if robot.cables > robot.coordinates and robot.kind != "planar":
-            spring, spring_rate, spring_second = self._spring_torques(mass, pose, velocity, acceleration), 0.0, 0.0
+            spring = self._spring_torques(mass, pose, velocity, acceleration)
+            spring_rate = spring_second = np.zeros_like(spring)
         else:
             spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
         stiffness = textbook.joint_stiffness(self.robot, pose)
