@@ -25,7 +25,7 @@ two_ids = pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Fle
 
 def has(robot, name):
     """Whether a robot has a parameter."""
-    return not ((PARAMETERS[name].flexible and not robot.flexible) or (PARAMETERS[name].spatial and robot.planar))
+    return PARAMETERS[name].belongs_to(robot)
 
 
 each_parameter = pytest.mark.parametrize(
