@@ -16,6 +16,8 @@ ENV_ROBOTS = {
     "CableBot-FlexSpatial-v0": "flex-spatial",
     "CableBot-Point-v0": "stadium-camera",
     "CableBot-PlanarPlatform-v0": "ttk4900",
+    "CableBot-FlexPoint-v0": "flex-stadium-camera",
+    "CableBot-FlexPlanarPlatform-v0": "flex-ttk4900",
 }
 """Name of the robot of each environment id."""
 
@@ -26,6 +28,8 @@ ENV_KINDS = {
     "CableBot-FlexSpatial-v0": ("spatial", True),
     "CableBot-Point-v0": ("point", False),
     "CableBot-PlanarPlatform-v0": ("planar-platform", False),
+    "CableBot-FlexPoint-v0": ("point", True),
+    "CableBot-FlexPlanarPlatform-v0": ("planar-platform", True),
 }
 """Kind of the robots of each environment id, and whether they are flexible."""
 
@@ -36,10 +40,10 @@ PAPER_ENV_IDS = ENV_IDS[:4]
 """Ids of the environments with the paper's robots, for which the leaderboard has results."""
 
 FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
-"""Ids of the environments whose robots have joint springs."""
+"""Ids of the environments whose robots have joint springs or elastic cables."""
 
 RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV_IDS)
-"""Ids of the environments whose robots have no joint springs."""
+"""Ids of the environments whose robots are rigid."""
 
 TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
 """Name of each code in ``info["termination_reason"]``. Code 0, the empty string, means "not terminated"."""

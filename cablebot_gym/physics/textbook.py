@@ -35,9 +35,9 @@ FRICTION_SPEED = 0.5
 is 0.18 m/s of cable on the paper's pulleys."""
 
 
-def allocated_minimum(robot: Robot, usual: float = MINIMUM_TENSION) -> float:
+def allocated_minimum(robot: Robot, usual: float = MINIMUM_TENSION, reserve: float = TENSION_RESERVE) -> float:
     """Least tension that laws allocate, and that the springs have at rest [N]: ``usual``, or more for heavy cables."""
-    return max(usual, TENSION_RESERVE * robot.minimum_tension)
+    return max(usual, reserve * robot.minimum_tension)
 
 
 def jacobian(robot: RobotArrays, pose: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import PD, RobustPD, checked_gains
 from cablebot_baselines.entries import entry
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import FLEX_SPATIAL, Robot
 from cablebot_gym.task import Task
 from cablebot_gym.trajectories import Reference
 from cablebot_gym.utils.checks import number
@@ -165,7 +165,8 @@ class MotorPD(FlexibleLaw):
     """PD control of the motor angles to ``β′_d = β_d + κ_d/K``, with the torque of the reference as feedforward.
 
     The plant is differentially flat: all reference values follow from X_d and its derivatives up to snap. The law does
-    not read the measured pose of the platform.
+    not read the measured pose of the platform. The tensions of redundant cables have kinks along a motion, so the law
+    then leaves out the rates of κ_d.
 
     Args:
         robot: nominal robot.
@@ -176,6 +177,8 @@ class MotorPD(FlexibleLaw):
     Raises:
         ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out of its range.
     """
+
+    tension_reserve = 2.0  # the tensions swing more than under a law that reads the pose
 
     def __init__(
         self,
@@ -194,7 +197,10 @@ class MotorPD(FlexibleLaw):
         robot, names = self.model, ("pose", "velocity", "acceleration", "jerk", "snap")
         pose, velocity, acceleration, jerk, snap = (blocks[f"reference_{name}"] for name in names)
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
-        spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
+        if robot.cables > robot.coordinates and robot.kind != "planar":
+            spring, spring_rate, spring_second = self._spring_torques(mass, pose, velocity, acceleration), 0.0, 0.0
+        else:
+            spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         angle = textbook.pulley_angle(robot, pose) + spring / stiffness
         speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
@@ -267,7 +273,13 @@ def composite_tuned(robot: Robot) -> Composite:
     """
     if robot.kind == "planar":
         return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
-    return Composite(robot, gains=(200.0, 28.0), spring_damping=0.4)
+    stiffness, damping = 200.0, 28.0
+    if robot.elastic:  # slow winches: as slow in comparison as the paper's robot
+        model, paper = textbook.joint_equivalent(robot), FLEX_SPATIAL
+        slowest = float(np.sqrt(np.min(model.stiffness / model.motor_inertia)))
+        ratio = min(1.0, slowest / float(np.sqrt(paper.stiffness[0] / paper.motor_inertia[0])))
+        stiffness, damping = ratio**2 * stiffness, ratio * damping
+    return Composite(robot, gains=(stiffness, damping), spring_damping=0.4)
 
 
 COMPOSITE = entry("composite", Composite)

@@ -12,6 +12,7 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import (
     MINIMUM_TENSION,
+    TENSION_RESERVE,
     InverseDynamics,
     allocated_minimum,
     joint_equivalent,
@@ -41,10 +42,12 @@ class ClassicalLaw:
     unsaturated_actions = True
     usual_minimum = MINIMUM_TENSION
     """Usual least tension [N]."""
+    tension_reserve = TENSION_RESERVE
+    """Least allocated tension as a multiple of the robot's ``minimum_tension``, if that is more."""
 
     def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
         if minimum_tension is None:
-            minimum_tension = allocated_minimum(robot, self.usual_minimum)
+            minimum_tension = allocated_minimum(robot, self.usual_minimum, self.tension_reserve)
         self.robot, self.minimum_tension = robot, number("minimum_tension", minimum_tension, least=0.0, unit="N")
         self.model = joint_equivalent(robot)
         """Robot of the law's equations: that with joint springs in place of elastic cables."""
