@@ -997,9 +997,27 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
 
 
 @_inline
-def _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
+def _rk4(
+    d,
+    n,
+    m,
+    flexible,
+    jointed,
+    elastic,
+    double,
+    swivel,
+    lopsided,
+    lags,
+    rubs,
+    period_starts,
+    unilateral,
+    h,
+    p,
+    w,
+    record,
+    lanes,
+):
     """One physics step of a tile; _START becomes the new state."""
-    flexible = jointed or elastic
     for stage in range(4):
         _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
         if stage == 0 and period_starts:
@@ -1034,7 +1052,7 @@ def _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, period_starts,
                     start, total, value = row + _MOTOR_START + half, row + _MOTOR_SUM + half, row + _MOTOR_STAGE + half
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
-        if jointed and elastic:
+        if double:
             for half in range(2):
                 rate_row = _PULLEY_STAGE + 1 if half == 0 else _PULLEY_RATE
                 for i in range(m):
@@ -1067,7 +1085,7 @@ def _note_errors(d, n, period_starts, w, record, at, lanes, reference):
 
 
 @_inline
-def _load_tile(n, m, jointed, elastic, record, w, lanes):
+def _load_tile(n, m, flexible, double, record, w, lanes):
     """Copies the state to the scratch memory. The search starts with the last known slack cables."""
     for j in range(n):
         for at in range(lanes):
@@ -1079,7 +1097,7 @@ def _load_tile(n, m, jointed, elastic, record, w, lanes):
         for at in range(lanes):
             slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
             w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
-    if jointed or elastic:
+    if flexible:
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
@@ -1087,7 +1105,7 @@ def _load_tile(n, m, jointed, elastic, record, w, lanes):
                     value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
                     w[(row + _MOTOR_START + half) * lanes + at] = value
                     w[(row + _MOTOR_STAGE + half) * lanes + at] = value
-    if jointed and elastic:
+    if double:
         for i in range(m):
             for half in range(2):
                 for at in range(lanes):
@@ -1101,8 +1119,10 @@ def _advance(
     d,
     n,
     m,
+    flexible,
     jointed,
     elastic,
+    double,
     swivel,
     lopsided,
     lanes,
@@ -1121,13 +1141,32 @@ def _advance(
 ):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, jointed, elastic, r, w, lanes)
+        _load_tile(n, m, flexible, double, r, w, lanes)
         if not unilateral:
             for i in range(m):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
         for substep in range(steps):
-            _rk4(d, n, m, jointed, elastic, swivel, lopsided, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
+            _rk4(
+                d,
+                n,
+                m,
+                flexible,
+                jointed,
+                elastic,
+                double,
+                swivel,
+                lopsided,
+                lags,
+                rubs,
+                substep == 0,
+                unilateral,
+                h,
+                p,
+                w,
+                r,
+                lanes,
+            )
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
@@ -1140,12 +1179,12 @@ def _advance(
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
-            if jointed and elastic:
+            if double:
                 for half in range(2):
                     for at in range(lanes):
                         value = w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at]
                         r[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at] = value
-            if jointed or elastic:
+            if flexible:
                 for half in range(2):
                     for at in range(lanes):
                         r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
@@ -1156,11 +1195,26 @@ def _advance(
 
 
 @_inline
-def _evaluate(d, n, m, jointed, elastic, swivel, lopsided, lanes, unilateral, parameters, record, w, acceleration):
-    flexible = jointed or elastic
+def _evaluate(
+    d,
+    n,
+    m,
+    flexible,
+    jointed,
+    elastic,
+    double,
+    swivel,
+    lopsided,
+    lanes,
+    unilateral,
+    parameters,
+    record,
+    w,
+    acceleration,
+):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, jointed, elastic, r, w, lanes)
+        _load_tile(n, m, flexible, double, r, w, lanes)
         for i in range(m):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
@@ -1378,7 +1432,25 @@ def _tile_of_motion(n, lanes, first, p, w, mass, motion):
 
 
 @_inline
-def _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, minimum, p, w, mass, motion, results):
+def _required(
+    d,
+    n,
+    m,
+    flexible,
+    jointed,
+    elastic,
+    double,
+    swivel,
+    lopsided,
+    lanes,
+    parameters,
+    minimum,
+    p,
+    w,
+    mass,
+    motion,
+    results,
+):
     """Inverse dynamics of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
@@ -1400,7 +1472,7 @@ def _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, mi
             _planar_tensions(m, minimum, w, lanes)
         for i in range(m):
             for at in range(lanes):
-                _required_motor(n, jointed or elastic, p, w, at, lanes, i)
+                _required_motor(n, flexible, p, w, at, lanes, i)
         for result in range(4):
             for at in range(min(lanes, count - first)):
                 for i in range(m):
@@ -1410,7 +1482,24 @@ def _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, mi
 
 @_inline
 def _demanded(
-    d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results
+    d,
+    n,
+    m,
+    flexible,
+    jointed,
+    elastic,
+    double,
+    swivel,
+    lopsided,
+    lanes,
+    parameters,
+    p,
+    w,
+    mass,
+    motion,
+    structure,
+    load,
+    results,
 ):
     """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
@@ -1469,6 +1558,7 @@ def compiled(form: Form) -> Compiled:
     cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
 
     d, n, m, lanes, jointed, elastic, swivel, lopsided = form
+    flexible, double = jointed or elastic, jointed and elastic  # constants: the code would be slower if it made them
 
     @_compile
     def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
@@ -1476,8 +1566,10 @@ def compiled(form: Form) -> Compiled:
             d,
             n,
             m,
+            flexible,
             jointed,
             elastic,
+            double,
             swivel,
             lopsided,
             lanes,
@@ -1497,16 +1589,67 @@ def compiled(form: Form) -> Compiled:
 
     @_compile
     def evaluate(unilateral, parameters, record, w, acceleration):
-        _evaluate(d, n, m, jointed, elastic, swivel, lopsided, lanes, unilateral, parameters, record, w, acceleration)
+        _evaluate(
+            d,
+            n,
+            m,
+            flexible,
+            jointed,
+            elastic,
+            double,
+            swivel,
+            lopsided,
+            lanes,
+            unilateral,
+            parameters,
+            record,
+            w,
+            acceleration,
+        )
 
     @_compile
     def required(parameters, minimum, p, w, mass, motion, results):
-        _required(d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, minimum, p, w, mass, motion, results)
+        _required(
+            d,
+            n,
+            m,
+            flexible,
+            jointed,
+            elastic,
+            double,
+            swivel,
+            lopsided,
+            lanes,
+            parameters,
+            minimum,
+            p,
+            w,
+            mass,
+            motion,
+            results,
+        )
 
     @_compile
     def demanded(parameters, p, w, mass, motion, structure, load, results):
         _demanded(
-            d, n, m, jointed, elastic, swivel, lopsided, lanes, parameters, p, w, mass, motion, structure, load, results
+            d,
+            n,
+            m,
+            flexible,
+            jointed,
+            elastic,
+            double,
+            swivel,
+            lopsided,
+            lanes,
+            parameters,
+            p,
+            w,
+            mass,
+            motion,
+            structure,
+            load,
+            results,
         )
 
     return Compiled(advance, evaluate, required, demanded)
