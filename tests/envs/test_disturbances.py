@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cablebot_gym import ENV_IDS, PAPER_ENV_IDS
-from cablebot_gym.envs import env_robot
+from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.trajectories import Reference

@@ -35,7 +35,7 @@ from cablebot_gym.policies import (
 )
 from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, checked_actions, reset_policy
 from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
-from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
 from cablebot_gym.task import Task
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -545,8 +545,10 @@ HELD = [
 def test_law_that_is_held_to_it_requests_more_torque_than_the_motors_have(name, env_id):
     """A law that saturates under the declaration scored 4.59 instead of 1.78 kg under the paper criterion."""
     env = gym.make(env_id).unwrapped
-    policy = load_policy(name, env.settings.robot)
-    observation, _ = env.reset(seed=0, options={"payload": 60.0 * max(1.0, env.settings.robot.mass / 10)})
+    robot = env.settings.robot
+    policy = load_policy(name, robot)
+    payload = 60.0 if robot.name in ROBOTS else max(60.0, 12 * robot.mass)
+    observation, _ = env.reset(seed=0, options={"payload": payload})
     policy.reset(env.tasks if hasattr(env, "tasks") else [env.task])
     state, largest = None, 0.0
     for step in range(200):
