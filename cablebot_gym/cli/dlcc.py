@@ -73,7 +73,8 @@ def dlcc(
 ) -> None:
     """Find the largest payload that a policy carries along a trajectory (DLCC).
 
-    Prints the payload, the limiting violation beyond it, and the margins at that payload.
+    Prints the payload, the limiting violation beyond it, and the margins at that payload. --policy may name several
+    policies, separated by commas. Their files are then in one folder each.
 
     Examples:
 
@@ -81,22 +82,22 @@ def dlcc(
 
     cablebot dlcc CableBot-Spatial-v0 --policy robust-tuned --uncertainty table6
 
-    cablebot dlcc --policy fl --robot cogiro
+    cablebot dlcc --policy fl,robust,adaptive --robot cogiro
     """
     from cablebot_gym.evaluation.constraints import CRITERIA
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
     from cablebot_gym.utils.files import atomic_write_text
 
-    options.check_figure_folder(out, "result.json")
+    names = policy.split(",")
+    folders = {name: out if out is None or len(names) == 1 else out / name for name in names}
+    for folder in folders.values():
+        options.check_figure_folder(folder, "result.json")
     wrappers, robot = episode["wrappers"], options.robot_of(env_id, episode)
-    loaded = options.loaded_policy(
-        policy, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers
-    )
-    options.note_unsupported([policy], env_id)
-    chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
-    inapplicable = []
-    if criterion is CriterionChoice.both and not getattr(loaded, "unsaturated_actions", False):
-        chosen, inapplicable = ["task"], ["paper"]
+    subjects = {
+        name: options.loaded_policy(name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers)
+        for name in names
+    }
+    options.note_unsupported(names, env_id)
     settings: dict[str, Any] = {
         "payload_max": payload_max,
         "resolution": resolution,
@@ -104,30 +105,42 @@ def dlcc(
         "probability": probability,
         "confidence": confidence,
         "search": search.value,
-        "name": policy,
     }
-    results = []
-    for name in chosen:
-        subject = loaded if isolate or wrappers else policy
-        evaluated = {key: value for key, value in episode.items() if key != "wrappers"}
-        results.append(evaluate_dlcc(subject, env_id, criterion=name, progress=True, **settings, **evaluated))
-    text = json.dumps([result.to_dict() for result in results], indent=2, ensure_ascii=False, allow_nan=False)
-    if out is not None:
-        from cablebot_gym.plotting.figures import save_figures
+    evaluated = {key: value for key, value in episode.items() if key != "wrappers"}
+    found: list[dict[str, Any]] = []
+    for name, loaded in subjects.items():
+        chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
+        inapplicable = []
+        if criterion is CriterionChoice.both and not getattr(loaded, "unsaturated_actions", False):
+            chosen, inapplicable = ["task"], ["paper"]
+        subject = loaded if isolate or wrappers else name
+        results = [
+            evaluate_dlcc(subject, env_id, criterion=one, progress=True, name=name, **settings, **evaluated)
+            for one in chosen
+        ]
+        data = [result.to_dict() for result in results]
+        if (folder := folders[name]) is not None:
+            from cablebot_gym.plotting.figures import save_figures
 
-        atomic_write_text(out / "result.json", text + "\n")
-        written = [out / "result.json", *(path for result in results for path in save_figures(result, out))]
-        notes_console().print("wrote " + ", ".join(map(str, written)))
-    if as_json:
-        print(text)
-    else:
+            atomic_write_text(folder / "result.json", _json(data) + "\n")
+            written = [folder / "result.json", *(path for result in results for path in save_figures(result, folder))]
+            notes_console().print("wrote " + ", ".join(map(str, written)))
+        found += data
+        if as_json:
+            continue
         print_payloads(results, inapplicable)
         for result in results:
             if result.violation_seed is not None and not result.stochastic:
                 print(f"{result.criterion}: this command repeats the failure:")
-                print(f"  {_failure_command(result, policy, episode)}")
-        if isolate:
-            print(f"seed {episode['seed']}")
+                print(f"  {_failure_command(result, name, episode)}")
+    if as_json:
+        print(_json(found))
+    elif isolate:
+        print(f"seed {episode['seed']}")
+
+
+def _json(data: list[dict[str, Any]]) -> str:
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def _failure_command(result: DLCCResult, policy: str, episode: dict[str, Any]) -> str:

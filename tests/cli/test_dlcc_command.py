@@ -244,3 +244,11 @@ def test_wrappers_reach_the_policy_and_the_result(cablebot, tmp_path):
 
 
 MAKE = "def make(robot):\n    return FeedbackLinearization(robot)\n"
+
+
+def test_several_policies_are_evaluated_by_one_command(cablebot, tmp_path):
+    several = [*ONE[: ONE.index("fl")], "fl,robust,adaptive", *ONE[ONE.index("fl") + 1 :], "--out", str(tmp_path)]
+    ended = cablebot(*several)
+    assert [result["policy"] for result in json.loads(ended.out)] == ["fl", "robust", "adaptive"]
+    alone = json.loads((tmp_path / "robust" / "result.json").read_text())
+    assert alone[0]["policy"] == "robust"
