@@ -28,9 +28,11 @@ from rich.progress import track
 from rich.table import Table
 
 import cablebot_gym  # noqa: F401 - registers the ids
+from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.evaluation.batch import Batch
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
+from cablebot_gym.trajectories import Dwell
 
 sys.path.insert(0, str(Path(__file__).parent))  # for mujoco_peer next to this file
 try:
@@ -47,11 +49,22 @@ SUBSTEPS = 10
 SIZES = (1, 64, 1024, 8192)
 """Sizes of the vector environment."""
 
+
+def plain(name: str) -> Robot:
+    """A robot of the library as MuJoCo can have it: rigid cables, no swivel pulleys, no Coulomb friction."""
+    robot = find_robot(name).with_rigid_cables()
+    transmission = robot.transmission.replace(coulomb_friction=0.0)
+    return robot.replace(name=f"plain {name}", swivel_radius=0.0, transmission=transmission)
+
+
 ROBOTS = {
     "CableBot-Planar-v0": PLANAR,
     "CableBot-Spatial-v0": SPATIAL,
     "CableBot-FlexPlanar-v0": FLEX_PLANAR,
     "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
+    "eight-cables": plain("cogiro"),
+    "point": plain("stadium-camera"),
+    "planar-platform": plain("ttk4900"),
 }
 
 RANDOM_SIZE = 1024
@@ -111,14 +124,14 @@ def env_turn(env: gym.Env[Any, Any], robot: Robot) -> Turn:
     return turn
 
 
-def vector_turn(env_id: str, robot: Robot, count: int, *, drawn: bool = False) -> Turn:
+def vector_turn(robot: Robot, count: int, *, drawn: bool = False) -> Turn:
     """A turn of RK4 steps in our vector environment with episodes of 1 s; ``drawn``: with random parameters."""
-    keywords: dict[str, Any] = {"control_frequency": 100.0, "substeps": SUBSTEPS, "trajectory": holding(robot)}
+    keywords = keywords_of(robot)
     if drawn:
         tenth = {"low": -0.1, "high": 0.1}
         names = ["platform_mass", "motor_strength", "damping", *(["stiffness"] if robot.flexible else [])]
         keywords["uncertainty"] = {"parameters": dict.fromkeys(names, tenth)}
-    env = gym.make_vec(env_id, num_envs=count, max_episode_steps=100, **keywords)
+    env = gym.make_vec(fitting_env_id(robot), num_envs=count, max_episode_steps=100, **keywords)
     actions = np.tile(action_near_holding(robot), (count, 1))
     env.reset(seed=0)
 
@@ -130,14 +143,15 @@ def vector_turn(env_id: str, robot: Robot, count: int, *, drawn: bool = False) -
     return turn
 
 
-def our_env(env_id: str, robot: Robot) -> gym.Env[Any, Any]:
+def our_env(robot: Robot) -> gym.Env[Any, Any]:
     """Our single environment with ten RK4 steps of 1 ms in each control step."""
-    return gym.make(env_id, control_frequency=100.0, substeps=SUBSTEPS, trajectory=holding(robot)).unwrapped
+    return gym.make(fitting_env_id(robot), **keywords_of(robot)).unwrapped
 
 
-def holding(robot: Robot) -> str:
-    """Name of the motion that stays at the home pose."""
-    return "dwell-planar" if robot.planar else "dwell-spatial"
+def keywords_of(robot: Robot) -> dict[str, Any]:
+    """Keywords of our environments, in which the robot stays at its home pose."""
+    motion = Dwell(name="home", pose=robot.home_pose)
+    return {"robot": robot, "control_frequency": 100.0, "substeps": SUBSTEPS, "trajectory": motion}
 
 
 def search_seconds(env_id: str, policy: str) -> dict[str, float]:
@@ -181,19 +195,19 @@ def warm_start_seconds(env_id: str) -> float:
     return time.perf_counter() - start
 
 
-def contenders_for(env_id: str, robot: Robot) -> dict[str, Turn]:
+def contenders_for(robot: Robot) -> dict[str, Turn]:
     """The contenders for a robot by name."""
     contenders = {
         PEER: mujoco_turn(robot),
-        **{vector_name(count): vector_turn(env_id, robot, count) for count in SIZES},
-        RANDOM: vector_turn(env_id, robot, RANDOM_SIZE, drawn=True),
+        **{vector_name(count): vector_turn(robot, count) for count in SIZES},
+        RANDOM: vector_turn(robot, RANDOM_SIZE, drawn=True),
     }
     if not robot.flexible:  # the MuJoCo environment has no joint springs
         table = home_table(robot)
         contenders |= {
             PEER_ENV: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS, clip_each_step=True), robot),
             PEER_ENV_ONCE: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS), robot),
-            OURS_ENV: env_turn(our_env(env_id, robot), robot),
+            OURS_ENV: env_turn(our_env(robot), robot),
         }
     return contenders
 
@@ -203,7 +217,7 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
     report: dict[str, Any] = {}
     for env_id in env_ids:
         robot = ROBOTS[env_id]
-        contenders = contenders_for(env_id, robot)
+        contenders = contenders_for(robot)
         for turn in contenders.values():
             turn()  # compiles and warms up
         rates: dict[str, list[float]] = {name: [] for name in contenders}
@@ -224,7 +238,7 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
                     "to": peer,
                 }
             )
-        starts = [warm_start_seconds(env_id) for _ in range(rounds)]
+        starts = [warm_start_seconds(fitting_env_id(robot)) for _ in range(rounds)]
         report[env_id] = {"rows": rows, "warm_start_seconds": statistics.median(starts)}
         if search and env_id in SEARCHES:
             report[env_id]["search_seconds"] = search_seconds(env_id, SEARCHES[env_id])
@@ -257,7 +271,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7, help="number of rounds (default: 7)")
     parser.add_argument("--seconds", type=float, default=0.3, help="time of a contender in each round (default: 0.3)")
-    parser.add_argument("--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="environments (default: all)")
+    parser.add_argument("--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="robots (default: all)")
     parser.add_argument("--search", action="store_true", help="also measure the batch of a payload search over draws")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     arguments = parser.parse_args()

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.kinematics import structure_jacobian
+from cablebot_gym.physics import textbook
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from oracles.mujoco_model import MujocoRobot
@@ -55,7 +55,7 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         """Build the model.
 
         Args:
-            robot: planar or spatial.
+            robot: any robot without joint springs, elastic cables and swivel pulleys.
             reference_table: shape (K + 1, columns), one row per control instant: reference pose, velocity and
                 acceleration (3 n columns), then any previews.
             substeps: RK4 steps per control period.
@@ -66,8 +66,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         self._plant = MujocoRobot(robot, payload, timestep)
         self._model, self._data = self._plant.model, self._plant.data
         self._qpos, self._qvel, self._ctrl = self._data.qpos, self._data.qvel, self._data.ctrl
-        self._planar, self._n, self._substeps = robot.planar, robot.coordinates, substeps
-        self._axes = 2 if robot.planar else 3
+        self._spatial, self._n, self._substeps = robot.kind == "spatial", robot.coordinates, substeps
+        self._axes = robot.dimensions
         self._clip_each_step = clip_each_step
         self._period, self._payload = substeps * timestep, payload
         self._stall, self._slope = robot.stall_torque.copy(), robot.speed_slope
@@ -138,10 +138,10 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
 
     def _observation(self) -> Array:
         n, observation = self._n, np.empty(self._after_table + 1)
-        if self._planar:
-            observation[:n], observation[n : 2 * n] = self._qpos, self._qvel
-        else:
+        if self._spatial:
             observation[:12] = _paper_state(self._qpos.tolist(), self._qvel.tolist())
+        else:
+            observation[:n], observation[n : 2 * n] = self._qpos, self._qvel
         observation[2 * n] = (self._last - self._step_count) * self._period
         observation[self._after_state : self._after_table] = self._table[self._step_count]
         observation[-1] = self._payload
@@ -163,13 +163,9 @@ def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
 
 
 def holding_torques(robot: Robot) -> Array:
-    """Motor torques in equilibrium at the home pose, shape (m,); planar robots: 0.5 N·m each."""
-    if robot.planar:
-        return np.full(robot.cables, 0.5)
-    weight = np.zeros(6)
-    weight[2] = robot.mass * robot.gravity
-    tensions = np.linalg.solve(structure_jacobian(robot.base, robot.platform, robot.home).T, weight)
-    return np.asarray(tensions * robot.pulley_radius, np.float64)
+    """Motor torques in equilibrium at the home pose, shape (m,); the paper's planar robots: 0.5 N·m each."""
+    minimum = textbook.allocated_minimum(robot, 10.0)
+    return textbook.static_torque(robot, robot.mass, robot.home, minimum=minimum)
 
 
 def home_table(robot: Robot, instants: int = 501, previews: int = 2) -> Array:
