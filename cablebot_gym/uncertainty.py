@@ -323,7 +323,8 @@ class Uncertainty:
             elif not parameter.position:
                 nominal = np.asarray(getattr(robot, parameter.attribute))
                 least = float(np.min(distribution.applied(nominal, np.asarray(distribution.low))))
-                above = 0.0 if parameter.positive else -math.inf
+                divides = name == "pulley_inertia" and robot.elastic
+                above = 0.0 if parameter.positive or divides else -math.inf
                 number(f"smallest {name} of {robot.name!r}", least, above=above, least=0.0, unit=parameter.unit)
         if "platform_inertia" in self.parameters:
             self._check_inertia(robot, self.parameters["platform_inertia"])

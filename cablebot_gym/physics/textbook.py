@@ -409,7 +409,7 @@ def least_action_tensions(
     radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
     offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
     slope, span = radius / robot.stall_torque, 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
-    weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span**2)
+    weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span)
     found = least_largest_action(structure, load, minimum, slope, offset, weights=weights)
     if strict and np.any(found.status != HELD):
         raise ValueError(f"no cable tensions of at least {minimum:g} N give this wrench")
