@@ -18,21 +18,14 @@ from gymnasium.utils.env_checker import check_env
 
 import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization, MotorPD
-from cablebot_gym.envs import TERMINATION_REASONS
+from cablebot_gym.envs import TERMINATION_REASONS, env_robot
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.trajectories import find_trajectory
 
-ROBOTS = {
-    "CableBot-Planar-v0": PLANAR,
-    "CableBot-Spatial-v0": SPATIAL,
-    "CableBot-FlexPlanar-v0": FLEX_PLANAR,
-    "CableBot-FlexSpatial-v0": FLEX_SPATIAL,
-    "CableBot-Point-v0": find_robot("stadium-camera"),
-    "CableBot-PlanarPlatform-v0": find_robot("ttk4900"),
-}
+ROBOTS = {env_id: find_robot(env_robot(env_id)) for env_id in cablebot_gym.ENV_IDS}
 each_id = pytest.mark.parametrize("env_id", cablebot_gym.ENV_IDS)
 PLANAR_ID = "CableBot-Planar-v0"
 two_ids = pytest.mark.parametrize("env_id", [PLANAR_ID, "CableBot-FlexSpatial-v0"])

@@ -268,7 +268,7 @@ def test_tasks_contain_public_knowledge_only(known):
     assert (payloads[0], payloads[-1]) == (0.0, PAYLOAD_MAX["spatial"] * known)
     assert PAYLOAD_MAX == {"planar": 10.0, "spatial": 20.0}
     names = {field.name for field in dataclasses.fields(Task)}
-    assert names == {"robot", "trajectory", "model_payload", *public}
+    assert names == {"robot", "trajectory", "model_payload", "measurement", *public}
     for task in tasks:
         assert {name: getattr(task, name) for name in public} == public
         assert task.robot == SPATIAL, "nominal, without payload"

@@ -11,9 +11,9 @@ import pytest
 from cablebot_baselines.paper.load_iteration import iterate_load, load_coefficient
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Robot
-from cablebot_gym.trajectories import TRAJECTORIES, Trajectory, find_trajectory
+from cablebot_gym.trajectories import TRAJECTORIES, Trajectory, find_trajectory, trajectory_names
 
-NAMES = [name for name in TRAJECTORIES if name != "dwell-planar"]
+NAMES = [name for name in (*trajectory_names("planar"), *trajectory_names("spatial")) if name != "dwell-planar"]
 TOO_FAST = find_trajectory({"name": "smooth-circle-spatial", "duration": 1.0, "dwell": 0}, 6)
 """Motor 2 is overloaded by the platform alone, by 1.26 kg."""
 CIRCLE = find_trajectory("paper-spatial", 6)
