@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
-import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,13 +65,3 @@ def held(robot: Robot, reference) -> np.ndarray:
 def test_library_is_read_on_first_use() -> None:
     code = "import cablebot_gym.robots as r; assert not r.library.cache_info().currsize; r.find_robot('fast')"
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-@pytest.mark.slow
-def test_wheel_has_the_library(tmp_path: Path) -> None:
-    root = Path(__file__).parents[1]
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, root]
-    subprocess.run(command, check=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    packed = {Path(path).stem for path in zipfile.ZipFile(wheel).namelist() if path.startswith("cablebot_gym/library/")}
-    assert packed == set(library())

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_gym.envs import ENV_IDS, TERMINATION_REASONS
+from cablebot_gym.envs import PAPER_ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
 from cablebot_gym.evaluation.constraints import Judge
@@ -237,7 +237,7 @@ def test_return_orders_success_before_failure():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", [None, *held_out_seeds(2)], ids=["circle", "loop 1", "loop 2"])
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 def test_return_orders_success_before_failure_for_all_classical_policies(env_id, motion):
     """On the default motion and on held-out loops, for payloads from none to more than any policy carries."""
     kind = "planar" if "Planar" in env_id else "spatial"
