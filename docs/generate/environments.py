@@ -78,8 +78,10 @@ def _equations(robot: Robot) -> str:
     text = (
         "Symbols and equation numbers are the paper's, with corrected misprints; each number links to its correction.\n"
     )
-    files = ("planar" if robot.planar else "spatial", robot.joints, "motors", "cables")
-    for file, title in zip(files, ("Platform", "Joints", "Motors", "Cables"), strict=True):
+    parts = {"Platform": robot.kind, "Joints": robot.joints, "Motors": "motors", "Cables": "cables"}
+    if robot.elastic:
+        parts = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
+    for title, file in parts.items():
         text += f"\n### {title}\n\n```{{include}} /parts/{file}.md\n```\n"
     readable = "Readable code: {py:mod}`cablebot_gym.physics.textbook`."
     return f"{text}\n{readable} Compiled code: `cablebot_gym/physics/kernel.py`."
