@@ -23,8 +23,6 @@ from cablebot_gym.kinematics import (
     Array,
     cable_lengths,
     cable_vectors,
-    euler_rate_matrix,
-    rotation_matrix,
     structure_jacobian,
 )
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, unknown_name_error
@@ -601,16 +599,12 @@ def _in_equilibrium(robot: Robot, jacobian: Array) -> bool:
         angles = np.sort(np.arctan2(jacobian[:, 1], jacobian[:, 0]))
         gaps = np.diff(np.append(angles, angles[0] + 2 * math.pi))
         return bool(gaps.max() < math.pi - 1e-9)
-    weight = robot.mass * robot.gravity_vector
-    pulls = np.zeros(robot.coordinates)
-    pulls[: robot.dimensions] = weight
-    if robot.kind == "spatial":
-        turned = rotation_matrix(robot.home[3:])
-        pulls[3:] = euler_rate_matrix(robot.home[3:]).T @ np.cross(robot.mass_center, turned.T @ weight)
-    elif robot.kind == "planar-platform":
-        cosine, sine = math.cos(robot.home[2]), math.sin(robot.home[2])
-        x, y = robot.mass_center
-        pulls[2] = (cosine * x - sine * y) * weight[1] - (sine * x + cosine * y) * weight[0]
+    # A cable from 1 m above the centre of mass has the direction of the weight, and its row of S has the lever.
+    center = robot.mass_center[None]
+    above = cable_vectors(np.zeros_like(center), center, robot.home)
+    above[:, -1] -= 1.0
+    weight = robot.mass * (0.0 if robot.weightless else robot.gravity)
+    pulls = weight * structure_jacobian(above, center, robot.home)[0]
     if robot.cables == robot.coordinates:
         return bool(np.linalg.solve(jacobian.T, pulls).min() > 1e-9)
     from scipy.optimize import linprog  # slow to import

@@ -79,7 +79,7 @@ def test_anchors_determine_the_kind_and_the_coordinates(platform):
     assert Robot.from_dict(json.loads(json.dumps(platform.to_dict()))) == platform
 
 
-def test_data_of_robots_without_the_options_have_no_new_keys():
+def test_data_have_the_keys_of_used_options_only():
     """Hashes of plans and stored results depend on these data."""
     keys = {"axial_stiffness", "extra_length", "center_of_mass", "plane", "swivel_radius", "sources"}
     assert not keys & {*SPATIAL.to_dict(), *SPATIAL.to_dict()["transmission"]}

@@ -88,7 +88,7 @@ def dlcc(
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
     from cablebot_gym.utils.files import atomic_write_text
 
-    names = policy.split(",")
+    names = list(dict.fromkeys(options.split_names(policy)))
     folders = {name: out if out is None or len(names) == 1 else out / name for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")

@@ -7,13 +7,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
 
-_packed = lru_cache(maxsize=64)(pack_parameters)
-"""Cached parameters; a law uses the same robot in every control step. The kernel does not change them."""
+
+@lru_cache(maxsize=64)
+def _prepared(robot: Robot) -> tuple[kernel.Form, Array]:
+    """Form and parameters; a law uses the same robot in every control step. The kernel does not change them."""
+    return form_of(robot), pack_parameters(robot)
 
 
 def inverse_dynamics(
@@ -46,8 +50,8 @@ def inverse_dynamics(
         raise ValueError(f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}")
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
-    form, count = form_of(robot), masses.size
-    compiled, packed = kernel.compiled(form), _packed(robot)
+    (form, packed), count = _prepared(robot), masses.size
+    compiled = kernel.compiled(form)
     memory = (
         np.empty(kernel.parameter_rows(form) * kernel.LANES),
         np.empty(kernel.scratch_rows(form) * kernel.LANES),

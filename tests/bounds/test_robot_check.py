@@ -24,7 +24,7 @@ def test_payload_limit_is_the_closed_form(robot):
     assert f"cable {exact.motor} at the torque limit" in check.limit.reason
 
 
-def test_payload_beyond_the_limit_is_not_held():
+def test_payload_is_held_up_to_the_limit():
     limit = check_model(CAMERA).limit
     assert [check_model(CAMERA, payload=limit.largest + side).held for side in (-0.01, 0.01)] == [True, False]
     assert "2, 3 at the torque limit" in limit.reason
@@ -32,7 +32,7 @@ def test_payload_beyond_the_limit_is_not_held():
     assert [bool(holds(CAMERA, pose, payload)[0]) for payload in (limit.largest, 200.0)] == [True, False]
 
 
-def test_motion_that_no_payload_makes_feasible_names_the_cause():
+def test_infeasible_motion_names_the_cause():
     """Near the mast, the other cables cannot have their minimum tension."""
     tight = CAMERA.replace(minimum_tension=900.0)
     check = check_model(tight)

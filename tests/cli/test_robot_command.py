@@ -40,7 +40,7 @@ def test_json_has_numbers_and_questions(cablebot):
     assert json.dumps(data["questions"]) == "[]"
 
 
-def test_payload_that_is_not_carried_is_a_failure_with_its_cause(cablebot):
+def test_payload_beyond_the_limit_is_a_failure_with_its_cause(cablebot):
     ended = cablebot("robot", "check", "ttk4900", "--payload", 4)
     assert ended.status == 1
     assert "does not carry 4 kg" in ended.out
@@ -64,7 +64,7 @@ def test_impossible_robot_is_refused_with_its_remedy(cablebot, edited, name, old
     assert remedy in ended.err
 
 
-def test_command_without_id_finds_that_of_the_robot(cablebot):
+def test_command_finds_the_id_by_the_robot(cablebot):
     found = {name: fitting_env_id(name) for name in ("cogiro", "stadium-camera", "ttk4900", "flex-cogiro", "planar")}
     assert list(found.values()) == [
         *("CableBot-Spatial-v0", "CableBot-Point-v0", "CableBot-PlanarPlatform-v0"),

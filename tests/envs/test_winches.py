@@ -133,7 +133,7 @@ def test_measurement_has_a_name():
     assert Measurement().name == "pose"
 
 
-def test_law_without_estimator_is_rejected_with_the_name_to_type():
+def test_law_of_pose_is_rejected_with_the_name_to_type():
     """A spatial robot has as many motor angles as coordinates: the law would read them as its pose."""
     with pytest.raises(ValueError, match=r"reads measurement 'pose'.*such as ekf\+fl"):
         evaluate_dlcc("fl", "CableBot-Spatial-v0", measurement="winches")

@@ -264,7 +264,7 @@ def test_stiff_cables_approach_the_rigid_robot(robot):
     assert -1.1 < np.polyfit(np.log(STIFFNESSES), np.log(errors), 1)[0] < -0.9
 
 
-def test_stiff_joints_approach_the_robot_without():
+def test_stiff_joints_approach_the_robot_with_rigid_joints():
     """Motor and pulley turn together: their inertias add."""
     single = with_transmission(HANGING, axial_stiffness=2e4)
     stiffnesses, errors = (1e4, 1e5, 1e6), []
