@@ -530,14 +530,18 @@ def _check_units(robot: Robot) -> None:
         if pulleys.max() > LARGEST_PULLEY:
             raise ValueError(f"{name} is {pulleys.max():g} m; {remedy}")
     if not robot.point_mass:
-        moments = np.linalg.eigvalsh(robot.inertia_tensor)
-        reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
-        gyration = math.sqrt(max(moments.max(), 0.0) / robot.mass)
+        reach, gyration = reach_and_gyration(robot)
         if reach > LARGEST_REACH * gyration:
             raise ValueError(
                 f"platform_anchors reach {reach:g} m from the centre of mass, and the radius of gyration is "
                 f"{gyration:.3g} m; {remedy}"
             )
+
+
+def reach_and_gyration(robot: Robot) -> tuple[float, float]:
+    """Largest distance of a platform anchor from the centre of mass, and largest radius of gyration [m]."""
+    reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
+    return reach, math.sqrt(max(float(np.linalg.eigvalsh(robot.inertia_tensor).max()), 0.0) / robot.mass)
 
 
 def _check_geometry(robot: Robot) -> None:

@@ -20,7 +20,7 @@ from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, feasible, largest_scale, least_norm
 from cablebot_gym.physics.sag import sag, settle
-from cablebot_gym.robots import COORDINATE_NAMES, RPM, Robot
+from cablebot_gym.robots import COORDINATE_NAMES, RPM, Robot, reach_and_gyration
 from cablebot_gym.task import check_workspace, find_error_bounds
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
@@ -338,8 +338,7 @@ def _doubtful_values(robot: Robot, payload: float) -> Iterator[str]:
             "motors.stall_torque in N·m at the pulley, and mass in kg?"
         )
     if not robot.point_mass:
-        reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
-        gyration = math.sqrt(float(np.max(np.linalg.eigvalsh(robot.inertia_tensor))) / robot.mass)
+        reach, gyration = reach_and_gyration(robot)
         if gyration > 2 * reach or gyration < 0.1 * reach:
             yield (
                 f"the radius of gyration is {gyration:.3g} m and the platform anchors reach {reach:.3g} m from the "
