@@ -22,12 +22,15 @@ from cablebot_gym.utils.checks import whole
 class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     """A cable-suspended robot moves a payload along a reference motion with motors of limited torque.
 
-    The robots are those of Korayem, Tourajizadeh and Bamdad (2010), with misprints corrected:
+    The first four robots are those of Korayem, Tourajizadeh and Bamdad (2010), with misprints corrected:
 
     * `CableBot-Planar-v0`: a point mass on three cables in the horizontal plane.
     * `CableBot-Spatial-v0`: a platform with six degrees of freedom on six cables; the z axis points down.
     * `CableBot-FlexPlanar-v0` and `CableBot-FlexSpatial-v0`: the same robots with springs between motors and pulleys
       (Eq. 4).
+    * `CableBot-Point-v0` and `CableBot-PlanarPlatform-v0`: a camera on four cables, and a plate on four cables in a
+      vertical plane; from published data and assumptions.
+    * `CableBot-FlexPoint-v0` and `CableBot-FlexPlanarPlatform-v0`: the same robots with elastic cables.
 
     All quantities are in SI units and radians.
 
