@@ -204,7 +204,9 @@ class _Swivelled:
     @property
     def length(self) -> Array:
         """Cable lengths, (..., m)."""
-        turn = np.pi + np.arctan2(self.height, self.across) - np.arctan2(self.free, self.radius)
+        # atan2 for symbols too, with ρ ≥ 0 and f > 0
+        angle = 2 * np.arctan(self.height / (np.sqrt(self.square) + self.across))
+        turn = np.pi / 2 + angle + np.arctan(self.radius / self.free)
         length: Array = self.radius * turn + self.free
         return length
 

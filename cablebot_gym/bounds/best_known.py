@@ -40,8 +40,8 @@ from cablebot_gym.utils.checks import number
 MESH_TOLERANCE = 0.005
 """Relative change of the payload below which the mesh refinement stops."""
 
-INTERVALS_PER_SECOND, MIN_INTERVALS = 25.0, 20
-"""Number of intervals in the first mesh: per second of motion, and minimum."""
+INTERVALS_PER_SECOND, MIN_INTERVALS, MAX_INTERVALS = 25.0, 20, 120
+"""Number of intervals in the first mesh: per second of motion, minimum and maximum."""
 
 _SMALL = 0.1
 """Payload, as a fraction of the platform mass, below which the refinement stops at an absolute change."""
@@ -299,7 +299,8 @@ class _Case:
 
     def _refine(self, report: Progress) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
         """Number of intervals and motion of every mesh, and the program of the last mesh after its solution."""
-        intervals, best = max(MIN_INTERVALS, math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration)), None
+        intervals, best = math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration), None
+        intervals = min(max(MIN_INTERVALS, intervals), MAX_INTERVALS)
         for _ in range(_FIRST_MESHES):
             report(f"solving on {intervals} intervals from several starts")
             program = self._program(intervals)
@@ -307,7 +308,7 @@ class _Case:
             if best is not None:
                 break
             intervals *= 2
-        if best is None or best.payload < 0 or best.payload > (1 - 1e-3) * HEAVIEST:
+        if best is None or best.payload < 0 or best.payload > (1 - 1e-3) * HEAVIEST * self.robot.mass:
             raise ValueError(self._infeasibility(intervals, best))
         meshes, finest = [(intervals, best)], MAX_MESH_FACTOR * intervals
         while 2 * intervals <= finest:
@@ -352,7 +353,8 @@ class _Case:
         if best.payload < 0:
             heaviest = f"at most {self.robot.mass + best.payload:.3g} kg of the platform's {self.robot.mass:g} kg"
             return f"{name!r} is infeasible even unloaded: {heaviest} are feasible. {remedy}"
-        return f"nothing limits the payload on {name!r}: {HEAVIEST:g} kg is feasible. Choose a faster motion"
+        heaviest = f"{HEAVIEST * self.robot.mass:g} kg"
+        return f"nothing limits the payload on {name!r}: {heaviest} is feasible. Choose a faster motion"
 
     def _cause(self, intervals: int) -> str:
         """The constraint whose relaxation makes the problem feasible."""

@@ -20,6 +20,7 @@ from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, feasible, largest_scale, least_norm
 from cablebot_gym.physics.sag import sag, settle
+from cablebot_gym.planning.program import HEAVIEST
 from cablebot_gym.robots import COORDINATE_NAMES, RPM, Robot, reach_and_gyration
 from cablebot_gym.task import check_workspace, find_error_bounds
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
@@ -33,9 +34,6 @@ GRID = {2: 41, 3: 17}
 
 CLOSE = 0.01
 """Distance of two cables below which they may touch [m]."""
-
-HEAVIEST = 1000.0
-"""Largest payload that is searched, as a multiple of the platform's mass."""
 
 
 @dataclass(frozen=True, kw_only=True)

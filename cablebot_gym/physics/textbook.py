@@ -252,6 +252,53 @@ def cable_springs(
     return tension, radius * tension + wound
 
 
+def cable_equivalent(robot: Robot) -> Robot:
+    """The robot with longer elastic cables in place of joint springs in series with them; itself without both.
+
+    A cable of the length EA r²/K has the stiffness of the joint spring. The pulley turns with the motor.
+    """
+    if not (robot.elastic and robot.jointed):
+        return robot
+    length = robot.extra_length + robot.axial_stiffness * robot.pulley_radius**2 / robot.stiffness
+    sides = {
+        "pulley_inertia": robot.pulley_inertia + robot.motor_inertia,
+        "damping": robot.damping + robot.motor_damping,
+        "motor_inertia": None,
+        "motor_damping": 0.0,
+    }
+    return robot.replace(transmission=robot.transmission.replace(stiffness=None, extra_length=length, **sides))
+
+
+def spring_drive(
+    robot: RobotArrays,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    angle: ArrayLike,
+    speed: ArrayLike,
+    acceleration: ArrayLike,
+) -> tuple[Array, Array]:
+    """Motor torques of a flexible robot [N·m] and forces of its springs without damping [N], each (..., m).
+
+    The springs are joint springs or elastic cables, not both. They also push.
+
+    Args:
+        robot: flexible robot.
+        pose: X, shape (..., n).
+        velocity: Ẋ, shape (..., n).
+        angle: motor angle β′, shape (..., m) [rad].
+        speed: motor speed β̇′, shape (..., m) [rad/s].
+        acceleration: motor acceleration β̈′, shape (..., m) [rad/s²].
+    """
+    if robot.jointed:
+        torque = robot.stiffness * (as_numbers(angle) - pulley_angle(robot, pose))
+        moved = torque + robot.motor_inertia * as_numbers(acceleration) + motor_friction(robot, speed)
+        return moved, torque / robot.pulley_radius
+    _, torque = cable_springs(robot, pose, velocity, angle, speed, cable="bilateral")
+    moved = torque + robot.pulley_inertia * as_numbers(acceleration) + robot.damping * as_numbers(speed)
+    still, _ = cable_springs(robot, pose, 0 * as_numbers(velocity), angle, 0 * as_numbers(speed), cable="bilateral")
+    return moved + coulomb_torque(robot, speed), still
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearModel:
     """Matrices of ``M ẍ + C ẋ + K x = 0`` about the home pose with taut cables.

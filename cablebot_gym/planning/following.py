@@ -45,7 +45,7 @@ class Follower:
     the period, (Ẋ(t+h) − Ẋ(t))/h, and the inverse dynamics at the middle of the period. After the period the velocity
     matches the plan up to O(h³). On a flexible robot the same applies to β̈′. There the correction v = K_P e + K_D ė of
     the platform error requires the additional spring torque ∂κ/∂Ẍ v, which shifts the motor angles by this torque
-    over K.
+    over the stiffness of the springs, which are joint springs or elastic cables.
 
     Raises:
         ValueError: if a gain is negative, or another number is not positive.
@@ -102,28 +102,31 @@ class Follower:
     def _motor_pd(
         self, plan: PlannedMotion, state: State, payload: Array, period: float, correction: Array
     ) -> tuple[Array, Array]:
-        robot, time = self.robot, state.time
+        model, time = textbook.cable_equivalent(self.robot), state.time
+        inertia = model.motor_inertia if model.jointed else model.pulley_inertia
         assert state.motor_angle is not None
         assert state.motor_speed is not None
         angle, speed, _ = plan.motor_motion(time, payload)
         middle, middle_speed, _ = plan.motor_motion(time + period / 2, payload)
         _, speed_after, _ = plan.motor_motion(time + period, payload)
-        spring = robot.stiffness * (middle - textbook.pulley_angle(robot, plan(time + period / 2).position))
-        change = self._spring_change(robot.mass + payload, state.pose, correction)
-        spring, angle = spring + change, angle + change / robot.stiffness
-        inertia = robot.motor_inertia * (speed_after - speed) / period
-        feedforward = inertia + spring + textbook.motor_friction(robot, middle_speed)
-        stiffness = robot.motor_inertia * self.motor_frequency**2
-        damping = 2 * self.motor_damping * robot.motor_inertia * self.motor_frequency
+        half = plan(time + period / 2)
+        change = self._spring_change(model, model.mass + payload, state.pose, correction)
+        moved = half.position, half.velocity, middle, middle_speed, (speed_after - speed) / period
+        feedforward = textbook.spring_drive(model, *moved)[0] + change
+        angle = angle + change / textbook.joint_stiffness(model, state.pose)
+        stiffness = inertia * self.motor_frequency**2
+        damping = 2 * self.motor_damping * inertia * self.motor_frequency
         feedback = stiffness * (angle - state.motor_angle) + damping * (speed - state.motor_speed)
         return feedforward + feedback, state.motor_speed
 
-    def _spring_change(self, mass: Array, pose: Array, acceleration: Array) -> Array:
+    @staticmethod
+    def _spring_change(robot: Robot, mass: Array, pose: Array, acceleration: Array) -> Array:
         """Spring torque ∂κ/∂Ẍ times an acceleration [N·m], with the smallest change of tensions; shape (..., m)."""
-        robot, structure = self.robot, textbook.jacobian(self.robot, pose)
+        structure = textbook.jacobian(robot, pose)
         transposed = np.swapaxes(structure, -1, -2)
         wrench = textbook.mass_matrix(robot, mass, pose) @ acceleration[..., None]
         tensions = -(structure @ np.linalg.solve(transposed @ structure, wrench))[..., 0]
-        pulley_acceleration = -(structure @ acceleration[..., None])[..., 0] / robot.pulley_radius
-        change: Array = robot.pulley_radius * tensions + robot.pulley_inertia * pulley_acceleration
-        return change
+        change: Array = robot.pulley_radius * tensions
+        if not robot.jointed:
+            return change
+        return change - robot.pulley_inertia * (structure @ acceleration[..., None])[..., 0] / robot.pulley_radius

@@ -23,7 +23,7 @@ from scipy.sparse import csr_matrix
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, largest_scale
-from cablebot_gym.physics.textbook import MINIMUM_TENSION
+from cablebot_gym.physics.textbook import cable_equivalent
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
 from cablebot_gym.planning.signals import SolverInterrupt
 from cablebot_gym.planning.stage_functions import (
@@ -33,6 +33,8 @@ from cablebot_gym.planning.stage_functions import (
     flexible_stage,
     import_casadi,
     rigid_stage,
+    start_motors,
+    start_stage,
 )
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, at_rest, start_pose
@@ -52,8 +54,10 @@ _LIGHTEST = -0.95
 """Smallest payload of the program in platform masses. A negative payload tells how much too heavy the platform is."""
 
 HEAVIEST = 1000.0
-"""Largest payload of the program [kg]. If this payload is feasible, the payload is unlimited."""
+"""Largest payload of the program in platform masses. If this payload is feasible, the payload is unlimited."""
 
+_START_MASSES = 65
+"""Number of masses in the table of the springs at rest. The tensions of redundant cables are not linear in the mass."""
 
 _HOLD_MARGIN = 1e-6
 """Margin to the payload that the motors hold at the start pose [kg]. It covers rounding."""
@@ -151,11 +155,13 @@ class MotionProgram:
     ) -> None:
         self._ca = import_casadi()
         self._period = period
-        self._robot, self._trajectory, self._error_bounds = robot, trajectory, error_bounds
+        check_model(robot)
+        self._robot, self._trajectory, self._error_bounds = cable_equivalent(robot), trajectory, error_bounds
         self._lightest = lightest
         self._start = start_pose(robot, trajectory, error_bounds)
+        held = hold_payload(robot, trajectory, error_bounds) - _HOLD_MARGIN
+        self._heaviest = min(HEAVIEST * robot.mass, held)
         self._set_margins(margins or Margins())
-        check_model(robot)
         count = STAGES_PER_INTERVAL[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
         self._error_instants = np.linspace(0.0, trajectory.duration, ERROR_STAGES_PER_INTERVAL * intervals + 1)[1:]
@@ -174,10 +180,11 @@ class MotionProgram:
         for name in ("position", "rotation"):
             if not getattr(margins, name) < (bound := getattr(self._error_bounds, name)):
                 raise ValueError(f"margins: {name} must be below the error bound {bound:g}")
-        if robot.flexible and robot.weightless and self._least > MINIMUM_TENSION:
+        initial = textbook.allocated_minimum(robot)
+        if robot.flexible and robot.cables > robot.coordinates and self._least > initial:
             raise ValueError(
-                f"margins: tension must be at most {MINIMUM_TENSION - robot.minimum_tension:g} N for {robot.name!r}, "
-                f"whose initial tension is {MINIMUM_TENSION:g} N, not {margins.tension:g} N"
+                f"margins: tension must be at most {initial - robot.minimum_tension:g} N for {robot.name!r}, "
+                f"whose initial tension is {initial:g} N, not {margins.tension:g} N"
             )
 
     def solve(self, start: PlannedMotion | None = None, *, shift: Array | None = None) -> PlannedMotion:
@@ -250,7 +257,7 @@ class MotionProgram:
         robot, degree = self._robot, MOTOR_DEGREE
         knots = _knots(self._trajectory.duration, intervals, degree)
         poses = self._trajectory(greville(knots, degree)).position
-        angles = textbook.static_motor_angle(robot, robot.mass, poses, minimum=textbook.allocated_minimum(robot))
+        angles, _ = start_motors(robot, np.full(len(poses), robot.mass), poses, np.zeros(robot.coordinates))
         base = _interpolate(knots, degree, angles)
         return _Spline(knots, degree, self._take(len(base), robot.cables), base, np.ones(robot.cables))
 
@@ -264,16 +271,14 @@ class MotionProgram:
         robot, pose, velocity = self._robot, self._start, self._trajectory(0.0).velocity
         ends = [(self._poses, pose, velocity)]
         if robot.weightless and self._motors:  # with gravity the angles depend on the payload: a constraint
-            angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=textbook.allocated_minimum(robot))
-            ends += [(spline, angle, textbook.pulley_speed(robot, pose, velocity)) for spline in self._motors]
+            ends += [(spline, *start_motors(robot, np.array(robot.mass), pose, velocity)) for spline in self._motors]
         for spline, value, rate in ends:
             step = spline.knots[spline.degree + 1] / spline.degree
             for row, point in enumerate((value, value + step * rate)):
                 low[spline.at[row]] = high[spline.at[row]] = (point - spline.base[row]) / spline.scale
         for at in self._tensions:
             low[at] = self._least / TENSION
-        heaviest = min(HEAVIEST, hold_payload(robot, self._trajectory, self._error_bounds) - _HOLD_MARGIN)
-        low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, heaviest
+        low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, self._heaviest
         return low, high
 
     def _initial_guess(self, start: PlannedMotion | None, shift: Any) -> Array:
@@ -370,7 +375,7 @@ class MotionProgram:
 
     def _flexible(self, index: int, mass: float | None) -> list[_Block]:
         robot, poses, motors = self._robot, self._poses, self._motors[index]
-        balance, limits, start = flexible_stage(robot, self._period)
+        balance, limits = flexible_stage(robot, self._period)
         balanced, most = np.zeros(robot.coordinates), self._action_bounds()
         least = np.full(2 * robot.cables, self._least / TENSION)
 
@@ -390,8 +395,13 @@ class MotionProgram:
             ),
         ]
         if not robot.weightless:
-            at_rest = np.zeros(robot.coordinates + robot.cables)
-            blocks.append(self._block(start, rows(np.zeros(1), [0, 1]), at_rest, at_rest))
+            masses = np.linspace((1 + _LIGHTEST) * robot.mass, robot.mass + self._heaviest, _START_MASSES)
+            velocity = self._trajectory(0.0).velocity
+            start = start_stage(robot, *(tuple(values.tolist()) for values in (self._start, velocity, masses)))
+            begin, equal = np.zeros(1), np.zeros(2 * robot.cables)
+            blocks.append(
+                self._block(start, [*motors.rows(begin, [0, 1]), self._mass_row(mass, len(begin))], equal, equal)
+            )
         return blocks
 
     # The program
@@ -435,7 +445,7 @@ class MotionProgram:
             "ipopt": {
                 "print_level": 0,
                 "sb": "yes",
-                "max_iter": 100,
+                "max_iter": 200,
                 "tol": _TOLERANCE,
                 "acceptable_tol": 10 * _TOLERANCE,
                 "linear_solver": "mumps",
@@ -474,7 +484,8 @@ def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
     """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if there is none."""
     zero, most = np.zeros_like(pose), robot.stall_torque / robot.pulley_radius
     least, unit = textbook.allocated_minimum(robot), textbook.load(robot, 1.0, pose, zero, zero)
-    found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, robot.mass + HEAVIEST)
+    heaviest = (1 + HEAVIEST) * robot.mass
+    found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, heaviest)
     return float(found.largest) - robot.mass if found.status == HELD else -math.inf
 
 

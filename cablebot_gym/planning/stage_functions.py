@@ -55,15 +55,8 @@ def check_model(robot: Robot) -> None:
     """Checks that the program models a robot.
 
     Raises:
-        ValueError: if the motors have a lag, the cables stretch, or the springs of redundant cables carry a weight.
+        ValueError: if the motors have a lag.
     """
-    if robot.elastic:
-        raise ValueError(f"planned motions need cables that do not stretch: remove axial_stiffness of {robot.name!r}")
-    if robot.flexible and not robot.weightless and robot.cables > robot.coordinates:
-        raise ValueError(
-            f"planned motions with joint springs need as many cables as coordinates, but robot {robot.name!r} has "
-            f"{robot.cables} cables and {robot.coordinates} coordinates: use a rigid transmission"
-        )
     if np.any(robot.motor_lag):
         raise ValueError(f"planned motions need motors without lag, but the motors of robot {robot.name!r} have a lag")
 
@@ -87,13 +80,12 @@ def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
 
 
 @lru_cache(maxsize=16)
-def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
-    """Stage functions of a flexible robot: balance, limits and start.
+def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
+    """Stage functions of a flexible robot: balance and limits.
 
     * Balance: from (X, Ẋ, Ẍ, β′, β̇′, β̈′, mass) to the balance of forces (n).
-    * Limits: from the same inputs to :func:`_actions`, T/50 N (m) and κ/r/50 N (m); the springs must not push.
-    * Start: from (X, Ẋ, β′, β̇′, mass) to the balance at rest (n) and to β̇′ − β̇ (m). Both are zero at the start of an
-      episode.
+    * Limits: from the same inputs to :func:`_actions`, T/50 N (m) and F/50 N (m) with the forces F of the springs,
+      which must not push.
     """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
@@ -101,24 +93,56 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any, Any]:
         _symbols(ca, name, size)
         for name, size in (("X", n), ("V", n), ("A", n), ("B", m), ("U", m), ("W", m), ("m", 1))
     )
-    spring = robot.stiffness * (b - textbook.pulley_angle(robot, x))
-    speed, second = textbook.pulley_speed(robot, x, v), textbook.pulley_acceleration(robot, x, v, a)
-    tensions = (spring - robot.pulley_inertia * second - robot.damping * speed) / robot.pulley_radius
-    spring_force = spring / robot.pulley_radius
-    torque = spring + robot.motor_inertia * w + textbook.motor_friction(robot, u)
-    zero = np.zeros((1, n))
-    at_rest = _balance(robot, mass[0], x, zero, zero, spring_force)
+    torque, spring_force = textbook.spring_drive(robot, x, v, b, u, w)
+    if robot.jointed:
+        speed, second = textbook.pulley_speed(robot, x, v), textbook.pulley_acceleration(robot, x, v, a)
+        tensions = spring_force - (robot.pulley_inertia * second + robot.damping * speed) / robot.pulley_radius
+    else:
+        tensions, _ = textbook.cable_springs(robot, x, v, b, u, cable="bilateral")
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
+    actions = _actions(robot, torque, u, w, period)
     return (
         _function(ca, "balance", numbers, _balance(robot, mass[0], x, v, a, tensions)),
-        _function(
-            ca, "limits", numbers, *_actions(robot, torque, u, w, period), tensions / TENSION, spring_force / TENSION
-        ),
-        # The difference of speeds as an action, which scales it.
-        _function(
-            ca, "start", ca.vertcat(xs, vs, bs, us, ms), at_rest, textbook.normalised_action(robot, 0.0, u - speed)
-        ),
+        _function(ca, "limits", numbers, *actions, tensions / TENSION, spring_force / TENSION),
     )
+
+
+@lru_cache(maxsize=16)
+def start_stage(robot: Robot, pose: tuple[float, ...], velocity: tuple[float, ...], masses: tuple[float, ...]) -> Any:
+    """Deviation of the motors of a flexible robot from the start of an episode.
+
+    The inputs are (β′, β̇′, mass). The outputs are β′ − β′₀ (m), where the robot is at rest with β′₀, and the difference
+    of the speeds (m) as an action, which scales it. β′₀ is linear in the mass between ``masses`` (k,).
+    """
+    ca = import_casadi()
+    (bs, b), (us, u), (ms, _) = (
+        _symbols(ca, name, size) for name, size in (("B", robot.cables), ("U", robot.cables), ("m", 1))
+    )
+    table = start_motors(robot, np.array(masses), np.array(pose), np.array(velocity))
+    at_start = np.array([[_piecewise(ca, ms, np.array(masses), column) for column in part.T] for part in table])
+    values = b - at_start[:1], textbook.normalised_action(robot, 0.0, u - at_start[1:])
+    return _function(ca, "start", ca.vertcat(bs, us, ms), *values)
+
+
+def start_motors(robot: Robot, mass: Array, pose: Array, velocity: Array) -> tuple[Array, Array]:
+    """Motor angles β′ [rad] and speeds β̇′ at the start of an episode with masses (...), each (..., m).
+
+    The springs are at rest with the tensions that the environment gives them.
+    """
+    minimum = textbook.allocated_minimum(robot)
+    poses = np.broadcast_to(pose, (*np.shape(mass), robot.coordinates))
+    tensions = textbook.static_torque(robot, mass, poses, minimum=minimum) / robot.pulley_radius
+    stretch = 1 + tensions / robot.axial_stiffness if robot.elastic else np.ones_like(tensions)
+    return textbook.rest_angles(robot, tensions, poses)[0], textbook.pulley_speed(robot, poses, velocity) / stretch
+
+
+def _piecewise(ca: Any, at: Any, points: Array, values: Array) -> Any:
+    """Piecewise linear function of a symbol through values at points, extended beyond them."""
+    slopes = np.diff(values) / np.diff(points)
+    result = values[0] + slopes[0] * (at - points[0])
+    for point, change in zip(points[1:-1], np.diff(slopes), strict=True):
+        result += change * ca.fmax(at - point, 0.0)
+    return result
 
 
 def _actions(robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float) -> tuple[Array, ...]:

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import cablebot_gym  # noqa: F401  # registers the ids
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Follower, Margins, MotionProgram, PlannedMotion, State
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -22,10 +22,17 @@ pytest.importorskip("casadi")
 NO_GAINS = (0.0, 0.0)
 MARGINS = Margins(position=0.001, rotation=0.001, action=0.1, tension=2.0)
 
+ELASTIC = find_robot("flex-stadium-camera")
+SERIES = ELASTIC.replace(
+    transmission=ELASTIC.transmission.replace(pulley_inertia=1e-4, motor_inertia=2e-3, stiffness=100.0)
+)
+
 CASES: dict[str, tuple[Any, str, int]] = {
     "planar": (PLANAR, "CableBot-Planar-v0", 40),
     "spatial": (SPATIAL, "CableBot-Spatial-v0", 20),
     "flexible planar": (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 40),
+    "elastic point": (ELASTIC, "CableBot-FlexPoint-v0", 60),
+    "elastic point with joint springs": (SERIES, "CableBot-FlexPoint-v0", 60),
 }
 """Robot, environment and number of spline intervals."""
 

@@ -7,16 +7,19 @@ import signal
 import threading
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from oracles import one_dimension
 
 from cablebot_gym.bounds import exact_payload
+from cablebot_gym.envs import fitting_env_id
+from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Infeasible, Margins, MotionProgram
-from cablebot_gym.planning.stage_functions import TENSION, flexible_stage, rigid_stage
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot
-from cablebot_gym.task import ErrorBounds
+from cablebot_gym.planning.stage_functions import TENSION, flexible_stage, rigid_stage, start_stage
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Robot, find_robot
+from cablebot_gym.task import ErrorBounds, start_pose
 from cablebot_gym.trajectories import Dwell, find_trajectory
 
 pytest.importorskip("casadi")
@@ -44,7 +47,7 @@ def rubbing(robot: Robot) -> Robot:
     return robot.replace(transmission=robot.transmission.replace(coulomb_friction=0.1))
 
 
-@robots(rubbing(PLANAR), rubbing(SPATIAL))
+@robots(rubbing(PLANAR), rubbing(SPATIAL), rubbing(find_robot("cogiro")), rubbing(find_robot("ttk4900")))
 def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     x, v, a = random_state(robot)
     mass, period, n = robot.mass + 1.7, 0.004, robot.coordinates
@@ -73,7 +76,7 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     # The spring torque is the torque of a rigid motor: r T + J β̈ + c β̇.
     angle = textbook.pulley_angle(robot, x) + needed.torques / robot.stiffness
     speed, acceleration = np.linspace(-20, 30, m), np.linspace(400, -300, m)
-    balance, limits, start = flexible_stage(robot, 0.004)
+    balance, limits = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
     np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-11)
     first, second, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
@@ -85,13 +88,53 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     np.testing.assert_allclose(TENSION * tensions, needed.tensions[0], rtol=1e-9)
     np.testing.assert_allclose(TENSION * springs, needed.torques[0] / robot.pulley_radius, rtol=1e-9)
 
-    static = textbook.static_motor_angle(robot, mass, x, minimum=6.0)[0]
-    rates = textbook.pulley_speed(robot, x, v)[0]
-    at_rest = np.array(start(np.concatenate([x[0], v[0], static, rates, [mass]])))[:, 0]
-    np.testing.assert_allclose(at_rest, 0.0, atol=1e-11)
-    moving = np.array(start(np.concatenate([x[0], v[0], static + 0.1, rates + 1, [mass]])))[:, 0]
-    assert np.abs(moving[:n]).max() > 1e-4
-    np.testing.assert_allclose(moving[n:], 1 * robot.speed_slope / robot.stall_torque, rtol=1e-9)
+
+@pytest.mark.parametrize("name", ["stadium-camera", "ttk4900", "cogiro"])
+def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
+    robot = find_robot(f"flex-{name}")
+    x, v, a = random_state(robot)
+    mass, n, m = robot.mass + 1.7, robot.coordinates, robot.cables
+    minimum = textbook.allocated_minimum(robot)
+    needed = textbook.inverse_dynamics(find_robot(name), mass, x, v, a, minimum=minimum, strict=False)
+    # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
+    angle, speed, acceleration = (
+        textbook.rest_angles(robot, needed.tensions, x)[0],
+        needed.speeds[0],
+        np.arange(m) - 2.0,
+    )
+    balance, limits = flexible_stage(robot, 0.004)
+    numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
+    np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
+    first, second, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
+    torque = textbook.holding_torque(robot, robot.pulley_radius * needed.tensions[0])
+    torque += robot.pulley_inertia * acceleration + robot.damping * speed + textbook.coulomb_torque(robot, speed)
+    for side, action in ((-1, first), (1, second)):
+        expected = textbook.normalised_action(robot, torque, speed + side * 0.002 * acceleration)
+        np.testing.assert_allclose(action, expected, rtol=1e-7)
+    for found in (tensions, springs):
+        np.testing.assert_allclose(TENSION * found, needed.tensions[0], rtol=1e-7)
+
+
+SPRING_CAMERA = find_robot("stadium-camera").replace(
+    transmission=find_robot("stadium-camera").transmission.replace(stiffness=200.0, motor_inertia=1e-3)
+)
+
+
+@robots(FLEX_SPATIAL, find_robot("flex-stadium-camera"), SPRING_CAMERA)
+def test_start_of_a_flexible_robot_is_that_of_the_environment(robot: Robot) -> None:
+    """The tensions of redundant cables at rest are not linear in the payload."""
+    env = gym.make(fitting_env_id(robot), robot=robot, payload=3.1)
+    observation, info = env.reset(seed=0)
+    blocks = env.unwrapped.layout.split(observation)
+    at = start_pose(robot, env.unwrapped.task.trajectory, env.unwrapped.task.error_bounds)
+    masses = tuple(np.linspace(0.1, 2.0, 65) * (robot.mass + 3.1))
+    start = start_stage(robot, tuple(at), (0.0,) * robot.coordinates, masses)
+    turned = np.concatenate([blocks["motor_angle"], blocks["motor_speed"], [robot.mass + 3.1]])
+    tolerance = 1e-4 * np.ptp(blocks["motor_angle"])
+    np.testing.assert_allclose(np.array(start(turned))[:, 0], 0.0, atol=tolerance)
+    deviation = np.array(start(turned + np.r_[np.repeat([0.1, 1.0], robot.cables), 0.0]))[:, 0].reshape(2, -1)
+    np.testing.assert_allclose(deviation[0], 0.1, atol=tolerance)
+    np.testing.assert_allclose(deviation[1], robot.speed_slope / robot.stall_torque, rtol=1e-9)
 
 
 # --- derivatives ------------------------------------------------------------------------------------------------------
@@ -99,11 +142,16 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 
 @pytest.mark.parametrize(
     ("robot", "lightest"),
-    [(PLANAR, 0.2), (FLEX_PLANAR, 0.2), pytest.param(SPATIAL, None, marks=pytest.mark.slow)],
+    [
+        (PLANAR, 0.2),
+        (FLEX_PLANAR, 0.2),
+        (find_robot("flex-ttk4900"), 0.2),
+        pytest.param(SPATIAL, None, marks=pytest.mark.slow),
+    ],
     ids=lambda value: getattr(value, "name", str(value)),
 )
 def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float | None) -> None:
-    reference = find_trajectory("smooth-circle-planar" if robot.planar else "smooth-circle-spatial", robot.coordinates)
+    reference = find_trajectory(default_trajectory(robot), robot.kind)
     margins = Margins(position=1e-3, rotation=1e-3, action=0.1, tension=1.0)
     program = MotionProgram(robot, reference, BOUNDS, intervals=3, margins=margins, lightest=lightest, period=0.002)
     solver, lowest, _ = program._assemble({})

@@ -28,8 +28,8 @@ class Base:
     """Gains (K_P, K_D) of ``fl`` and ``composite`` [1/s², 1/s]; None for the paper's gains."""
     frequency: float | None = None
     """Natural frequency of the motor loop of ``motor-pd`` [rad/s]; None for its default."""
-    minimum_tension: float = 5.0
-    """Minimum tension T_min of a planar robot [N]."""
+    minimum_tension: float | None = None
+    """Least tension that the law allocates with more cables than coordinates [N]; None for the law's default."""
     estimates_payload: bool = False
     """Whether the law estimates the payload, see :class:`~cablebot_baselines.classical.adaptive.Adaptive`."""
     estimator_prior_weight: float = 0.01
@@ -43,13 +43,14 @@ class Base:
             if getattr(self, name) is not None and self.law not in laws:
                 raise ValueError(f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}")
         checked: dict[str, Any] = {
-            "minimum_tension": number("minimum_tension", self.minimum_tension, least=0.0, unit="N"),
             "estimator_prior_weight": number(
                 "estimator_prior_weight", self.estimator_prior_weight, above=0.0, unit="s"
             ),
         }
         if self.gains is not None:
             checked["gains"] = tuple(numbers("gains", self.gains, shapes=[(2,)], above=0.0).tolist())
+        if self.minimum_tension is not None:
+            checked["minimum_tension"] = number("minimum_tension", self.minimum_tension, least=0.0, unit="N")
         if self.frequency is not None:
             checked["frequency"] = number("frequency", self.frequency, above=0.0, unit="rad/s")
         for name in ("estimates_payload", "allocates"):

@@ -35,7 +35,7 @@ from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import SymmetricLayers, symmetries
 from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds, start_pose
+from cablebot_gym.task import find_error_bounds, start_pose
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import number, numbers, whole
 
@@ -160,7 +160,8 @@ class GradientTraining:
         torch.manual_seed(self.seed)
         n = self.robot.coordinates
         self._order = 4 if self.robot.flexible else 2
-        self._bounds = torch.tensor(self.action_mapping.bounds(ErrorBounds(), self.robot))
+        bounds = find_error_bounds(None, self.robot)
+        self._bounds = torch.tensor(self.action_mapping.bounds(bounds, self.robot))
         within = self.action_mapping.action_period * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
         self._within = within
         self._weights = torch.tensor(
@@ -185,7 +186,10 @@ class GradientTraining:
 
     def _start_shifts(self) -> Array:
         """Start pose minus reference pose of each motion, (M, n)."""
-        poses = [start_pose(self.robot, one, ErrorBounds()) - one(0.0).position for one in self.trajectories]
+        poses = [
+            start_pose(self.robot, one, find_error_bounds(None, self.robot)) - one(0.0).position
+            for one in self.trajectories
+        ]
         return np.array(poses)
 
     def _tabulated(self) -> _Motions:

@@ -141,7 +141,7 @@ def train_gradient(
             features=steering.features,
             seed=state.settings["seed"],
             settings=made.settings,
-            minimum_tension=steering.base.minimum_tension,
+            minimum_tension=steering.base.make(steering.robot).minimum_tension,
         )
         if resume:
             # The file is opened here because np.load does not close a damaged file that it opened.

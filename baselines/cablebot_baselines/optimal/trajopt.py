@@ -26,8 +26,8 @@ _LOGGER = logging.getLogger("cablebot_gym")
 INTERVALS_PER_SECOND = 50.0
 """Spline intervals of a plan per second [1/s]. More of them hardly increase the DLCC and take longer to plan."""
 
-MINIMUM_INTERVALS = 20
-"""Minimum number of spline intervals of a plan."""
+MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 240
+"""Minimum and maximum number of spline intervals of a plan."""
 
 INITIAL_ESTIMATE_WEIGHT = 0.05
 """Weight of the static mass estimate at the start of an episode [s].
@@ -55,10 +55,20 @@ class TrajOptSettings:
     mass_deficit: float = 0.0
     """Relative deviation of the platform mass below its nominal value that the plan covers."""
 
-    def margins(self, error_bounds: ErrorBounds) -> Margins:
-        """Margins of the plan for given error bounds."""
+    def margins(self, robot: Robot, error_bounds: ErrorBounds) -> Margins:
+        """Margins of the plan for a robot and error bounds.
+
+        Coulomb friction changes within a control period when a motor turns around. Without springs it then changes the
+        tension of its cable, which needs a margin as well. With springs the margin is at most that of an episode's
+        start.
+        """
         position, rotation = self.error_margin * error_bounds.position, self.error_margin * error_bounds.rotation
-        return Margins(position=position, rotation=rotation, action=self.action_margin, tension=self.tension_margin)
+        if robot.flexible:
+            reserve = textbook.allocated_minimum(robot) - robot.minimum_tension
+            tension = min(self.tension_margin, reserve) if robot.cables > robot.coordinates else self.tension_margin
+        else:
+            tension = self.tension_margin + float((robot.coulomb_friction / robot.pulley_radius).max())
+        return Margins(position=position, rotation=rotation, action=self.action_margin, tension=tension)
 
 
 TRAJOPT_SETTINGS = {
@@ -241,13 +251,14 @@ class TrajOpt:
 
     def _plan(self, task: Task) -> PlannedMotion | str:
         """The motion for the largest possible payload, or the reason why there is no plan."""
+        intervals = math.ceil(INTERVALS_PER_SECOND * task.trajectory.duration)
         try:
             plan = plan_motion(
                 self.robot,
                 task.trajectory,
                 task.error_bounds,
-                intervals=max(MINIMUM_INTERVALS, math.ceil(INTERVALS_PER_SECOND * task.trajectory.duration)),
-                margins=self.settings.margins(task.error_bounds),
+                intervals=min(max(MINIMUM_INTERVALS, intervals), MAXIMUM_INTERVALS),
+                margins=self.settings.margins(self.robot, task.error_bounds),
                 lightest=-self.settings.mass_deficit * self.robot.mass,
                 period=1 / task.control_frequency,
             )
