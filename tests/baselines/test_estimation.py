@@ -5,14 +5,12 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
-from oracles.platforms import PLATFORMS
 
 from cablebot_baselines.estimation import (
     Estimated,
     ExtendedKalmanFilter,
     KinematicEstimator,
     calibrate,
-    forward_kinematics,
     home_offset,
 )
 from cablebot_gym.envs import env_robot
@@ -23,24 +21,6 @@ from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
 
 ENCODERS = {"kind": "winches", "encoder_resolution": 2 * np.pi / 8192}
 WHITE = {"sensors": {"motor_angle": 1e-4, "motor_speed": 1e-2}}
-
-
-@pytest.mark.parametrize("name", ["planar", "spatial", "ipanema-3", "cogiro", "turning", "camera"])
-def test_forward_kinematics_finds_random_poses_and_residuals_show_wrong_lengths(name):
-    """``cogiro`` has swivel pulleys, ``turning`` a platform in a plane."""
-    robot, rng = PLATFORMS[name] if name in PLATFORMS else find_robot(name), np.random.default_rng(0)
-    turning = np.arange(robot.coordinates) >= robot.dimensions
-    poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(-1, 1, (200, robot.coordinates))
-    if not robot.planar:
-        poses[:, 2] += 0.2  # below the base of the suspended robot
-    lengths = textbook.cable_lengths(robot, poses)
-    guess = poses + 0.02 * rng.uniform(-1, 1, poses.shape)
-    found = forward_kinematics(robot, lengths, guess)
-    assert found.converged.all()
-    assert np.abs(found.pose - poses).max() < 1e-10
-    assert found.residual.max() < 1e-11
-    wrong = forward_kinematics(robot, lengths + 1e-3 * np.eye(robot.cables)[0], guess).residual
-    assert (wrong.max() < 1e-11) == (robot.cables == robot.coordinates)
 
 
 def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertainty=None):

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.classical.law import first_steps
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
-from cablebot_baselines.estimation.forward_kinematics import forward_kinematics
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.measurement import POSE
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.policies.protocol import Policy, declarations, reset_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
