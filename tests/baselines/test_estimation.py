@@ -89,6 +89,24 @@ def test_law_behind_the_filter_with_exact_sensors_carries_its_payload():
     assert estimated.payload == pytest.approx(full.payload, rel=0.01)
 
 
+def test_diverged_estimate_stops_the_motors_of_its_own_episode():
+    """A law answers NaN with NaN, which would end the evaluation of all payloads."""
+
+    class Diverging(KinematicEstimator):
+        def update(self, blocks, state, starts):
+            pose, velocity, state = super().update(blocks, state, starts)
+            pose[0], velocity[1] = np.nan, np.inf
+            return pose, velocity, state
+
+    env = gym.make_vec("CableBot-Planar-v0", num_envs=3, measurement="winches").unwrapped
+    rows, _ = env.reset(seed=0)
+    policy = Estimated(load_policy("fl", PLANAR), PLANAR, Diverging(PLANAR))
+    policy.reset(env.tasks)
+    actions, _ = policy.predict(rows)
+    assert (actions[:2] == 0).all()
+    assert (actions[2] != 0).any()
+
+
 def readings(robot, count, *, seed=0):
     """Poses, and offsets of the motor angles."""
     rng, n = np.random.default_rng(seed), robot.coordinates
