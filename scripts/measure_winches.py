@@ -19,14 +19,15 @@ from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.uncertainty import find_uncertainty
 from cablebot_gym.utils.console import notes_console
 from cablebot_gym.utils.files import atomic_write_text
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "measurement"
 
 LAWS = {
-    "CableBot-Planar-v0": "fl",
-    "CableBot-Spatial-v0": "fl",
+    "CableBot-Planar-v0": "adaptive",
+    "CableBot-Spatial-v0": "adaptive",
     "CableBot-FlexPlanar-v0": "composite-tuned",
     "CableBot-FlexSpatial-v0": "composite",
 }
@@ -44,8 +45,25 @@ COUNTS = 8192
 CALIBRATED, UNCALIBRATED = 0.3e-3, 2.5e-3
 """Standard deviations of the zero error of a cable length after and before calibration [m]."""
 
-CASES = ("encoders", "calibrated", "load-cells", "imu", "uncalibrated")
-"""Sets of errors; each has those of the encoders."""
+START = {"start-mocap": (0.2e-3, 0.35e-3), "start": (2e-3, 2e-3)}
+"""Half widths of the error of the start pose [m, rad]: with motion capture as in ``hardware``, and a larger one."""
+
+NAMES = {
+    "": "–",
+    "encoders": "encoders",
+    "calibrated": "encoders, calibrated zero",
+    "load-cells": "encoders, calibrated zero, load cells",
+    "imu": "encoders, calibrated zero, load cells, IMU",
+    "uncalibrated": "encoders, zero before calibration",
+}
+"""Errors of the sensors, as the table names them."""
+
+DISTURBANCES = {
+    "": "–",
+    **{name: f"start pose ± {1e3 * p:g} mm, ± {1e3 * r:g} mrad" for name, (p, r) in START.items()},
+    **{name: f"robot and forces of `{name}`" for name in ("table6", "hardware")},
+}
+"""Deviations from the nominal robot and start pose, as the table names them. They concern exact sensors as well."""
 
 
 def errors(robot: Robot, case: str) -> dict[str, Any]:
@@ -64,73 +82,82 @@ def errors(robot: Robot, case: str) -> dict[str, Any]:
     return {"sensors": noise, "sensor_bias": bias}
 
 
-def cases(env_id: str) -> Iterator[dict[str, Any]]:
-    """Estimator, sensors and errors of each case; the first one measures the pose."""
-    robot = find_robot(env_robot(env_id))
-    yield {"estimator": "", "sensors": "pose", "errors": ""}
+def cases(env_id: str) -> Iterator[dict[str, str]]:
+    """Sensors, estimator, errors and disturbance of each case; the first one of a disturbance measures the pose."""
+
+    def case(sensors: str, estimator: str = "", errors: str = "", disturbance: str = "") -> dict[str, str]:
+        return {"estimator": estimator, "sensors": sensors, "errors": errors, "disturbance": disturbance}
+
+    cells, imu = "winches+tensions", "winches+tensions+imu"
+    planar = find_robot(env_robot(env_id)).planar
+    yield case("pose")
     for estimator in ("fk", "ekf"):
-        yield {"estimator": estimator, "sensors": "winches", "errors": ""}
-        yield {"estimator": estimator, "sensors": "winches", "errors": "encoders"}
-    yield {"estimator": "ekf", "sensors": "winches", "errors": "calibrated"}
-    yield {"estimator": "ekf", "sensors": "winches+tensions", "errors": "load-cells"}
-    if not robot.planar:
-        for estimator in ("ekf", "ekf-homed"):
-            yield {"estimator": estimator, "sensors": "winches+tensions+imu", "errors": "imu"}
-    yield {"estimator": "ekf-homed", "sensors": "winches+tensions", "errors": "load-cells"}
-    yield {"estimator": "ekf", "sensors": "winches", "errors": "uncalibrated"}
-    yield {"estimator": "ekf-homed", "sensors": "winches", "errors": "uncalibrated"}
+        yield case("winches", estimator)
+        yield case("winches", estimator, "encoders")
+    yield case("winches", "ekf", "calibrated")
+    yield case("winches", "ekf", "uncalibrated")
+    yield case("winches", "ekf-homed", "uncalibrated")
+    for estimator in ("ekf", "ekf-homed"):
+        yield case(cells, estimator, "load-cells")
+        if not planar:
+            yield case(imu, estimator, "imu")
+    for disturbance in filter(None, DISTURBANCES):
+        yield case("pose", disturbance=disturbance)
+        if disturbance == "start":
+            yield case(cells, "ekf", "load-cells", disturbance)
+        yield case(cells, "ekf-homed", "load-cells", disturbance)
+        if not planar and disturbance in ("start", "hardware"):
+            yield case(imu, "ekf-homed", "imu", disturbance)
 
 
-def payload(env_id: str, case: dict[str, Any]) -> dict[str, Any]:
+def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     """The result of a case: payload [kg], None if it fails unloaded, and the limiting violation."""
-    robot = find_robot(env_robot(env_id))
+    robot, disturbance = find_robot(env_robot(env_id)), case["disturbance"]
     policy = "+".join(filter(None, [case["estimator"], LAWS[env_id]]))
-    measurement: dict[str, Any] = {"kind": "pose"}
+    options: dict[str, Any] = {"measurement": {"kind": "pose"}}
     if case["sensors"] != "pose":
         _, *sensors = case["sensors"].split("+")
         resolution = 2 * math.pi / COUNTS if case["errors"] else 0.0
-        measurement = {"kind": "winches", "encoder_resolution": resolution} | dict.fromkeys(sensors, True)
+        options["measurement"] = {"kind": "winches", "encoder_resolution": resolution} | dict.fromkeys(sensors, True)
+    uncertainty = errors(robot, case["errors"]) if case["errors"] else {}
+    if disturbance in START:
+        position, rotation = START[disturbance]
+        turns = robot.coordinates - robot.dimensions
+        options["initial_error_range"] = [position] * robot.dimensions + [rotation] * turns
+    elif disturbance:
+        named = find_uncertainty(disturbance, robot)
+        uncertainty |= {"parameters": named.parameters, "wrench": named.wrench}
     result = evaluate_dlcc(
         policy,
         env_id,
-        measurement=measurement,
-        uncertainty=errors(robot, case["errors"]) if case["errors"] else None,
-        draws=DRAWS if case["errors"] else None,
+        uncertainty=uncertainty or None,
+        draws=DRAWS if case["errors"] or disturbance else None,
         search="bisection",
         payload_max=4.0 if robot.planar else 8.0,
         resolution=RESOLUTION,
+        **options,
     )
     violation = None if result.violation is None else str(result.violation.kind)
     return {"payload": result.payload, "violation": violation}
 
 
 def table(data: dict[str, Any]) -> str:
-    """Markdown table of the stored results: payload of each case, and its fraction of that with the pose."""
-    names = {
-        "encoders": "encoders",
-        "calibrated": "encoders, calibrated zero",
-        "load-cells": "encoders, calibrated zero, load cells",
-    }
-    names |= {
-        "imu": "encoders, calibrated zero, load cells, IMU",
-        "uncalibrated": "encoders, zero before calibration",
-        "": "–",
-    }
+    """Markdown table of the stored results: payload of each case, and its fraction of that with the exact pose."""
     env_ids = [env_id for env_id in PAPER_ENV_IDS if any(one["env_id"] == env_id for one in data["cases"])]
-    rows: dict[tuple[str, str, str], dict[str, str]] = {}
+    exact = {(o["env_id"], o["disturbance"]): o["payload"] for o in data["cases"] if o["sensors"] == "pose"}
+    rows: dict[tuple[str, ...], dict[str, str]] = {}
     for one in data["cases"]:
-        key = (one["sensors"], one["estimator"], one["errors"])
-        (full,) = (o["payload"] for o in data["cases"] if o["env_id"] == one["env_id"] and o["sensors"] == "pose")
-        own = one["payload"]
-        text = (
-            "fails unloaded" if own is None else f"{own:.2f} kg" + (f", {own / full:.0%}" if one["estimator"] else "")
-        )
-        rows.setdefault(key, {})[one["env_id"]] = text
-    head = ["sensors", "estimator", "errors", *(f"`{env_id}`, `{LAWS[env_id]}`" for env_id in env_ids)]
+        key = (f"`{one['sensors']}`", f"`{one['estimator']}`" if one["estimator"] else "–", NAMES[one["errors"]])
+        own, full = one["payload"], exact[one["env_id"], one["disturbance"]]
+        text = "fails unloaded" if own is None else f"{own:.2f} kg"
+        if one["estimator"] and None not in (own, full):
+            text += f", {own / full:.0%}"
+        rows.setdefault((*key, DISTURBANCES[one["disturbance"]]), {})[one["env_id"]] = text
+    columns = ["sensors", "estimator", "errors of the sensors", "deviation"]
+    head = [*columns, *(f"`{env_id}`, `{LAWS[env_id]}`" for env_id in env_ids)]
     lines = [head, ["---"] * len(head)]
-    for (sensors, estimator, error), entries in rows.items():
-        known = f"`{estimator}`" if estimator else "–"
-        lines.append([f"`{sensors}`", known, names[error], *(entries.get(env_id, "–") for env_id in env_ids)])
+    for row, entries in rows.items():
+        lines.append([*row, *(entries.get(env_id, "–") for env_id in env_ids)])
     return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
 
 
@@ -144,14 +171,16 @@ def main() -> None:
     arguments = parser.parse_args()
     data: dict[str, Any] = {"draws": DRAWS, "resolution": RESOLUTION, "versions": versions(), "cases": []}
     if arguments.out.is_file():
-        data["cases"] = json.loads(arguments.out.read_text(encoding="utf-8"))["cases"]
+        settings = {name: value for name, value in data.items() if name != "cases"}
+        data = json.loads(arguments.out.read_text(encoding="utf-8"))
+        if settings != {name: data[name] for name in settings}:
+            parser.error(f"{arguments.out} has other settings or versions: remove it")
     arguments.out.parent.mkdir(exist_ok=True)
-    known = {(one["env_id"], one["estimator"], one["sensors"], one["errors"]) for one in data["cases"]}
-    todo = [(env_id, case) for env_id in arguments.env for case in cases(env_id)]
-    for number, (env_id, case) in enumerate(todo, 1):
-        if (env_id, *case.values()) in known:
+    todo = [{"env_id": env_id, **case} for env_id in arguments.env for case in cases(env_id)]
+    for number, case in enumerate(todo, 1):
+        if any(case.items() <= one.items() for one in data["cases"]):
             continue
-        data["cases"].append({"env_id": env_id, **case, **payload(env_id, case)})
+        data["cases"].append(case | payload(case["env_id"], case))
         text = json.dumps(data, indent=1, ensure_ascii=False)
         atomic_write_text(arguments.out, text + "\n")
         notes_console().print(f"{number} of {len(todo)}: {data['cases'][-1]}")

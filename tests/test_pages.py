@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from unicodedata import combining
@@ -45,6 +46,20 @@ def test_block_is_that_of_code_and_results(page, name):
     assert re.sub(_NUMBER, "", stored) == re.sub(_NUMBER, "", anew), AGAIN
     numbers = [list(map(float, re.findall(_NUMBER, text))) for text in (stored, anew)]
     assert numbers[0] == pytest.approx(numbers[1], abs=0.011), AGAIN  # machines round differently
+
+
+def test_laws_behind_the_homed_filter_keep_their_payload_as_the_page_says():
+    least = float(re.search(r"every law keeps at least (\d+) %", " ".join(read("docs/measurement.md").split()))[1])
+    cases = json.loads((page_blocks.measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))["cases"]
+    nominal = [one for one in cases if not one["disturbance"]]
+    exact = {one["env_id"]: one["payload"] for one in nominal if one["sensors"] == "pose"}
+    kept = {
+        one["env_id"]: one["payload"] / exact[one["env_id"]]
+        for one in nominal
+        if (one["estimator"], one["errors"]) == ("ekf-homed", "load-cells")
+    }
+    assert set(kept) == set(page_blocks.measure_winches.LAWS)
+    assert min(kept.values()) >= least / 100
 
 
 def test_code_of_the_home_page_is_that_of_the_example():

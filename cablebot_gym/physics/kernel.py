@@ -77,6 +77,8 @@ _LENGTH, _MOTOR_START, _MOTOR_SUM, _MOTOR_STAGE, _MOTOR_RATE, _TORQUE = 12, 13, 
 _RESULTS = 21
 _GAP, _DECAY, _KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
 _CABLE_ROWS = 28
+# Forward kinematics: _START and _SUM have the best pose and the step from there; their last rows serve sums and flags.
+_SQUARES, _TRIAL, _ENDED = 9, 10, 11
 # The pulleys between joint springs and elastic cables, after all cables.
 _PULLEY_START, _PULLEY_SUM, _PULLEY_STAGE, _PULLEY_RATE, _PULLEY_ROWS = 0, 2, 4, 6, 7
 
@@ -799,6 +801,12 @@ def _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes):
             _pulled_lane(d, n, m, lopsided, p, w, at, lanes)
     else:
         _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes)
+    _accelerations(d, n, m, lopsided, p, w, lanes)
+
+
+@_inline
+def _accelerations(d, n, m, lopsided, p, w, lanes):
+    """Ẍ from y."""
     for at in range(lanes):
         if n == 6:
             _spatial_acceleration(m, lopsided, p, w, at, lanes)
@@ -1523,6 +1531,75 @@ def _demanded(
                 load[first + at, j] = -w[(_LOAD + j) * lanes + at]
 
 
+# -------------------------------------------------------------------------------------------- forward kinematics
+
+
+@_inline
+def _locate(d, n, m, swivel, lopsided, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
+    """Poses of given cable lengths: Gauss-Newton steps of all lanes in tiles.
+
+    The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of the length as t_i,
+    μ_i = 1, and the damping as mass and inertia, y is the step. A step that increases the sum of the squares is halved.
+    A lane ends after a step below the tolerance.
+    """
+    count = lengths.shape[0]
+    for row in range(parameters.shape[0]):
+        for at in range(lanes):
+            p[row * lanes + at] = parameters[row]
+    for first in range(0, count, lanes):
+        for at in range(lanes):
+            lane = min(first + at, count - 1)
+            for j in range(n):
+                w[(_START + j) * lanes + at] = w[(_STAGE + j) * lanes + at] = pose[lane, j]
+                w[(_STAGE + 6 + j) * lanes + at] = 0.0
+                w[(_SUM + j) * lanes + at] = np.nan
+            for i in range(m):
+                row = _FIRST_CABLE + _CABLE_ROWS * i
+                w[(row + _REQUEST) * lanes + at] = lengths[lane, i]
+                w[(row + _TAUT) * lanes + at] = 1.0
+            w[_SQUARES * lanes + at], w[_ENDED * lanes + at] = np.inf, 0.0
+        for _ in range(iterations):
+            _kinematics(d, n, m, swivel, True, lopsided, p, w, lanes)
+            for at in range(lanes):
+                w[_TRIAL * lanes + at] = 0.0
+            for i in range(m):
+                row = _FIRST_CABLE + _CABLE_ROWS * i
+                for at in range(lanes):
+                    excess = w[(row + _LENGTH) * lanes + at] - w[(row + _REQUEST) * lanes + at]
+                    w[(row + _KNOWN) * lanes + at] = excess
+                    w[_TRIAL * lanes + at] += excess * excess
+            for at in range(lanes):
+                _solve_lane(d, n, m, lopsided, p, w, at, lanes)
+            _accelerations(d, n, m, lopsided, p, w, lanes)
+            finished = 1.0
+            for at in range(lanes):
+                finished *= _take_step(n, tolerance, w, at, lanes)
+            if finished == 1.0:
+                break
+        for at in range(min(lanes, count - first)):
+            for j in range(n):
+                pose[first + at, j] = w[(_START + j) * lanes + at]
+            squares[first + at], ended[first + at] = w[_SQUARES * lanes + at], w[_ENDED * lanes + at] == 1.0
+
+
+@_inline
+def _take_step(n, tolerance, w, at, lanes):
+    """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended before."""
+    before = w[_ENDED * lanes + at]
+    better = (w[_TRIAL * lanes + at] <= w[_SQUARES * lanes + at] + 1e-24) | (before == 1.0)  # NaN is not better
+    w[_SQUARES * lanes + at] = w[_TRIAL * lanes + at] if better else w[_SQUARES * lanes + at]
+    size = 0.0
+    for j in range(n):
+        start = w[(_STAGE + j) * lanes + at] if better else w[(_START + j) * lanes + at]
+        step = w[(_RATE + j) * lanes + at] if better else w[(_SUM + j) * lanes + at] / 2
+        step = 0.0 if before == 1.0 else step
+        size += abs(step)
+        w[(_START + j) * lanes + at], w[(_SUM + j) * lanes + at] = start, step
+        w[(_STAGE + j) * lanes + at] = start + step
+    w[_ENDED * lanes + at] = 1.0 if size <= tolerance else 0.0
+    return before
+
+
 # ------------------------------------------------------------------------------------------------- entry points
 
 
@@ -1550,6 +1627,10 @@ class Compiled(NamedTuple):
     demanded: Any
     """``(parameters, p, w, mass, motion, structure, load, results)``: what a tension distribution needs, ``−Sᵀ T =
     load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates of S and load are those of y."""
+    locate: Any
+    """``(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)``: poses (N, n), which are the guesses
+    before, of cable lengths (N, m); sums of the squared length errors and whether the last step was below the
+    tolerance, (N,). ``parameters`` have mass and inertia for the damping, no gravity, and J/r² = 1."""
 
 
 @cache
@@ -1652,7 +1733,27 @@ def compiled(form: Form) -> Compiled:
             results,
         )
 
-    return Compiled(advance, evaluate, required, demanded)
+    @_compile
+    def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
+        _locate(
+            d,
+            n,
+            m,
+            swivel,
+            lopsided,
+            lanes,
+            parameters,
+            iterations,
+            tolerance,
+            p,
+            w,
+            lengths,
+            pose,
+            squares,
+            ended,
+        )
+
+    return Compiled(advance, evaluate, required, demanded, locate)
 
 
 def cache_folder() -> Path:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_baselines.estimation.forward_kinematics import forward_kinematics
 from cablebot_gym.kinematics import euler_rate_matrix, jacobian_and_rate, rotation_matrix
 from cablebot_gym.measurement import Measurement
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import SensorNoise

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.classical.law import first_steps
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
-from cablebot_baselines.estimation.forward_kinematics import forward_kinematics
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.measurement import POSE
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.policies.protocol import Policy, declarations, reset_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -71,7 +71,8 @@ class KinematicEstimator:
 class Estimated:
     """A policy that reads pose and velocity, with the sensors of winches.
 
-    The policy gets the observation that the environment would have with pose and velocity, with their estimates.
+    The policy gets the observation that the environment would have with pose and velocity, with their estimates. After
+    an estimate that is not finite, its actions are zero.
 
     Args:
         policy: any policy that reads pose and velocity.
@@ -118,12 +119,14 @@ class Estimated:
         blocks = self._measured.split(rows)
         estimate, inner = (None, None) if state is None else state
         starts = first_steps(state, episode_start, (len(rows),))
-        pose, velocity, estimate = self.estimator.update(blocks, estimate, starts)
+        with np.errstate(over="ignore", invalid="ignore"):  # an estimate may diverge
+            pose, velocity, estimate = self.estimator.update(blocks, estimate, starts)
         values = blocks | {"pose": pose, "velocity": velocity}
         full = np.concatenate([values[block.name] for block in self._full.blocks], axis=-1)
         space = self._full.space()
         full = np.clip(np.nan_to_num(full), space.low, space.high)
         actions, inner = self.policy.predict(full, inner, starts, deterministic)
+        actions = np.where(np.isfinite(pose + velocity).all(axis=-1, keepdims=True), actions, 0.0)
         return (actions if np.ndim(observation) > 1 else actions[0]), (estimate, inner)
 
 

@@ -1,0 +1,87 @@
+"""Forward kinematics by the compiled kernel: poses from the lengths of all cables, by Gauss-Newton from a guess."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablebot_gym.kinematics import Array, cable_lengths
+from cablebot_gym.physics import kernel
+from cablebot_gym.physics.compiling import load_numba
+from cablebot_gym.physics.plant import form_of, pack_parameters
+from cablebot_gym.robots import Robot
+
+ITERATIONS = 50
+"""Largest number of poses that the iteration tries."""
+
+TOLERANCE = 1e-12
+"""Size of a step after which the iteration ends: sum over the coordinates [m, rad]; with cables above 1 m, times the
+length of the longest one at the home pose."""
+
+_DAMPING = 1e-12  # of the normal equations, so that a singular pose gives a finite step; per cable
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForwardKinematics:
+    """Poses from cable lengths."""
+
+    pose: Array
+    """Poses X, (..., n)."""
+    residual: Array
+    """Root mean square of the length errors at the pose [m], (...). Zero if there are as many cables as coordinates;
+    with more cables it shows wrong lengths."""
+    converged: NDArray[np.bool_]
+    """Whether the last step was below :data:`TOLERANCE`, (...)."""
+
+
+@lru_cache(maxsize=64)
+def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
+    """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code of their own."""
+    load_numba()
+    form, rows, m = form_of(robot)._replace(jointed=False, elastic=False), pack_parameters(robot), robot.cables
+    rows[kernel.MASS], rows[kernel.GRAVITY] = _DAMPING * m, 0.0
+    rows[kernel.INERTIA : kernel.INERTIA + 3] = _DAMPING * max(np.sum(robot.platform**2), 1e-6)
+    if form.lopsided:
+        first = kernel.body_parameter(m) + kernel.PRODUCTS
+        rows[first : first + 3] = 0.0
+    first = kernel.FIRST_CABLE_PARAMETER + kernel.INERTIA_PER_RADIUS2
+    rows[first : kernel.body_parameter(m) : kernel.CABLE_PARAMETERS] = 1.0
+    home = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
+    return form, rows, TOLERANCE * max(1.0, float(home.max()))
+
+
+def forward_kinematics(
+    robot: Robot, lengths: ArrayLike, guess: ArrayLike, *, iterations: int = ITERATIONS
+) -> ForwardKinematics:
+    """The poses whose cable lengths are nearest to the given ones, near a guess.
+
+    Six cables admit several poses. The iteration converges to that of the guess, for example the last pose of a moving
+    platform. A step that increases the length errors is halved.
+
+    Args:
+        robot: nominal robot.
+        lengths: cable lengths, (..., m) with m ≥ n [m].
+        guess: initial poses, (..., n) or (n,).
+        iterations: largest number of poses that the iteration tries.
+
+    Raises:
+        ValueError: if the shapes do not match the robot or each other.
+    """
+    lengths, (m, n) = np.asarray(lengths, float), (robot.cables, robot.coordinates)
+    shape = lengths.shape[:-1]
+    if lengths.shape[-1:] != (m,) or np.shape(guess)[-1:] != (n,):
+        raise ValueError(
+            f"lengths {lengths.shape} and guess {np.shape(guess)} do not match {robot.name}: use (..., {m}), (..., {n})"
+        )
+    pose, count = np.empty((*shape, n)), int(np.prod(shape, dtype=int))
+    pose[...] = guess
+    found, squares, ended = pose.reshape(-1, n), np.empty(count), np.empty(count, bool)
+    form, parameters, tolerance = _prepared(robot)
+    form = form._replace(lanes=1 if count == 1 else kernel.LANES)
+    memory = np.empty(len(parameters) * form.lanes), np.empty(kernel.scratch_rows(form) * form.lanes)
+    wanted = np.ascontiguousarray(lengths).reshape(-1, m)
+    kernel.compiled(form).locate(parameters, iterations, tolerance, *memory, wanted, found, squares, ended)
+    return ForwardKinematics(pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape))

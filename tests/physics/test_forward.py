@@ -1,0 +1,78 @@
+"""Forward kinematics: poses from cable lengths."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.platforms import PLATFORMS
+from scipy.optimize import least_squares
+
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.forward import forward_kinematics
+from cablebot_gym.robots import SPATIAL, find_robot
+
+ROBOTS = {name: find_robot(name) for name in ("planar", "spatial", "ipanema-3", "cogiro")}
+ROBOTS |= {name: PLATFORMS[name] for name in ("turning", "camera")}
+"""``cogiro`` has swivel pulleys, ``turning`` a platform in a plane; ``spatial`` has no redundant cable."""
+
+
+def case(robot, count):
+    """Poses, their cable lengths and guesses."""
+    rng, turning = np.random.default_rng(0), np.arange(robot.coordinates) >= robot.dimensions
+    poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(-1, 1, (count, robot.coordinates))
+    if not robot.planar:
+        poses[:, 2] += 0.2  # below the base of the suspended robot
+    return poses, textbook.cable_lengths(robot, poses), poses + 0.02 * rng.uniform(-1, 1, poses.shape)
+
+
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+def test_random_poses_are_found(robot):
+    poses, lengths, guess = case(robot, 200)
+    found = forward_kinematics(robot, lengths, guess)
+    assert found.converged.all()
+    assert np.abs(found.pose - poses).max() < 1e-10
+    assert found.residual.max() < 1e-11
+
+
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+def test_wrong_lengths_of_redundant_cables_give_the_least_squares_pose(robot):
+    _, lengths, guess = case(robot, 8)
+    wrong = lengths + np.random.default_rng(1).normal(0, 5e-3, lengths.shape)
+    found = forward_kinematics(robot, wrong, guess)
+    assert found.converged.all()
+    for pose, residual, start, wanted in zip(found.pose, found.residual, guess, wrong, strict=True):
+
+        def errors(x, wanted=wanted):
+            return textbook.cable_lengths(robot, x) - wanted
+
+        best = least_squares(errors, start, jac=lambda x: textbook.jacobian(robot, x), xtol=1e-15, ftol=1e-15)
+        np.testing.assert_allclose(pose, best.x, atol=1e-7)
+        np.testing.assert_allclose(residual, np.sqrt(np.mean(errors(pose) ** 2)), rtol=1e-6, atol=1e-12)
+    assert (found.residual > 1e-5).all() == (robot.cables > robot.coordinates)
+
+
+@pytest.mark.parametrize("name", ["turning", "cogiro"])
+def test_batch_equals_its_items(name):
+    """A batch is solved in tiles; a lane of a tile must not see the other ones, or wait for them."""
+    robot = ROBOTS[name]
+    _, lengths, guess = case(robot, 40)
+    lengths += np.random.default_rng(1).normal(0, 5e-3, lengths.shape)
+    batch = forward_kinematics(robot, lengths, guess)
+    for index in range(40):
+        alone = forward_kinematics(robot, lengths[index], guess[index])
+        np.testing.assert_array_equal(alone.pose, batch.pose[index])
+        assert (alone.residual, alone.converged) == (batch.residual[index], batch.converged[index])
+
+
+def test_guess_far_from_the_pose_converges():
+    """Without halved steps a sixth of these iterations diverge."""
+    (low, high), rng = SPATIAL.pose_bounds, np.random.default_rng(0)
+    poses = SPATIAL.home + np.append((high - low)[:3] / 2, [0.3] * 3) * rng.uniform(-1, 1, (300, 6))
+    found = forward_kinematics(SPATIAL, textbook.cable_lengths(SPATIAL, poses), SPATIAL.home)
+    assert found.converged.mean() > 0.95
+    assert found.residual[found.converged].max() < 1e-11
+
+
+def test_lengths_that_do_not_fit_the_robot_raise():
+    with pytest.raises(ValueError, match="do not match spatial"):
+        forward_kinematics(SPATIAL, np.ones(8), SPATIAL.home)
