@@ -41,13 +41,14 @@ PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-F
 
 def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **settings):
     robot = find_robot(env_robot(env_id))
-    trajectories = [find_trajectory(name, robot.coordinates) for name in motions or [default_trajectory(robot)]]
+    trajectories = [find_trajectory(name, robot.kind) for name in motions or [default_trajectory(robot)]]
     return GradientTraining(
         robot=robot,
         trajectories=trajectories,
         action_mapping=action_mapping,
         features=features,
         settings=GradientSettings(**{"spread": 0.5, **settings}),
+        minimum_tension=textbook.allocated_minimum(robot),
     )
 
 
@@ -138,6 +139,24 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
         assert list(dict.fromkeys(used)) == list(softness or (0.0,))
         carried[softness] = training.payloads.mean()
     assert carried[20.0, 3.0] > 1.2 * carried[()]
+
+
+@pytest.mark.slow
+def test_model_without_stretch_continues_the_search_of_an_elastic_robot():
+    """With stretch, a kink of redundant tensions is a jump of the action, at which the search stops."""
+    carried = []
+    for stretch in (True, False):
+        training = made(
+            "CableBot-FlexPoint-v0",
+            Shift(action_period=0.05, fraction=0.95, degree=4, preview=0.1),
+            features=("time_since_start",),
+            rounds=(30.0,),
+            iterations=20,
+            stretch=stretch,
+        )
+        training.round(0)
+        carried.append(training.payloads.mean())
+    assert carried[1] > carried[0] + 5.0
 
 
 SMALL = {

@@ -71,7 +71,7 @@ def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 @robots(rubbing(FLEX_PLANAR), rubbing(FLEX_SPATIAL))
 def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     x, v, a = random_state(robot)
-    mass, n, m = robot.mass + 1.7, robot.coordinates, robot.cables
+    mass, m = robot.mass + 1.7, robot.cables
     needed = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
     # The spring torque is the torque of a rigid motor: r T + J β̈ + c β̇.
     angle = textbook.pulley_angle(robot, x) + needed.torques / robot.stiffness
@@ -93,15 +93,12 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
     robot = find_robot(f"flex-{name}")
     x, v, a = random_state(robot)
-    mass, n, m = robot.mass + 1.7, robot.coordinates, robot.cables
+    mass, m = robot.mass + 1.7, robot.cables
     minimum = textbook.allocated_minimum(robot)
     needed = textbook.inverse_dynamics(find_robot(name), mass, x, v, a, minimum=minimum, strict=False)
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
-    angle, speed, acceleration = (
-        textbook.rest_angles(robot, needed.tensions, x)[0],
-        needed.speeds[0],
-        np.arange(m) - 2.0,
-    )
+    angle, _ = textbook.rest_angles(robot, needed.tensions, x)
+    speed, acceleration = needed.speeds[0], np.arange(m) - 2.0
     balance, limits = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
     np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
@@ -124,7 +121,7 @@ SPRING_CAMERA = find_robot("stadium-camera").replace(
 def test_start_of_a_flexible_robot_is_that_of_the_environment(robot: Robot) -> None:
     """The tensions of redundant cables at rest are not linear in the payload."""
     env = gym.make(fitting_env_id(robot), robot=robot, payload=3.1)
-    observation, info = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     blocks = env.unwrapped.layout.split(observation)
     at = start_pose(robot, env.unwrapped.task.trajectory, env.unwrapped.task.error_bounds)
     masses = tuple(np.linspace(0.1, 2.0, 65) * (robot.mass + 3.1))

@@ -74,6 +74,9 @@ class GradientSettings:
     """Smoothing of a planar robot's tensions in each round [N], see
     :func:`~cablebot_baselines.learned.differentiable.required_actuation`; empty for none. With joint springs, a kink of
     an unsmoothed tension is a jump of the action, which stops the line search."""
+    stretch: bool = True
+    """Whether the model of a robot with elastic cables stretches. Without, the kinks of redundant tensions are no jumps
+    of the action; suitable for stiff cables."""
     iterations: int = 250
     """Approximate number of evaluations of the objective in each round. A search that stops at a kink is restarted."""
     instants: int = 3
@@ -186,11 +189,8 @@ class GradientTraining:
 
     def _start_shifts(self) -> Array:
         """Start pose minus reference pose of each motion, (M, n)."""
-        poses = [
-            start_pose(self.robot, one, find_error_bounds(None, self.robot)) - one(0.0).position
-            for one in self.trajectories
-        ]
-        return np.array(poses)
+        bounds = find_error_bounds(None, self.robot)
+        return np.array([start_pose(self.robot, one, bounds) - one(0.0).position for one in self.trajectories])
 
     def _tabulated(self) -> _Motions:
         action_period, degree, n = self.action_mapping.action_period, self.action_mapping.degree, self.robot.coordinates
@@ -247,7 +247,7 @@ class GradientTraining:
         payloads = self._payloads[:, None, None].expand(inside.shape)[inside]
         light = torch.full_like(payloads, robot.mass * (1 - settings.lighter))
         required = required_actuation(
-            robot,
+            robot if settings.stretch else robot.with_rigid_cables(),
             [level.repeat(2, 1) for level in flat.unbind(1)],
             torch.cat([light, robot.mass + payloads]),
             minimum=self.minimum_tension,
