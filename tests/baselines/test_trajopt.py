@@ -13,12 +13,19 @@ import pytest
 pytest.importorskip("casadi")
 
 from cablebot_baselines.optimal import trajopt as module
-from cablebot_baselines.optimal.trajopt import TRAJOPT_SETTINGS, TrajOpt, make_trajopt, make_trajopt_margin
+from cablebot_baselines.optimal.trajopt import (
+    TRAJOPT_MARGIN_SETTINGS,
+    TRAJOPT_SETTINGS,
+    TrajOpt,
+    make_trajopt,
+    make_trajopt_margin,
+)
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.comparison import compare_policies
 from cablebot_gym.evaluation.constraints import Judge
+from cablebot_gym.physics.textbook import allocated_minimum
 from cablebot_gym.planning import Infeasible
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexPlanar-v0"
@@ -87,10 +94,21 @@ def test_margins_make_the_policy_robust_to_sensor_noise():
     assert near.carried.sum() < 38
 
 
-def test_margins_are_fractions_of_the_error_bounds():
-    margins = TRAJOPT_SETTINGS["rigid"].margins(ErrorBounds(position=0.02, rotation=0.03))
+def test_margins_are_fractions_of_the_error_bounds_and_cover_coulomb_friction():
+    """The friction of a motor that turns around changes the tension of its cable within a control period."""
+    bounds = ErrorBounds(position=0.02, rotation=0.03)
+    margins = TRAJOPT_SETTINGS["rigid"].margins(SPATIAL, bounds)
     assert (margins.position, margins.rotation) == pytest.approx((0.02 * 0.02, 0.02 * 0.03))
     assert (margins.action, margins.tension) == (0.005, 1.0)
+    friction = {"coulomb_friction": 0.2, "pulley_radius": 0.05}
+    rubbing = SPATIAL.replace(transmission=SPATIAL.transmission.replace(**friction))
+    assert TRAJOPT_SETTINGS["rigid"].margins(rubbing, bounds).tension == pytest.approx(1.0 + 4.0)
+
+
+def test_margins_leave_the_tensions_of_springs_at_the_start():
+    robot = find_robot("flex-gch-klaus")
+    margins = TRAJOPT_MARGIN_SETTINGS["flexible"].margins(robot, ErrorBounds())
+    assert robot.minimum_tension + margins.tension == allocated_minimum(robot)
 
 
 # --- fallbacks --------------------------------------------------------------------------------------------------------
