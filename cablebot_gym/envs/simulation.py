@@ -34,8 +34,8 @@ class Simulation:
     """N environments, each with its own episode. The single environment is a batch of one.
 
     :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
-    an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete, and
-    ``info`` (N, columns). The next call overwrites them.
+    an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete,
+    ``info`` (N, columns), the scalars of info, and ``cables`` (quantities, N, m). The next call overwrites them.
 
     Args:
         robot: robot, as the environments take it.
@@ -81,7 +81,8 @@ class Simulation:
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
         self.complete = np.zeros(count, np.bool_)
-        self.info = np.zeros((count, outcome.info_columns(robot.cables)))
+        self.info = np.zeros((count, len(outcome.INFO_SCALARS)))
+        self.cables = np.zeros((len(outcome.INFO_CABLES), count, robot.cables))
         space = self.layout.space()
         self._constants = outcome.Constants(
             flexible=robot.flexible,
@@ -126,7 +127,12 @@ class Simulation:
             violated=self._violated,
         )
         outputs = outcome.Outputs(
-            observation=self.observation, reward=self.reward, reason=self.reason, complete=self.complete, info=self.info
+            observation=self.observation,
+            reward=self.reward,
+            reason=self.reason,
+            complete=self.complete,
+            info=self.info,
+            cables=self.cables,
         )
         self._records = _RECORD_ROWS, tuple(self._constants), tuple(episodes), tuple(outputs)
 
