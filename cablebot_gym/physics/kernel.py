@@ -1071,15 +1071,18 @@ def _rk4(
 
 
 @_inline
-def _note_errors(d, n, period_starts, w, record, at, lanes, reference):
-    """Updates the largest position and rotation error after a physics step; ``reference`` is the pose at that time."""
-    dx, dy = w[_START * lanes + at] - reference[0], w[(_START + 1) * lanes + at] - reference[1]
+def _note_errors(d, n, period_starts, w, record, at, lanes, paths, path, line):
+    """Updates the largest position and rotation error after a physics step, against a line of a path.
+
+    A view of the line would count a reference.
+    """
+    dx, dy = w[_START * lanes + at] - paths[path, line, 0], w[(_START + 1) * lanes + at] - paths[path, line, 1]
     square, rotation = dx * dx + dy * dy, 0.0
     if d == 3:
-        dz = w[(_START + 2) * lanes + at] - reference[2]
+        dz = w[(_START + 2) * lanes + at] - paths[path, line, 2]
         square += dz * dz
     for j in range(d, n):
-        rotation = max(rotation, abs(w[(_START + j) * lanes + at] - reference[j]))
+        rotation = max(rotation, abs(w[(_START + j) * lanes + at] - paths[path, line, j]))
     position = math.sqrt(square)
     if not period_starts:
         position = max(position, record[POSITION_PEAK * lanes + at])
@@ -1174,7 +1177,7 @@ def _advance(
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
-                _note_errors(d, n, substep == 0, w, r, at, lanes, paths[path[lane], line])
+                _note_errors(d, n, substep == 0, w, r, at, lanes, paths, path[lane], line)
         for at in range(lanes):
             step[tile * lanes + at] += 1
         for j in range(n):
