@@ -309,14 +309,16 @@ class Simulation:
         """Torques r T that hold robots of masses (k,) at rest at poses (k, n), (k, m) or (1, m)."""
         nominal = self.settings.robot
         minimum = textbook.allocated_minimum(nominal)
-        if robot.cables > robot.coordinates and not robot.weightless:
-            return textbook.static_torque(robot, mass, pose, minimum=minimum)
-        # Without weight the torques do not depend on the mass; the unique ones are proportional to it.
-        if any(PARAMETERS[name].position for name in uncertainty.parameters) or np.any(pose != pose[0]):
-            per_mass = textbook.static_torque(robot, np.ones(len(pose)), pose, minimum=minimum)
-        else:  # no other parameter changes the torques per mass
-            per_mass = _nominal_static_torque(nominal, tuple(pose[0].tolist()))
-        return per_mass if robot.weightless else per_mass * mass[:, None]
+        # Without weight the torques do not depend on the mass. Unique torques are proportional to it, and no parameters
+        # but the positions change them per mass.
+        redundant = robot.cables > robot.coordinates and not robot.weightless
+        drawn = any(redundant or PARAMETERS[name].position for name in uncertainty.parameters)
+        unit = mass if redundant else np.ones(len(pose))
+        if drawn or np.any(pose != pose[0]) or np.any(unit != unit[0]):
+            torques = textbook.static_torque(robot, unit, pose, minimum=minimum)
+        else:
+            torques = _nominal_static_torque(nominal, float(unit[0]), tuple(pose[0].tolist()))
+        return torques if redundant or robot.weightless else torques * mass[:, None]
 
     def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
@@ -353,9 +355,9 @@ class Simulation:
 
 
 @lru_cache(maxsize=64)
-def _nominal_static_torque(robot: Robot, pose: tuple[float, ...]) -> Array:
-    """Torques that hold a robot of 1 kg at rest at one pose, (1, m): most episodes start at the same one."""
-    return textbook.static_torque(robot, np.ones(1), np.array([pose]), minimum=textbook.allocated_minimum(robot))
+def _nominal_static_torque(robot: Robot, mass: float, pose: tuple[float, ...]) -> Array:
+    """Torques that hold a mass at rest at one pose, (1, m): most episodes start at the same one."""
+    return textbook.static_torque(robot, np.array([mass]), np.array([pose]), minimum=textbook.allocated_minimum(robot))
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
