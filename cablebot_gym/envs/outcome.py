@@ -7,7 +7,6 @@ of the record as :class:`RecordRows`, because a change of a constant in another 
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,17 +33,17 @@ INFO_SCALARS = (
     "violated",
     "cost",
 )
-"""Names of the first columns of the info array."""
+"""Names of the columns of the scalars of info."""
 
 INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "least_tensions", "slack")
-"""Names of the quantities with one column per cable, which follow the scalars."""
+"""Names of the quantities of info with one value per cable."""
 
 _TIME, _ACTION_TIME, _PAYLOAD, _POSITION, _ROTATION, _POSITION_PEAK, _ROTATION_PEAK, _FIRST_TERM = range(8)
-_FIRST_CABLE = len(INFO_SCALARS)
 _TERMS = len(REWARD_TERMS)
 _INSIDE, _POSITION_TERM, _ROTATION_TERM, _SATURATION, _VIOLATION_TERM = range(_FIRST_TERM, _FIRST_TERM + _TERMS)
 _VIOLATED = _FIRST_TERM + _TERMS
 _COST = _VIOLATED + 1
+_TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(len(INFO_CABLES))
 _TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
 
 # Columns of the episode settings.
@@ -149,7 +148,9 @@ class Outputs(NamedTuple):
     complete: NDArray[np.bool_]
     """Whether the motion is complete, (N,)."""
     info: Array
-    """Info array, (N, columns)."""
+    """Scalars of info, (N, columns)."""
+    cables: Array
+    """Quantities of info with one value per cable, (quantities, N, m)."""
 
 
 _inline = njit(forceinline=True, error_model="numpy")
@@ -187,7 +188,8 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
     measured, resolution = readings.shape[1], batch.encoder_resolution
     centre, per_scale = batch.centre, batch.per_scale
     steps, trajectories, references, last_rows = now.step, now.trajectory_index, now.references, now.last_rows
-    observations, infos, rewards, reasons, completes = out.observation, out.info, out.reward, out.reason, out.complete
+    observations, infos, cables, rewards = out.observation, out.info, out.cables, out.reward
+    reasons, completes = out.reason, out.complete
     for k in range(env_indices.shape[0]):
         env_index = env_indices[k]
         tile, at = env_index // lanes, env_index % lanes  # a view of the tile would count a reference
@@ -221,9 +223,10 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
             first_reference = measured
             for j in range(measured):
                 observation[j] = readings[env_index, j]
-        for j in range(reference.shape[0]):
-            observation[first_reference + j] = reference[j]
         after_reference = first_reference + reference.shape[0]
+        block = observation[first_reference:after_reference]  # without a sum in its index, the loop vectorises
+        for j in range(reference.shape[0]):
+            block[j] = reference[j]
         observation[after_reference] = settings[env_index, MODEL_PAYLOAD]
         observation[after_reference + 1] = settings[env_index, KNOWN]
         first_action, slack_column = after_reference + 2, observation.shape[0] - 1
@@ -267,14 +270,13 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
             least_tension = records[tile, row.least_tension * lanes + at_cable]
             slack = 1.0 if records[tile, row.slack * lanes + at_cable] > 0.0 else 0.0
             margin = stall[env_index, i] - abs(torque) if fresh else stall[env_index, i] * (1.0 - abs(action))
-            first = _FIRST_CABLE + i
-            info[first] = _finite(records[tile, row.tension * lanes + at_cable])
-            info[first + m] = _finite(torque)
-            info[first + 2 * m] = _finite(records[tile, row.speed * lanes + at_cable])
-            info[first + 3 * m] = action
-            info[first + 4 * m] = margin
-            info[first + 5 * m] = _finite(least_tension)
-            info[first + 6 * m] = slack
+            cables[_TENSION, env_index, i] = _finite(records[tile, row.tension * lanes + at_cable])
+            cables[_TORQUE, env_index, i] = _finite(torque)
+            cables[_SPEED, env_index, i] = _finite(records[tile, row.speed * lanes + at_cable])
+            cables[_COMMANDED, env_index, i] = action
+            cables[_MARGIN, env_index, i] = margin
+            cables[_LEAST_TENSION, env_index, i] = _finite(least_tension)
+            cables[_SLACK_CABLE, env_index, i] = slack
             slack_cables += slack
             excess += min(max(0.0, abs(action) - 1.0), 1.0)
             taut &= least_tension >= batch.minimum_tension
@@ -343,29 +345,19 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         rewards[env_index] = inside_term + position_term + rotation_term + saturation_term + violation_term
 
 
-def info_columns(cables: int) -> int:
-    """Number of columns of the info array."""
-    return _FIRST_CABLE + len(INFO_CABLES) * cables
+def info_dict(scalars: Array, cables: Array) -> dict[str, Any]:
+    """Values by name: Python floats and (m,) of one environment, (N,) and (N, m) of several.
 
+    The arrays are copies without gaps: JAX takes no others. ``slack`` and ``violated`` are boolean.
 
-@cache
-def _cable_columns(cables: int) -> tuple[tuple[str, slice], ...]:
-    """Columns of each cable quantity."""
-    firsts = range(_FIRST_CABLE, info_columns(cables), cables)
-    return tuple((name, slice(first, first + cables)) for name, first in zip(INFO_CABLES, firsts, strict=True))
-
-
-def info_dict(info: Array, cables: int) -> dict[str, Any]:
-    """Values by name of an info array: Python floats and (m,) of one row, (N,) and (N, m) of several rows.
-
-    Arrays of one row are views, except ``slack`` and ``violated``, which are boolean. Those of several rows are copies
-    without gaps: JAX takes no others.
+    Args:
+        scalars: columns of the scalars, (columns,) or (N, columns).
+        cables: quantities with one value per cable, (quantities, m) or (quantities, N, m).
     """
-    single = info.ndim == 1
-    scalars = info[:_FIRST_CABLE].tolist() if single else info.T.copy()  # tolist() converts all scalars at once
-    named: dict[str, Any] = dict(zip(INFO_SCALARS, scalars, strict=False))
-    for name, columns in _cable_columns(cables):
-        named[name] = info[columns] if single else info[:, columns].copy()
+    single = scalars.ndim == 1
+    columns = scalars.tolist() if single else scalars.T.copy()  # tolist() converts all scalars at once
+    named: dict[str, Any] = dict(zip(INFO_SCALARS, columns, strict=True))
+    named.update(zip(INFO_CABLES, cables.copy(), strict=True))
     named["violated"] = named["violated"] > _TRUE
     named["slack"] = named["slack"] > _TRUE
     return named

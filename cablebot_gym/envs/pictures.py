@@ -110,7 +110,7 @@ class Pictures:
     def _content(self, env_index: int) -> tuple[Moment, deque[Array], str]:
         """Present state, trail and note of an environment."""
         simulation, robot = self._simulation, self._simulation.settings.robot
-        info = info_dict(simulation.info[env_index], robot.cables)
+        info = info_dict(simulation.info[env_index], simulation.cables[:, env_index])
         moment = Moment.from_info(robot, simulation.stall_torque[env_index], simulation.pose[env_index], info)
         reason = TERMINATION_REASONS[int(simulation.reason[env_index])]
         return moment, self._trails[env_index], f"terminated: {reason.replace('_', ' ')}" if reason else ""

@@ -34,8 +34,8 @@ class Simulation:
     """N environments, each with its own episode. The single environment is a batch of one.
 
     :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
-    an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete, and
-    ``info`` (N, columns). The next call overwrites them.
+    an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete,
+    ``info`` (N, columns), the scalars of info, and ``cables`` (quantities, N, m). The next call overwrites them.
 
     Args:
         robot: robot, as the environments take it.
@@ -81,7 +81,8 @@ class Simulation:
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
         self.complete = np.zeros(count, np.bool_)
-        self.info = np.zeros((count, outcome.info_columns(robot.cables)))
+        self.info = np.zeros((count, len(outcome.INFO_SCALARS)))
+        self.cables = np.zeros((len(outcome.INFO_CABLES), count, robot.cables))
         space = self.layout.space()
         self._constants = outcome.Constants(
             flexible=robot.flexible,
@@ -126,7 +127,12 @@ class Simulation:
             violated=self._violated,
         )
         outputs = outcome.Outputs(
-            observation=self.observation, reward=self.reward, reason=self.reason, complete=self.complete, info=self.info
+            observation=self.observation,
+            reward=self.reward,
+            reason=self.reason,
+            complete=self.complete,
+            info=self.info,
+            cables=self.cables,
         )
         self._records = _RECORD_ROWS, tuple(self._constants), tuple(episodes), tuple(outputs)
 
@@ -303,14 +309,16 @@ class Simulation:
         """Torques r T that hold robots of masses (k,) at rest at poses (k, n), (k, m) or (1, m)."""
         nominal = self.settings.robot
         minimum = textbook.allocated_minimum(nominal)
-        if robot.cables > robot.coordinates and not robot.weightless:
-            return textbook.static_torque(robot, mass, pose, minimum=minimum)
-        # Without weight the torques do not depend on the mass; the unique ones are proportional to it.
-        if any(PARAMETERS[name].position for name in uncertainty.parameters) or np.any(pose != pose[0]):
-            per_mass = textbook.static_torque(robot, np.ones(len(pose)), pose, minimum=minimum)
-        else:  # no other parameter changes the torques per mass
-            per_mass = _nominal_static_torque(nominal, tuple(pose[0].tolist()))
-        return per_mass if robot.weightless else per_mass * mass[:, None]
+        # Without weight the torques do not depend on the mass. Unique torques are proportional to it, and no parameters
+        # but the positions change them per mass.
+        redundant = robot.cables > robot.coordinates and not robot.weightless
+        drawn = any(redundant or PARAMETERS[name].position for name in uncertainty.parameters)
+        unit = mass if redundant else np.ones(len(pose))
+        if drawn or np.any(pose != pose[0]) or np.any(unit != unit[0]):
+            torques = textbook.static_torque(robot, unit, pose, minimum=minimum)
+        else:
+            torques = _nominal_static_torque(nominal, float(unit[0]), tuple(pose[0].tolist()))
+        return torques if redundant or robot.weightless else torques * mass[:, None]
 
     def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
@@ -347,9 +355,9 @@ class Simulation:
 
 
 @lru_cache(maxsize=64)
-def _nominal_static_torque(robot: Robot, pose: tuple[float, ...]) -> Array:
-    """Torques that hold a robot of 1 kg at rest at one pose, (1, m): most episodes start at the same one."""
-    return textbook.static_torque(robot, np.ones(1), np.array([pose]), minimum=textbook.allocated_minimum(robot))
+def _nominal_static_torque(robot: Robot, mass: float, pose: tuple[float, ...]) -> Array:
+    """Torques that hold a mass at rest at one pose, (1, m): most episodes start at the same one."""
+    return textbook.static_torque(robot, np.array([mass]), np.array([pose]), minimum=textbook.allocated_minimum(robot))
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -414,7 +414,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation, reason = self._simulation, int(self._simulation.reason[0])
-        info = info_dict(simulation.info[0].copy(), self.settings.robot.cables)
+        info = info_dict(simulation.info[0], simulation.cables[:, 0])
         info["termination_reason"] = reason
         observation = simulation.observation[0].astype(self.settings.observation_dtype)
         return observation, float(simulation.reward[0]), reason > 0, info

@@ -363,7 +363,8 @@ def _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i):
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
     _store(w, row + _ROW + 3, at, lanes, _cross(b, u))
-    w[(row + _LENGTH) * lanes + at] = length
+    if lengths:
+        w[(row + _LENGTH) * lanes + at] = length
     w[(row + _LENGTH_RATE) * lanes + at] = rate
     w[(row + _BIAS) * lanes + at] = bias
 
@@ -377,15 +378,14 @@ def _weights(p, w, at, lanes, i):
 
 
 @_inline
-def _known_tensions(m, p, w, lanes):
+def _known_tensions(m, p, w, at, lanes):
     """κ/r + (J/r²)·bias + (c/r²) q̇ of all cables."""
     for i in range(m):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
-        for at in range(lanes):
-            drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
-            damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
-            inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
-            w[(row + _KNOWN) * lanes + at] = _fma(inertia, w[(row + _BIAS) * lanes + at], drive + damping)
+        drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
+        damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
+        inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
+        w[(row + _KNOWN) * lanes + at] = _fma(inertia, w[(row + _BIAS) * lanes + at], drive + damping)
 
 
 @_inline
@@ -602,7 +602,8 @@ def _point_cable(m, swivel, lengths, p, w, at, lanes, i):
         bend = (_dot(velocity, velocity) - rate * rate) * per_length
     row = _FIRST_CABLE + _CABLE_ROWS * i
     _store(w, row + _ROW, at, lanes, u)
-    w[(row + _LENGTH) * lanes + at] = length
+    if lengths:
+        w[(row + _LENGTH) * lanes + at] = length
     w[(row + _LENGTH_RATE) * lanes + at] = rate
     w[(row + _BIAS) * lanes + at] = bend
 
@@ -812,16 +813,19 @@ def _accelerations(d, n, m, lopsided, p, w, lanes):
             _spatial_acceleration(m, lopsided, p, w, at, lanes)
         elif n == 3 and d == 2:
             _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
-        else:
-            for j in range(n):
-                w[(_RATE + j) * lanes + at] = w[(_Y + j) * lanes + at]
+
+
+@_inline
+def _acceleration_row(d, n):
+    """Row of Ẍ after :func:`_dynamics`: y itself of point masses."""
+    return _Y if d == n else _RATE
 
 
 @_inline
 def _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes):
     """y and the taut sets of all lanes whose cables do not stretch."""
-    _known_tensions(m, p, w, lanes)
     for at in range(lanes):
+        _known_tensions(m, p, w, at, lanes)
         _solve_lane(d, n, m, lopsided, p, w, at, lanes)
     for at in range(lanes):
         wrong = 0.0
@@ -1047,7 +1051,7 @@ def _rk4(
             _note_tensions(m, period_starts, unilateral, w, record, lanes)
         # Positions first: their rate is the velocity of the stage, which changes next.
         for half in range(2):
-            rate_row = _STAGE + 6 if half == 0 else _RATE
+            rate_row = _STAGE + 6 if half == 0 else _acceleration_row(d, n)
             for j in range(n):
                 value = 6 * half + j
                 for at in range(lanes):
@@ -1075,15 +1079,18 @@ def _rk4(
 
 
 @_inline
-def _note_errors(d, n, period_starts, w, record, at, lanes, reference):
-    """Updates the largest position and rotation error after a physics step; ``reference`` is the pose at that time."""
-    dx, dy = w[_START * lanes + at] - reference[0], w[(_START + 1) * lanes + at] - reference[1]
+def _note_errors(d, n, period_starts, w, record, at, lanes, paths, path, line):
+    """Updates the largest position and rotation error after a physics step, against a line of a path.
+
+    A view of the line would count a reference.
+    """
+    dx, dy = w[_START * lanes + at] - paths[path, line, 0], w[(_START + 1) * lanes + at] - paths[path, line, 1]
     square, rotation = dx * dx + dy * dy, 0.0
     if d == 3:
-        dz = w[(_START + 2) * lanes + at] - reference[2]
+        dz = w[(_START + 2) * lanes + at] - paths[path, line, 2]
         square += dz * dz
     for j in range(d, n):
-        rotation = max(rotation, abs(w[(_START + j) * lanes + at] - reference[j]))
+        rotation = max(rotation, abs(w[(_START + j) * lanes + at] - paths[path, line, j]))
     position = math.sqrt(square)
     if not period_starts:
         position = max(position, record[POSITION_PEAK * lanes + at])
@@ -1178,7 +1185,7 @@ def _advance(
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
-                _note_errors(d, n, substep == 0, w, r, at, lanes, paths[path[lane], line])
+                _note_errors(d, n, substep == 0, w, r, at, lanes, paths, path[lane], line)
         for at in range(lanes):
             step[tile * lanes + at] += 1
         for j in range(n):
@@ -1238,7 +1245,7 @@ def _evaluate(
         _note_tensions(m, True, unilateral, w, r, lanes)
         for j in range(n):
             for at in range(lanes):
-                acceleration[tile, j * lanes + at] = w[(_RATE + j) * lanes + at]
+                acceleration[tile, j * lanes + at] = w[(_acceleration_row(d, n) + j) * lanes + at]
 
 
 # --------------------------------------------------------------------------------------------- inverse dynamics
