@@ -130,7 +130,12 @@ def _payload(score: scores.Score) -> str:
     """Payload with more digits than ``payload_text``."""
     if score.error is not None or score.payload is None:
         return score.payload_text if score.error is None else "error"
-    return f"{'≥ ' if score.result.get('scan_ended') else ''}{score.payload:.4g}"
+    return ("≥ " if score.result.get("scan_ended") else "") + _digits(score.payload)
+
+
+def _digits(payload: float) -> str:
+    """Four digits, without an exponent for tonnes."""
+    return f"{float(f'{payload:.4g}'):g}"
 
 
 def task_title(cell: Cell) -> str:
@@ -148,7 +153,7 @@ def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
     tables: dict[bool, list[list[str]]] = {}
     for (flexible, name), group in groups.items():
         robot, best = group[0].cell.robot, max(group, key=lambda score: score.payload or 0.0)
-        exact = [] if flexible else [f"{check_model(robot).limit.largest:.4g}"]
+        exact = [] if flexible else [_digits(check_model(robot).limit.largest)]
         head = ["robot", "platform", "cables", *([] if flexible else ["exact tracking [kg]"])]
         head += [*(f"{score.cell.policy} [kg]" for score in group), "limiting violation of the best"]
         violation = best.result.get("violation")
