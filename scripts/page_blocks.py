@@ -6,8 +6,8 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- end of NAME -->
 
 NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and errors),
-``library`` (the real robots), a table of ``cablebot list``, or a script in ``examples/``, with its output if the name
-ends in ``and output``.
+``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of ``cablebot list``, or a
+script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 
 import measure_winches
 
-from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.benchmark.leaderboard import Results, library_tables
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
 from cablebot_gym.benchmark.tables import motion_title
 from cablebot_gym.bounds.robot_check import RobotCheck, check_model
@@ -124,6 +124,9 @@ def block(name: str) -> str:
         return readme_table(Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8")))
     if name == "library":
         return library_pages()
+    if name == "library payloads":
+        stored = (ROOT / "docs/library/results.json").read_text(encoding="utf-8")
+        return f"\n{library_tables(Results.from_json(stored).records)}\n"
     if name == "measurement":
         return measure_winches.table(json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8")))
     if name.startswith("examples/"):

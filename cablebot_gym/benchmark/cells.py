@@ -22,7 +22,7 @@ from cablebot_gym.evaluation.batch import Batch, versions
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.policies.isolated import IsolatedPolicy
 from cablebot_gym.policies.loading import is_own, policy_points
-from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
 
@@ -44,8 +44,10 @@ class Conditions:
     """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
     control_frequency: float = 500.0
     """Control frequency [Hz]."""
+    robot_name: str | None = None
+    """Name of the robot; None for that of the environment id."""
     robot_changes: Mapping[str, Any] = field(default_factory=dict)
-    """Changed values of the environment's robot, nested as in :meth:`~cablebot_gym.robots.Robot.to_dict`, such as
+    """Changed values of the robot, nested as in :meth:`~cablebot_gym.robots.Robot.to_dict`, such as
     ``{"transmission": {"stiffness": 10.0}}``."""
 
     @property
@@ -55,7 +57,14 @@ class Conditions:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data, the input of :func:`cell_from_dict`."""
-        return {"kind": self.kind, **asdict(self)}
+        fields = {name: value for name, value in asdict(self).items() if (name, value) != ("robot_name", None)}
+        return {"kind": self.kind, **fields}
+
+    @property
+    def robot_files(self) -> tuple[Path, ...]:
+        """File of the robot if it is one of the library, on which the result depends as on code."""
+        name = (self.robot_name or env_robot(self.env_id)).removeprefix(ELASTIC)
+        return tuple(path for known, path in library().items() if known == name)
 
     @property
     def robot(self) -> Robot:
@@ -64,12 +73,13 @@ class Conditions:
         Raises:
             ValueError: if a change is invalid, such as a stiffness of a robot without joint springs.
         """
-        robot = find_robot(env_robot(self.env_id))
+        robot = find_robot(self.robot_name or env_robot(self.env_id))
         return Robot.from_dict(merged(robot.to_dict(), self.robot_changes)) if self.robot_changes else robot
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
-        return ({"robot": self.robot.to_dict()} if self.robot_changes else {}) | {
+        robot = self.robot.to_dict() if self.robot_changes else self.robot_name
+        return ({} if robot is None else {"robot": robot}) | {
             "trajectory": dict(self.trajectory),
             "error_bounds": dict(self.error_bounds),
             "control_frequency": self.control_frequency,
@@ -78,7 +88,7 @@ class Conditions:
     def _stem(self, *words: str) -> str:
         fields = [str(value) for name, value in self.trajectory.items() if name != "name"]
         env_id = self.env_id.removeprefix("CableBot-").removesuffix("-v0")
-        text = "-".join([env_id, *words, str(self.trajectory["name"]), *fields])
+        text = "-".join([self.robot_name or env_id, *words, str(self.trajectory["name"]), *fields])
         return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.").lower()[:100]
 
 
@@ -120,7 +130,7 @@ class PolicyCell(Conditions):
     @property
     def source(self) -> str:
         """Hash of the code that computes the cell: this package's and the policy's."""
-        return _policy_hash(self.policy)
+        return _policy_hash(self.policy, self.robot_files)
 
     @property
     def payload_model(self) -> str:
@@ -210,7 +220,7 @@ class TimingCell(Conditions):
     @property
     def source(self) -> str:
         """Hash of the code that computes the cell."""
-        return _policy_hash(self.policy)
+        return _policy_hash(self.policy, self.robot_files)
 
     def compute(self) -> dict[str, Any]:
         """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of this machine.
@@ -239,7 +249,7 @@ class BestKnownCell(Conditions):
     @property
     def source(self) -> str:
         """Hash of the code that computes the cell."""
-        return source_hash("cablebot_gym.bounds.best_known")
+        return source_hash("cablebot_gym.bounds.best_known", data=self.robot_files)
 
     def compute(self) -> dict[str, Any]:
         """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able data."""
@@ -318,11 +328,11 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _policy_hash(policy: str) -> str:
-    """Hash of the code that evaluates a policy: this package's and the policy's."""
+def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
+    """Hash of the code that evaluates a policy, this package's and the policy's, and of the files of the robot."""
     modules, data = policy_source(policy)
     judge = ("cablebot_gym.evaluation.evaluator", "cablebot_gym.evaluation.timing", "cablebot_gym.policies.isolated")
-    return source_hash(*judge, *modules, data=data)
+    return source_hash(*judge, *modules, data=(*data, *robot_files))
 
 
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -146,6 +146,8 @@ def markdown(results: Results) -> str:
         marks = [", unverified" if row[at] in unverified else "" for row in rows]
         rows = [[*row[:at], f"`{row[at]}`{mark}", *row[at + 1 :]] for row, mark in zip(rows, marks, strict=True)]
         text += f"\n## {leaderboard.env_id}\n\n{_table([head, *rows])}"
+    if library := library_tables(records):
+        text += f"\n## Real robots\n\nEach robot has its own motion, error bounds and payload range.\n\n{library}"
     if rows := tables.overall_rows(boards):
         text += f"\n## All environments\n\n{_table(rows)}"
     for payload_map in payload_maps(records):
@@ -168,6 +170,11 @@ def markdown(results: Results) -> str:
     )
     summary = find_suite(results.suite).summary
     return f"{text}\nSuite `{results.suite}` ({summary}), computed by `{results.command}` with {used}.\n"
+
+
+def library_tables(records: Sequence[Record]) -> str:
+    """Markdown tables of the robots with their own motions; empty if the records have none."""
+    return "\n".join(map(_table, tables.library_rows(records)))
 
 
 def _board_text(board: Board) -> str:

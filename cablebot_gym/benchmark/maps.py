@@ -117,7 +117,10 @@ def _values(cell: Cell) -> dict[str, Any]:
 
 
 def _default_values(cell: Cell) -> dict[str, Any]:
-    """Values of all fields in a cell of the same motion with defaults otherwise."""
+    """Values of all fields in a cell of the same motion with defaults otherwise. No field of a cell with a robot of its
+    own is varied: its motion and error bounds are those of the robot."""
+    if cell.robot_name is not None:
+        return _values(cell)
     motion = {name: value for name, value in cell.trajectory.items() if name in ("name", "seed")}
     return _values_of(cell.env_id, canonical({"trajectory": motion}))
 

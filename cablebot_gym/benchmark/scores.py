@@ -92,7 +92,8 @@ def scores(records: Sequence[Record]) -> list[Score]:
 
 def motion_key(cell: PolicyCell | BestKnownCell) -> str:
     """Key of the best known payload of a cell: environment, motion, error bounds, control frequency and robot."""
-    return canonical([cell.env_id, cell.trajectory, cell.error_bounds, cell.control_frequency, cell.robot_changes])
+    robot = (cell.env_id, cell.robot_name, cell.robot_changes)
+    return canonical([*robot, cell.trajectory, cell.error_bounds, cell.control_frequency])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,10 +189,11 @@ def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], F
 
 
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
-    """The tables in the order of the records. Cells with varied parameters, which belong to maps, are omitted."""
+    """The tables in the order of the records. Cells with varied parameters, which belong to maps, and cells of other
+    robots than those of the environments are omitted."""
     groups: dict[str, list[Score]] = {}
     for score in scores(records):
-        if not varied_fields(score.cell):
+        if score.cell.robot_name is None and not varied_fields(score.cell):
             groups.setdefault(score.cell.env_id, []).append(score)
     timed = [(record.cell, record.result) for record in records if record.error is None]
     timings = {(cell.env_id, cell.policy): result for cell, result in timed if isinstance(cell, TimingCell)}
@@ -224,7 +226,7 @@ def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
     groups: dict[str, dict[tuple[Axis, str, tuple[str, ...]], list[Score]]] = {}
     for score in scores(records):
         cell = score.cell
-        if (cell.payload_model, cell.uncertainty, cell.criterion) == conditions:
+        if cell.robot_name is None and (cell.payload_model, cell.uncertainty, cell.criterion) == conditions:
             maps = groups.setdefault(cell.env_id, {})
             for axis in AXES.values():
                 if (constants := axis.constants(cell)) is not None:

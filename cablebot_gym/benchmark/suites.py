@@ -14,17 +14,22 @@ from typing import Any
 from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, TimingCell, cell_from_dict, merged
 from cablebot_gym.benchmark.maps import AXES, AnyCell
-from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
+from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot, fitting_env_id
+from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.statistics import fewest_draws
 from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.isolated import IsolatedPolicy, public_entries, public_entry
 from cablebot_gym.policies.protocol import PolicyError
-from cablebot_gym.robots import find_robot
+from cablebot_gym.robots import ELASTIC, find_robot, library
+from cablebot_gym.task import find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import held_out_seeds
 from cablebot_gym.utils.checks import choice
 
 REAL_TIME_DRAWS = fewest_draws(0.95, 0.95)
 """Number of repeats of each episode in real time without uncertainty: computing times differ between runs."""
+
+OWN_RESOLUTION = 1e-3
+"""Payload resolution of robots with a payload range of their own, as a fraction of its end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +39,9 @@ class Block:
     policies: tuple[str, ...] = ()
     """The only policies of the block; all policies if empty."""
     motion: str = "circle"
-    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed; ``loop``, held-out motions; or
-    ``hidden``, the hidden motions of a board."""
+    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed; ``loop``, held-out motions;
+    ``hidden``, the hidden motions of a board; or ``library``, the robots of the library that fit the environment, each
+    with its own motion, error bounds and payload range."""
     motions: int = 1
     """Number of held-out or hidden motions."""
     payload_known: tuple[bool, ...] = (True,)
@@ -167,12 +173,12 @@ def suite_cells(
         blocks = [block for block in suite.blocks if block.axis != without]
         for block in blocks if suite.best_known else ():
             if block.criterion == "task" and block.uncertainty is None:
-                for motion in _motions(env_id, block, board):
-                    cells += _varied(block, BestKnownCell(env_id=env_id, trajectory=motion))
+                for task in _tasks(env_id, block, board):
+                    cells += _varied(block, BestKnownCell(env_id=env_id, **task))
         for block in blocks:
             cells += _policy_cells(block, env_id, names, board, {"seed": seed, "real_time": real_time})
-        circle = _motions(env_id, Block(), board)[0]
-        cells += [TimingCell(env_id=env_id, trajectory=circle, policy=name) for name in names if suite.timing]
+        (circle,) = _tasks(env_id, Block(), board)
+        cells += [TimingCell(env_id=env_id, policy=name, **circle) for name in names if suite.timing]
     return {cell.key: cell for cell in cells}
 
 
@@ -181,18 +187,20 @@ def _policy_cells(
 ) -> Iterator[PolicyCell]:
     slow = {name for name in names if (entry := public_entry(name)) is not None and entry.slow}
     included = [name for name in block.policies or names if name in names and (block.slow or name not in slow)]
-    for motion, name, known, factor in product(
-        _motions(env_id, block, board), included, block.payload_known, block.model_payload_factors
+    for task, name, known, factor in product(
+        _tasks(env_id, block, board), included, block.payload_known, block.model_payload_factors
     ):
+        own = find_robot(task["robot_name"]).defaults.payload_range if block.motion == "library" else None
         cell = PolicyCell(
             env_id=env_id,
-            trajectory=motion,
             policy=name,
             criterion=block.criterion,
             payload_known=known,
             model_payload_factor=factor,
             uncertainty=block.uncertainty,
             draws=max(block.draws, REAL_TIME_DRAWS if run["real_time"] else 1),
+            resolution=None if own is None else OWN_RESOLUTION * own[1],
+            **task,
             **run,
         )
         changed = cell_from_dict(merged(cell.to_dict(), block.changes))
@@ -205,8 +213,23 @@ def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
     return [AXES[block.axis].with_value(cell, value) for value in block.values] if block.axis else [cell]
 
 
+def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
+    """Motions, and robots and error bounds if they are not those of the environment, as fields of the cells."""
+    if block.motion == "library":
+        names = [*library(), *(ELASTIC + name for name in library())]
+        return [_own_task(name) for name in names if fitting_env_id(name) == env_id]
+    return [{"trajectory": motion} for motion in _motions(env_id, block, board)]
+
+
+def _own_task(name: str) -> dict[str, Any]:
+    robot = find_robot(name)
+    own, bounds = default_trajectory(robot), find_error_bounds(None, robot)
+    motion = {"name": own} if isinstance(own, str) else to_jsonable(own)
+    return {"robot_name": name, "trajectory": motion, "error_bounds": to_jsonable(bounds)}
+
+
 def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
-    kind = "planar" if find_robot(env_robot(env_id)).planar else "spatial"
+    kind = find_robot(env_robot(env_id)).kind
     if block.motion in ("circle", "paper"):
         return [{"name": f"{block.motion}-{kind}"}]
     if block.motion == "hidden" and board is None:

@@ -9,6 +9,9 @@ from typing import Any
 from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.maps import varied_texts
+from cablebot_gym.bounds.robot_check import check_model
+from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.task import payload_model_text
 
 
@@ -114,19 +117,50 @@ def map_note(payload_map: scores.PayloadMap) -> str:
 
 def _map_entry(score: scores.Score | None) -> str:
     """Payload and fraction; without a best known payload, the payload with more digits and its limiting violation."""
-    if score is None or score.error is not None:
-        return "–" if score is None else "error"
-    if score.score is not None:
+    if score is None:
+        return "–"
+    if score.error is None and score.score is not None:
         return f"{score.payload_text}, {score.score:.0%}"
     violation = score.result.get("violation") or {}
     limit = [f"{violation['kind']} {violation['time']:.2f} s"] if violation.get("time") is not None else []
-    return ", ".join([score.payload_text if score.payload is None else f"{score.payload:.4g}", *limit])
+    return ", ".join([_payload(score), *limit])
+
+
+def _payload(score: scores.Score) -> str:
+    """Payload with more digits than ``payload_text``."""
+    if score.error is not None or score.payload is None:
+        return score.payload_text if score.error is None else "error"
+    return ("≥ " if score.result.get("scan_ended") else "") + _digits(score.payload)
+
+
+def _digits(payload: float) -> str:
+    """Four digits, without an exponent for tonnes."""
+    return f"{float(f'{payload:.4g}'):g}"
 
 
 def task_title(cell: Cell) -> str:
     """The motion of a cell and the parameters that are not at their defaults."""
     motion = " ".join(str(cell.trajectory[name]) for name in ("name", "seed") if name in cell.trajectory)
-    return ", ".join([motion, *varied_texts(cell)])
+    return ", ".join([*filter(None, [cell.robot_name]), motion, *varied_texts(cell)])
+
+
+def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
+    """Head and rows of the tables of robots with their own motions: rigid robots, then those with elastic cables."""
+    groups: dict[tuple[bool, str], list[scores.Score]] = {}
+    for score in scores.scores(records):
+        if score.cell.robot_name is not None:
+            groups.setdefault((score.cell.robot.flexible, score.cell.robot_name), []).append(score)
+    tables: dict[bool, list[list[str]]] = {}
+    for (flexible, name), group in groups.items():
+        robot, best = group[0].cell.robot, max(group, key=lambda score: score.payload or 0.0)
+        exact = [] if flexible else [_digits(check_model(robot).limit.largest)]
+        head = ["robot", "platform", "cables", *([] if flexible else ["exact tracking [kg]"])]
+        head += [*(f"{score.cell.policy} [kg]" for score in group), "limiting violation of the best"]
+        violation = best.result.get("violation")
+        limit = "–" if violation is None else str(Violation(**violation))
+        row = [f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables), *exact, *map(_payload, group), limit]
+        tables.setdefault(flexible, [head]).append(row)
+    return [rows for _, rows in sorted(tables.items())]
 
 
 def best_known_text(best: scores.BestKnown) -> str:

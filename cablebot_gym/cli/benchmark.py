@@ -28,8 +28,8 @@ def benchmark(
     suite: Annotated[
         str,
         typer.Option(
-            help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked, full (hours), maps or paper-maps "
-            "(an hour)."
+            help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked, full (hours), maps, paper-maps "
+            "or library (an hour)."
         ),
     ] = "smoke",
     policies: Annotated[
@@ -102,6 +102,8 @@ def benchmark(
     cablebot benchmark --suite smoke --out results
 
     cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out results
+
+    cablebot benchmark --suite library --out robots
 
     cablebot benchmark --suite ranked --out board --commit 2026-1
 

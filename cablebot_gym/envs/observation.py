@@ -169,7 +169,8 @@ def preview_name(ahead: float) -> str:
 def observation_layout(robot: Robot, measurement: Measurement = POSE) -> ObservationLayout:
     """Layout for a robot and a measurement, whose blocks come first.
 
-    The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. The scales follow from the
+    The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. That of the payload is 1000 kg,
+    or the mass whose weight is the pull of all motors together at stall, if that is more. The scales follow from the
     robot alone. Its length L is half of the largest width of the workspace, its angle half of the largest range of an
     angle, its speed v = r ω_n that of a cable at a motor's free speed, and its time L/v.
 
@@ -242,7 +243,7 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
         ("reference_acceleration", bounds[2], scales[2], n, units[2], "second derivative of X_d"),
         *(higher if robot.flexible else []),
         *previews,
-        ("model_payload", (0.0, 1e3), payload, 1, "kg", model),
+        ("model_payload", (0.0, max(1e3, m * pull / STANDARD_GRAVITY)), payload, 1, "kg", model),
         ("payload_known", (0.0, 1.0), 1.0, 1, "–", "1 if the payload is known, else 0"),
         ("last_actions", (-1.0, 1.0), 1.0, LAST_ACTIONS * m, "–", sent),
         ("slack_time", (0.0, 1e3), SLACK_SCALE, 1, "s", "time for which some cable has been slack without a pause"),

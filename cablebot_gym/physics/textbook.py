@@ -163,6 +163,14 @@ def holding_torque(robot: RobotArrays, torque: Array) -> Array:
     return torque * (1 + torque / robot.pulley_radius / robot.axial_stiffness / 2) if robot.elastic else torque
 
 
+def stretched_torque(robot: RobotArrays, torque: Array) -> Array:
+    """Torque r T for a torque K δ with the stiffness K of :func:`joint_stiffness` and the deflection δ, (..., m).
+
+    It is K δ (1 + ε) with elastic cables of strain ε = T/EA, because their free length is less than their length.
+    """
+    return torque / (1 - torque / robot.pulley_radius / robot.axial_stiffness) if robot.elastic else torque
+
+
 def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tuple[Array, Array]:
     """Motor angle β′ and pulley angle β of a robot at rest with tensions T (..., m), each (..., m) [rad].
 

@@ -14,7 +14,7 @@ from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict, compute
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, PolicyError, load_policy
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, find_robot
 from cablebot_gym.utils import code_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -38,6 +38,7 @@ OTHERS = {
     "real_time": True,
     "resolution": 1e-3,
     "payload_max": 1.5,
+    "robot_name": "flex-planar",
     "robot_changes": {"mass": 2.0},
 }
 
@@ -64,9 +65,21 @@ def test_best_known_total_mass_of_a_planar_robot_does_not_depend_on_its_own_mass
 UNCERTAIN = {"uncertainty", "draws", "probability"}
 
 
-@pytest.mark.parametrize("name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "criterion", "real_time"}))
+@pytest.mark.parametrize("name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "robot_name", "criterion", "real_time"}))
 def test_field_reaches_the_evaluation(name):
     assert compute(FL).result["payload"] != compute(changed(**{name: OTHERS[name]})).result["payload"]
+
+
+def test_robot_name_reaches_plant_and_policy():
+    klaus, kind = find_robot("gch-klaus"), "planar-platform"
+    motion = {"name": f"lemniscate-{kind}", "amplitude": [0.01, 0.01], "center": [0.0, 0.0, 0.0], "duration": 1.0}
+    options = {"trajectory": motion, "resolution": 0.5, "payload_max": 5.0}
+    cell = PolicyCell(env_id="CableBot-PlanarPlatform-v0", policy="fl", robot_name=klaus.name, **options)
+    expected = evaluate_dlcc(
+        load_policy("fl", klaus), cell.env_id, robot=klaus, error_bounds=FL.error_bounds, **options
+    )
+    result = compute(cell).result
+    assert [result["payload"], result["total_mass"]] == [expected.payload, expected.payload + klaus.mass]
 
 
 @pytest.mark.slow
@@ -291,6 +304,16 @@ def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
     assert {f"cablebot_gym.{name}" for name in names} <= set(files)
     assert {"cablebot_baselines.classical.adaptive", "cablebot_baselines.classical.law"} <= set(files)
     assert not [name for name in files if name.startswith(("cablebot_baselines.paper", "cablebot_gym.cli.app"))]
+
+
+def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
+    cells, seen = [changed(robot_name="flex-cogiro"), dataclasses.replace(BEST, robot_name="cogiro"), FL], []
+    monkeypatch.setattr("cablebot_gym.benchmark.cells.library", lambda: {"cogiro": tmp_path / "cogiro.toml"})
+    for content in ("mass = 1", "mass = 2"):
+        (tmp_path / "cogiro.toml").write_text(content, encoding="utf-8")
+        code_hash.source_hash.cache_clear()
+        seen.append([cell.source for cell in cells])
+    assert [first == second for first, second in zip(*seen, strict=True)] == [False, False, True]
 
 
 def test_hash_of_a_policy_file_is_that_of_its_contents(tmp_path):

@@ -47,7 +47,7 @@ def test_cells_of_a_suite_are_valid_and_have_a_best_known_payload(name):
     scored = {motion_key(cell) for cell in policies if cell.criterion == "task" and cell.uncertainty is None}
     assert best == (scored if find_suite(name).best_known else set())
     for cell in {canonical([cell.env_id, cell.trajectory, cell.robot_changes]): cell for cell in some}.values():
-        find_trajectory(dict(cell.trajectory), cell.robot.coordinates)
+        find_trajectory(dict(cell.trajectory), cell.robot.kind)
         springs = cell.robot_changes.get("transmission", {}).get("stiffness")
         assert springs is None or cell.env_id in FLEXIBLE_ENV_IDS
     for env_id, uncertainty, draws in {(cell.env_id, cell.uncertainty, cell.draws) for cell in policies}:

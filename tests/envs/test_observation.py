@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from cablebot_gym.envs import ENV_IDS, PAPER_ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
 from cablebot_gym.policies import load_policy
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, ROBOTS, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, ROBOTS, SPATIAL, find_robot, library
 from cablebot_gym.trajectories import trajectory_names
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -80,6 +80,14 @@ def test_layout_rejects_the_observation_of_another_robot():
             for function in (layout.split, layout.normalise):
                 with pytest.raises(ValueError, match=f"'{robot.name}' has {layout.size} components"):
                     function(observation)
+
+
+def test_model_payload_does_not_saturate_within_the_payload_range_of_a_real_robot():
+    """At 1000 kg it did: laws that read it sagged with the tonnes of FAST."""
+    for name in library():
+        robot = find_robot(name)
+        (block,) = (block for block in observation_layout(robot).blocks if block.name == "model_payload")
+        assert robot.defaults.payload_range[1] <= block.high[0], name
 
 
 def test_blocks_are_views_that_cover_the_observation():

@@ -124,7 +124,7 @@ class Adaptive(ClassicalLaw):
         torques, zero = np.zeros_like(pulley_speed), np.zeros_like(blocks["time_to_go"])
         if robot.flexible:
             wound = np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
-            torques = textbook.joint_stiffness(robot, pose) * wound
+            torques = textbook.stretched_torque(robot, textbook.joint_stiffness(robot, pose) * wound)
         now = EstimatorState(
             pose=pose.copy(),
             velocity=velocity.copy(),

@@ -74,7 +74,8 @@ class FlexibleLaw(ClassicalLaw):
         With J′ β̈ added, the first is the torque for rigid joints.
         """
         required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
-        torques = required.torques + textbook.motor_friction(self.model, required.speeds)
+        spring = textbook.holding_torque(self.robot, required.torques)
+        torques = spring + textbook.motor_friction(self.model, required.speeds)
         return torques, required.pulley_accelerations, required.speeds
 
     def _spring_torques(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
@@ -203,7 +204,8 @@ class MotorPD(FlexibleLaw):
         else:
             spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
         stiffness = textbook.joint_stiffness(self.robot, pose)
-        angle = textbook.pulley_angle(robot, pose) + spring / stiffness
+        angle, _ = textbook.rest_angles(self.robot, spring / robot.pulley_radius, pose)
+        spring = textbook.holding_torque(self.robot, spring)
         speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
         motor_acceleration = self._pulley_acceleration(pose, velocity, acceleration) + spring_second / stiffness
         feedforward = spring + robot.motor_inertia * motor_acceleration + textbook.motor_friction(robot, speed)
