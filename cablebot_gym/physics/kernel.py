@@ -807,7 +807,7 @@ def _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes):
 
 @_inline
 def _accelerations(d, n, m, lopsided, p, w, lanes):
-    """Ẍ from y."""
+    """Ẍ from y, in the rows from :func:`_acceleration_row` on."""
     for at in range(lanes):
         if n == 6:
             _spatial_acceleration(m, lopsided, p, w, at, lanes)
@@ -1580,7 +1580,7 @@ def _locate(d, n, m, swivel, lopsided, lanes, parameters, iterations, tolerance,
             _accelerations(d, n, m, lopsided, p, w, lanes)
             finished = 1.0
             for at in range(lanes):
-                finished *= _take_step(n, tolerance, w, at, lanes)
+                finished *= _take_step(d, n, tolerance, w, at, lanes)
             if finished == 1.0:
                 break
         for at in range(min(lanes, count - first)):
@@ -1590,7 +1590,7 @@ def _locate(d, n, m, swivel, lopsided, lanes, parameters, iterations, tolerance,
 
 
 @_inline
-def _take_step(n, tolerance, w, at, lanes):
+def _take_step(d, n, tolerance, w, at, lanes):
     """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended before."""
     before = w[_ENDED * lanes + at]
     better = (w[_TRIAL * lanes + at] <= w[_SQUARES * lanes + at] + 1e-24) | (before == 1.0)  # NaN is not better
@@ -1598,7 +1598,7 @@ def _take_step(n, tolerance, w, at, lanes):
     size = 0.0
     for j in range(n):
         start = w[(_STAGE + j) * lanes + at] if better else w[(_START + j) * lanes + at]
-        step = w[(_RATE + j) * lanes + at] if better else w[(_SUM + j) * lanes + at] / 2
+        step = w[(_acceleration_row(d, n) + j) * lanes + at] if better else w[(_SUM + j) * lanes + at] / 2
         step = 0.0 if before == 1.0 else step
         size += abs(step)
         w[(_START + j) * lanes + at], w[(_SUM + j) * lanes + at] = start, step
