@@ -222,6 +222,17 @@ def test_torques_after_a_reset_hold_the_true_robot_at_rest(env_id):
     assert planar or moved[1] > 1e-4
 
 
+def test_redundant_cables_hold_each_payload_after_a_reset():
+    """Torques that environments share, and keep from one reset to the next, are those of the present mass."""
+    env = gym.make_vec("CableBot-Point-v0", 2).unwrapped
+    robot = env.settings.robot
+    for payload in (0.0, 5.0):
+        _, info = env.reset(options={"payload": payload})
+        minimum = textbook.allocated_minimum(robot)
+        torques = textbook.static_torque(robot, robot.mass + payload, env.pose, minimum=minimum)
+        np.testing.assert_array_equal(info["torques"], torques)
+
+
 @pytest.mark.parametrize("payload", [1.0, 14.0])
 def test_springs_and_delayed_motors_start_within_the_stall_torque(payload):
     weak = {"motor_strength": {"low": -0.1, "high": -0.05}}
