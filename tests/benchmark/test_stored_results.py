@@ -14,6 +14,7 @@ import pytest
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, compute
 from cablebot_gym.benchmark.engine import local
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
+from cablebot_gym.benchmark.scores import leaderboards, payload_maps
 from cablebot_gym.benchmark.suites import find_policies, find_suite, suite_cells
 from cablebot_gym.benchmark.verification import confirm
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
@@ -34,7 +35,7 @@ def results():
     def read(name):
         return Results.from_json((ROOT / "docs" / name / "results.json").read_text(encoding="utf-8"))
 
-    return {name: read(name) for name in PAGES}
+    return {name: read(name) for name in (*PAGES, "library")}
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -44,7 +45,7 @@ def test_page_follows_from_the_results(results, name):
     assert (folder / "results.json").read_text(encoding="utf-8") == results[name].to_json(), again
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", [*PAGES, "library"])
 def test_results_have_the_cells_of_their_suite_and_no_error_but_a_missed_deadline(results, name):
     found = results[name]
     suite = find_suite(found.suite)
@@ -56,6 +57,12 @@ def test_results_have_the_cells_of_their_suite_and_no_error_but_a_missed_deadlin
     assert [error for error in errors if "did not answer within" not in error] == []
     known = [record.result for record in found.records if isinstance(record.cell, BestKnownCell)]
     assert all(result["verified"] for result in known)
+
+
+def test_real_robots_are_in_no_leaderboard_and_no_map(results):
+    """Cells of one environment id and motion once were motions of one robot."""
+    records = results["library"].records
+    assert (leaderboards(records), payload_maps(records)) == ([], [])
 
 
 def test_leaderboard_is_a_board_whose_hidden_motions_follow_from_its_commitment(results):
