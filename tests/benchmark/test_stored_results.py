@@ -162,6 +162,7 @@ SETTINGS = {
     "paper/template.md": {"95%"},
     "docs/dlcc.md": {"0.001 kg", "0.01 kg", "10 %", "99 %"},
     "docs/glossary.md": {"95 %"},
+    "docs/measurement.md": {"90 %"},  # a threshold, which test_pages.py compares with the results
     "docs/uncertainty.md": {"95 %", "10 %", "13 %", "1 ms", "2 ms"},
 }
 """Numbers that are options, definitions or published by others, not measured results."""
