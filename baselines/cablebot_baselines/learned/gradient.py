@@ -254,8 +254,9 @@ class GradientTraining:
             softness=self._softness,
         )
         violations = [torch.relu(required.action.abs() - settings.action_limit)]
-        if not self._redundant:  # the tension distribution keeps the minimum by construction
-            violations.append(torch.relu(settings.tension - required.tensions) / settings.tension_scale)
+        if robot.kind != "planar":  # between the cables of a point in a plane, the distribution keeps the minimum
+            least = self.minimum_tension if self._redundant else settings.tension
+            violations.append(torch.relu(least - required.tensions) / settings.tension_scale)
         if self.action_mapping.preview:  # without a preview the shift stays within the error bounds by construction
             error = (flat - self._motions.reference[inside])[:, 0] / self._bounds * self.action_mapping.fraction
             d = robot.dimensions
