@@ -151,7 +151,7 @@ def test_motion_that_falls_faster_than_gravity_is_a_violation_of_hanging_cables(
 
 
 @pytest.mark.slow
-def test_model_without_stretch_continues_the_search_of_an_elastic_robot():
+def test_model_of_rigid_cables_continues_the_search_of_an_elastic_robot():
     """With stretch, a kink of redundant tensions is a jump of the action, at which the search stops."""
     carried = []
     for stretch in (True, False):

@@ -59,7 +59,7 @@ def test_results_have_the_cells_of_their_suite_and_no_error_but_a_missed_deadlin
     assert all(result["verified"] for result in known)
 
 
-def test_real_robots_are_in_no_leaderboard_and_no_map(results):
+def test_leaderboards_and_maps_leave_out_real_robots(results):
     """Cells of one environment id and motion once were motions of one robot."""
     records = results["library"].records
     assert (leaderboards(records), payload_maps(records)) == ([], [])

@@ -73,6 +73,6 @@ def test_guess_far_from_the_pose_converges():
     assert found.residual[found.converged].max() < 1e-11
 
 
-def test_lengths_that_do_not_fit_the_robot_raise():
+def test_lengths_of_another_robot_raise():
     with pytest.raises(ValueError, match="do not match spatial"):
         forward_kinematics(SPATIAL, np.ones(8), SPATIAL.home)
