@@ -12,6 +12,7 @@ at the platform's centre of mass, so it does not change the inertia about it. Al
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, product
 
 import numpy as np
@@ -260,6 +261,7 @@ def cable_springs(
     return tension, radius * tension + wound
 
 
+@lru_cache(maxsize=16)
 def cable_equivalent(robot: Robot) -> Robot:
     """The robot with longer elastic cables in place of joint springs in series with them; itself without both.
 
