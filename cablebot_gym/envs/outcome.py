@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.compiling import njit
+from cablebot_gym.physics.inlining import entry_point, inline
 
 _TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
 
@@ -153,21 +153,18 @@ class Outputs(NamedTuple):
     """Quantities of info with one value per cable, (quantities, N, m)."""
 
 
-_inline = njit(forceinline=True, error_model="numpy")
-
-
-@_inline
+@inline
 def _finite(value):
     return value if abs(value) < LARGEST else (LARGEST if value > 0 or value != value else -LARGEST)
 
 
-@_inline
+@inline
 def _saturated(value, low, high):
     """Value clipped to the bounds; the lower bound for NaN."""
     return min(max(value, low), high) if value == value else low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry_point
 def outcome(fresh, env_indices, rows, constants, episodes, outputs):
     """Fills the outputs of the environments ``env_indices``. Errors, reward and termination use the true state.
 

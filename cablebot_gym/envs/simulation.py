@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from cablebot_gym.task import ErrorBounds, Task, at_rest, start_pose
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
 from cablebot_gym.utils.checks import unexpected_keyword_error
+from cablebot_gym.utils.threads import call_all
 
 _RECORD_ROWS = tuple(getattr(kernel, name.upper()) for name in outcome.RecordRows._fields)
 
@@ -41,13 +42,14 @@ class Simulation:
         robot: robot, as the environments take it.
         batch: leading axes of the actions: (N,), or () for the single environment.
         keywords: further keywords of the environments.
+        threads: number of threads that share a step.
 
     Raises:
         TypeError: if a keyword is unknown.
         ValueError: if a value is invalid.
     """
 
-    def __init__(self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any]) -> None:
+    def __init__(self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any], threads: int = 1) -> None:
         known = [name for name in inspect.signature(make_settings).parameters if name != "count"]
         for name in keywords:
             if name not in known:
@@ -58,7 +60,7 @@ class Simulation:
         robot = settings.robot
         self._action_shape = (*batch, robot.cables)
         self.layout = observation_layout(robot, settings.measurement)
-        self._plant = Plant(robot, count, cable=settings.cable)
+        self._plant = Plant(robot, count, cable=settings.cable, parts=threads)
         self._parameters = pack_parameters(robot)
         self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
         self._stall = np.tile(robot.stall_torque, (count, 1))
@@ -103,6 +105,11 @@ class Simulation:
         )
         self._bind()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The attributes without those of :meth:`_bind`."""
+        bound = ("_records", "_advance", "_judge_step")
+        return {name: value for name, value in self.__dict__.items() if name not in bound}
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restores a copy or pickle, whose arrays the compiled code then reads."""
         self.__dict__.update(state)
@@ -134,25 +141,36 @@ class Simulation:
             info=self.info,
             cables=self.cables,
         )
+        self._advance = plant.advance_calls(
+            tables.physics, tables.physics_ends, substeps=self.settings.substeps, step=self.settings.physics_step
+        )
         self._records = _RECORD_ROWS, tuple(self._constants), tuple(episodes), tuple(outputs)
+        self._judge_step = tuple(
+            partial(outcome.outcome, False, self._all_indices[part], *self._records) for part in plant.parts
+        )
 
     @property
     def tasks(self) -> tuple[Task, ...]:
         """Task of each environment's episode: the public knowledge of a policy."""
-        settings, rows = self.settings, self._episode_settings
-        return tuple(
-            Task(
-                robot=settings.robot,
-                trajectory=self._trajectories[env_index],
-                error_bounds=self._error_bounds[env_index],
-                control_frequency=settings.control_frequency,
-                cable=settings.cable,
-                model_payload=float(rows[env_index, outcome.MODEL_PAYLOAD]),
-                payload_known=bool(rows[env_index, outcome.KNOWN]),
-                measurement=settings.measurement,
-            )
-            for env_index in range(self.count)
+        return tuple(self.task(env_index) for env_index in range(self.count))
+
+    def task(self, env_index: int) -> Task:
+        """Task of one environment's episode."""
+        settings, row = self.settings, self._episode_settings[env_index]
+        return Task(
+            robot=settings.robot,
+            trajectory=self._trajectories[env_index],
+            error_bounds=self._error_bounds[env_index],
+            control_frequency=settings.control_frequency,
+            cable=settings.cable,
+            model_payload=float(row[outcome.MODEL_PAYLOAD]),
+            payload_known=bool(row[outcome.KNOWN]),
+            measurement=settings.measurement,
         )
+
+    def truth_of(self, env_index: int) -> dict[str, Array]:
+        """True parameters of one environment's episode."""
+        return {name: values[env_index].copy() for name, values in self.truth.items()}
 
     @property
     def stall_torque(self) -> Array:
@@ -237,7 +255,8 @@ class Simulation:
             apply()
         self._tables.follow(env_indices, trajectory, self._plant.trajectory_index)
         self._bind()  # the tables and the noise may be new arrays
-        self._observe(env_indices, fresh=True)
+        self._measure(env_indices, fresh=True)
+        outcome.outcome(True, env_indices, *self._records)
 
     def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
         """Values for ``env_indices`` of a value that is given once for all environments or once per environment."""
@@ -336,22 +355,23 @@ class Simulation:
         Raises:
             ValueError: if the shape differs, or a component is not finite or not within ± ``LARGEST``.
         """
-        plant, tables, settings = self._plant, self._tables, self.settings
+        plant = self._plant
         checked = _check_actions(actions, self._action_shape)
         self._sent[...] = checked
         if not self._disturbances.quiet:
             checked = self._disturbances.delayed(checked)
             self._disturbances.update_wrench(plant)
         plant.set_action(checked)
-        plant.advance(tables.physics, tables.physics_ends, substeps=settings.substeps, step=settings.physics_step)
-        self._observe(self._all_indices, fresh=False)
+        call_all(self._advance)
+        self._measure(self._all_indices, fresh=False)
+        call_all(self._judge_step)
 
-    def _observe(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
+    def _measure(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
+        """Draws the noise and reads the sensors of the next observation."""
         if not self._disturbances.quiet:
             self._disturbances.measure(env_indices, self._plant.step_index[env_indices])
         if self.settings.measurement.winches:
             self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
-        outcome.outcome(fresh, env_indices, *self._records)
 
 
 @lru_cache(maxsize=64)

@@ -337,12 +337,12 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     @property
     def task(self) -> Task:
         """Task of the present episode: the public knowledge of a policy."""
-        return self._simulation.tasks[0]
+        return self._simulation.task(0)
 
     @property
     def truth(self) -> dict[str, Array]:
         """True parameters of the present episode, named as in :data:`cablebot_gym.uncertainty.PARAMETERS`."""
-        return {name: values[0].copy() for name, values in self._simulation.truth.items()}
+        return self._simulation.truth_of(0)
 
     @property
     def pose(self) -> Array:

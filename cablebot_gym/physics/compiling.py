@@ -12,7 +12,7 @@ from cablebot_gym.utils.console import PREPARATION
 
 
 @contextmanager
-def _collection_paused() -> Iterator[None]:
+def collection_paused() -> Iterator[None]:
     """Pauses garbage collection while numba makes half a million objects that stay until the process ends."""
     enabled = gc.isenabled()
     gc.disable()
@@ -23,7 +23,7 @@ def _collection_paused() -> Iterator[None]:
             gc.enable()
 
 
-with _collection_paused():
+with collection_paused():
     from numba import njit
     from numba.core import event, registry
 
@@ -44,7 +44,7 @@ def load_numba() -> None:
     ensure_blas = linalg.ensure_blas
     linalg.ensure_blas = lambda: None
     try:
-        with _collection_paused():
+        with collection_paused():
             registry.cpu_target.target_context.refresh()
     finally:
         linalg.ensure_blas = ensure_blas

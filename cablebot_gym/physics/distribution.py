@@ -29,13 +29,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.compiling import announce_compilation
-
-announce_compilation()
+from cablebot_gym.physics.inlining import entry_point, helper
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
 """Status of an item: tensions within the bounds hold the load; none do; S has a rank below n, or a value is not
@@ -43,8 +40,6 @@ finite and the tensions are the lower bounds."""
 
 SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
-
-_compile = njit(cache=True, nogil=True, error_model="numpy")
 
 _TOLERANCE = 1e-10  # of constraints, relative to 1 + the largest value
 _INDEPENDENT = 1e-10  # least distance of a normal or column from the span of the others, relative to its length
@@ -55,14 +50,14 @@ _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative 
 # ----------------------------------------------------------------------------------------- the nearest point
 
 
-@_compile
+@helper
 def _copy(source, target):
     """Copies a vector; a slice would make numba compile its error message, which takes seconds."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@_compile
+@helper
 def _negate(source, target):
     """Copies minus a matrix, as :func:`_copy`."""
     for i in range(len(source)):
@@ -70,7 +65,7 @@ def _negate(source, target):
             target[i, j] = -source[i, j]
 
 
-@_compile
+@helper
 def _orthogonalise(normal, basis, count, components, rest):
     """Splits a normal into components along ``count`` basis vectors and the rest; two passes for full precision."""
     _copy(normal, rest)
@@ -89,7 +84,7 @@ def _orthogonalise(normal, basis, count, components, rest):
     return square
 
 
-@_compile
+@helper
 def _append(basis, triangle, count, components, rest, square):
     """Extends the factorisation of the active normals, normals = basisᵀ · triangle, by one normal."""
     length = math.sqrt(square)
@@ -100,7 +95,7 @@ def _append(basis, triangle, count, components, rest, square):
     triangle[count, count] = length
 
 
-@_compile
+@helper
 def _project(problem, tolerance):
     """Moves x to the nearest point of ``normals x ≥ limits``; returns its status and the number of active constraints.
 
@@ -171,7 +166,7 @@ def _project(problem, tolerance):
     return SINGULAR, 0  # only if rounding makes the method cycle
 
 
-@_compile
+@helper
 def _new_problem(size, constraints):
     """Memory of :func:`_project`."""
     return (
@@ -192,7 +187,7 @@ def _new_problem(size, constraints):
 # ---------------------------------------------------------------------------------------- tensions that hold the load
 
 
-@_compile
+@helper
 def _new_factors(cables, coordinates):
     """Memory of :func:`_factor`."""
     return (
@@ -204,7 +199,7 @@ def _new_factors(cables, coordinates):
     )
 
 
-@_compile
+@helper
 def _factor(factors):
     """Householder QR with column pivoting of the first array, in place; returns its rank.
 
@@ -255,7 +250,7 @@ def _factor(factors):
     return n
 
 
-@_compile
+@helper
 def _particular(factors, load, u):
     """Shortest u with ``matrixᵀ u = load``."""
     matrix, q, order, _, z = factors
@@ -270,7 +265,7 @@ def _particular(factors, load, u):
             u[i] += z[k] * q[k, i]
 
 
-@_compile
+@helper
 def _coordinates_of(factors, coefficients, direction):
     """The y with ``matrix y = coefficients``, which are orthogonal to the null space."""
     matrix, q, order, _, z = factors
@@ -285,7 +280,7 @@ def _coordinates_of(factors, coefficients, direction):
         direction[order[k]] = z[k]
 
 
-@_compile
+@helper
 def _bound(problem, factors, u, per_unit, low, high):
     """Constraints ``low ≤ (u + N λ)·per_unit ≤ high``: row i is the lower bound of cable i, row m + i the upper."""
     normals, limits = problem[0], problem[1]
@@ -299,7 +294,7 @@ def _bound(problem, factors, u, per_unit, low, high):
         limits[m + i] = u[i] * per_unit - high[i]
 
 
-@_compile
+@helper
 def _largest(values):
     """Largest magnitude; NaN if any value is NaN."""
     largest = 0.0
@@ -311,7 +306,7 @@ def _largest(values):
     return largest
 
 
-@_compile
+@helper
 def _approximate(problem, factors, structure, load, low, high, weights, u):
     """Tensions u within the bounds with the least wrench error ``Σ (weights e)²``, e = load + Sᵀu.
 
@@ -346,7 +341,7 @@ def _approximate(problem, factors, structure, load, low, high, weights, u):
     return state
 
 
-@_compile
+@helper
 def _start(structure, load, low, high, reference, below, above, rest):
     """Bounds and load relative to the reference tensions; returns whether each lower bound is below the upper."""
     m, n = structure.shape
@@ -362,13 +357,13 @@ def _start(structure, load, low, high, reference, below, above, rest):
     return ordered
 
 
-@_compile
+@helper
 def _within(value, low, high):
     """Value without the rounding that would exceed a bound; the lower bound takes precedence and replaces NaN."""
     return min(value, high) if min(value, high) > low else low
 
 
-@_compile
+@entry_point
 def _least_norm(structure, load, lower, upper, reference, weights, tensions, status):
     items, m, n = structure.shape
     problem, factors, u = _new_problem(m - n, 2 * m), _new_factors(m, n), np.zeros(m + n)
@@ -396,7 +391,7 @@ def _least_norm(structure, load, lower, upper, reference, weights, tensions, sta
             tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
 
 
-@_compile
+@entry_point
 def _least_largest(structure, load, lower, upper, slope, offset, smoothing, weights, tensions, status):
     items, m, n = structure.shape
     size, root = m - n + 1, math.sqrt(smoothing)
@@ -445,7 +440,7 @@ def _least_largest(structure, load, lower, upper, slope, offset, smoothing, weig
             tensions[item, i] = _within(idle[i] + u[i], lower[item, i], upper[item, i])
 
 
-@_compile
+@helper
 def _combine(problem, count, m, coefficients):
     """Combination of cables in the multipliers, scaled to a largest magnitude of 1; returns the scale."""
     active, multipliers = problem[3], problem[4]
@@ -468,7 +463,7 @@ def _combine(problem, count, m, coefficients):
     return scale
 
 
-@_compile
+@helper
 def _unreachable(factors, rank, load, direction):
     """Direction of coordinates on which no cable acts, largest component 1, along which the load is the largest."""
     matrix, order, z = factors[0], factors[2], factors[4]
@@ -490,7 +485,7 @@ def _unreachable(factors, rank, load, direction):
     return max(best, 0.0)
 
 
-@_compile
+@entry_point
 def _feasible(structure, load, lower, upper, reference, status, excess, direction, coefficients):
     items, m, n = structure.shape
     problem, factors, u = _new_problem(m - n, 2 * m), _new_factors(m, n), np.zeros(m)
@@ -519,7 +514,7 @@ def _feasible(structure, load, lower, upper, reference, status, excess, directio
             _coordinates_of(factors, coefficients[item], direction[item])
 
 
-@_compile
+@helper
 def _extreme(problem, step, tolerance, scale, x, before):
     """Moves x, which satisfies the constraints, as far along its last axis as they permit.
 
@@ -544,7 +539,7 @@ def _extreme(problem, step, tolerance, scale, x, before):
     return count
 
 
-@_compile
+@entry_point
 def _interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, ends, found, status, coefficients):
     items, m, n = structure.shape
     size = m - n + 1

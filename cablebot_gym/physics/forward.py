@@ -80,8 +80,9 @@ def forward_kinematics(
     pose[...] = guess
     found, squares, ended = pose.reshape(-1, n), np.empty(count), np.empty(count, bool)
     form, parameters, tolerance = _prepared(robot)
-    form = form._replace(lanes=1 if count == 1 else kernel.LANES)
-    memory = np.empty(len(parameters) * form.lanes), np.empty(kernel.scratch_rows(form) * form.lanes)
+    lanes = 1 if count == 1 else kernel.LANES
+    memory = np.empty(len(parameters) * lanes), np.empty(kernel.scratch_rows(form) * lanes)
     wanted = np.ascontiguousarray(lengths).reshape(-1, m)
-    kernel.compiled(form).locate(parameters, iterations, tolerance, *memory, wanted, found, squares, ended)
+    locate = kernel.compiled(form, lanes).locate
+    locate(parameters, iterations, tolerance, *memory, wanted, found, squares, ended)
     return ForwardKinematics(pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape))

@@ -51,7 +51,7 @@ def inverse_dynamics(
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
     (form, packed), count = _prepared(robot), masses.size
-    compiled = kernel.compiled(form)
+    compiled = kernel.compiled(form, kernel.LANES)
     memory = (
         np.empty(kernel.parameter_rows(form) * kernel.LANES),
         np.empty(kernel.scratch_rows(form) * kernel.LANES),

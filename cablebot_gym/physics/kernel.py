@@ -34,18 +34,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
-from cablebot_gym.physics.compiling import announce_compilation
-
-announce_compilation()
+from cablebot_gym.physics.inlining import compile_time_constant, entry_point, helper, inline
 
 LANES = 32
 """Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""
-
-_inline = njit(forceinline=True, error_model="numpy")
-_compile = njit(cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
 # on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
@@ -86,6 +81,7 @@ TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""
 
 
+@compile_time_constant
 class Form(NamedTuple):
     """Constants of the compiled code, which is compiled once for each form of robots."""
 
@@ -95,8 +91,6 @@ class Form(NamedTuple):
     """Number of coordinates n: with ``dimensions`` it determines the kind of the platform."""
     cables: int
     """Number of cables m."""
-    lanes: int
-    """Lanes of a tile."""
     jointed: bool
     """Whether there are springs between motors and pulleys."""
     elastic: bool
@@ -106,6 +100,16 @@ class Form(NamedTuple):
     lopsided: bool
     """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
     for every platform in a plane."""
+
+    @property
+    def flexible(self) -> bool:
+        """Whether the motors move independently of the platform."""
+        return self.jointed or self.elastic
+
+    @property
+    def double(self) -> bool:
+        """Whether there are pulleys between joint springs and elastic cables."""
+        return self.jointed and self.elastic
 
 
 def body_parameter(cables: int) -> int:
@@ -154,15 +158,15 @@ def _fused(context, a, b, c):
 _fma: Any = intrinsic(_fused)
 
 
-_body, _stretch_parameter, _pulley_record = (_inline(row) for row in (body_parameter, stretch_parameter, pulley_record))
+_body, _stretch_parameter, _pulley_record = (inline(row) for row in (body_parameter, stretch_parameter, pulley_record))
 
 
-@_inline
+@inline
 def _dot(a, b):
     return _fma(a[2], b[2], _fma(a[1], b[1], a[0] * b[0]))
 
 
-@_inline
+@inline
 def _cross(a, b):
     return (
         _fma(a[1], b[2], -(a[2] * b[1])),
@@ -171,20 +175,20 @@ def _cross(a, b):
     )
 
 
-@_inline
+@inline
 def _load(array, row, at, lanes):
     """Three rows from ``row`` on for lane ``at``."""
     return array[row * lanes + at], array[(row + 1) * lanes + at], array[(row + 2) * lanes + at]
 
 
-@_inline
+@inline
 def _store(array, row, at, lanes, value):
     array[row * lanes + at] = value[0]
     array[(row + 1) * lanes + at] = value[1]
     array[(row + 2) * lanes + at] = value[2]
 
 
-@_inline
+@inline
 def _sincos(angle):
     """Vectorisable sine and cosine: Cody–Waite reduction to ±π/4, then the minimax polynomials of fdlibm."""
     turns = np.floor(angle * 0.6366197723675814 + 0.5)
@@ -208,7 +212,7 @@ def _sincos(angle):
     return s, c
 
 
-@_inline
+@inline
 def _atan2(y, x):
     """Vectorisable ``math.atan2``: reduction to ± π/8, then the minimax polynomial of fdlibm."""
     wide, high = abs(x), abs(y)
@@ -232,7 +236,7 @@ def _atan2(y, x):
 # -------------------------------------------------------------------------------- swivel pulleys: one lane at a time
 
 
-@_inline
+@inline
 def _swivelled(lengths, radius, s, v):
     """Direction, length and bend of a cable over a swivel pulley of the signed radius, from the anchors' difference s.
 
@@ -260,8 +264,8 @@ def _swivelled(lengths, radius, s, v):
 # ---------------------------------------------------------------------------------- spatial robot: one lane at a time
 
 
-@_inline
-def _spatial_platform(m, lopsided, p, w, at, lanes):
+@inline
+def _spatial_platform(form, p, w, at, lanes):
     """Rotation, velocity in the platform frame and the terms without cables, from the state of the stage."""
     sx, cx = _sincos(w[(_STAGE + 3) * lanes + at])
     sy, cy = _sincos(w[(_STAGE + 4) * lanes + at])
@@ -281,9 +285,9 @@ def _spatial_platform(m, lopsided, p, w, at, lanes):
     inertia = _load(p, INERTIA, at, lanes)
     momentum = (inertia[0] * omega[0], inertia[1] * omega[1], inertia[2] * omega[2])
     body_velocity = (_dot(first, velocity), _dot(second, velocity), _dot(third, velocity))
-    if lopsided:
-        momentum = _times(_tensor(m, lopsided, p, at, lanes), omega)
-        centre = _load(p, _body(m) + CENTER, at, lanes)
+    if form.lopsided:
+        momentum = _times(_tensor(form, p, at, lanes), omega)
+        centre = _load(p, _body(form.cables) + CENTER, at, lanes)
         turning = _cross(omega, centre)
         body_velocity = _ahead(1.0, turning, body_velocity)
         position = _ahead(centre[2], third, _load(w, _STAGE, at, lanes))
@@ -309,17 +313,17 @@ def _spatial_platform(m, lopsided, p, w, at, lanes):
     w[(_TRIG + 3) * lanes + at] = cy
 
 
-@_inline
-def _tensor(m, lopsided, p, at, lanes):
+@inline
+def _tensor(form, p, at, lanes):
     """Inertia tensor, stored as the matrices of :func:`_add_outer`."""
     xx, yy, zz = _load(p, INERTIA, at, lanes)
-    if lopsided:
-        xy, xz, yz = _load(p, _body(m) + PRODUCTS, at, lanes)
+    if form.lopsided:
+        xy, xz, yz = _load(p, _body(form.cables) + PRODUCTS, at, lanes)
         return xx, xy, xz, yy, yz, zz
     return xx, 0.0, 0.0, yy, 0.0, zz
 
 
-@_inline
+@inline
 def _to_base(vector, offset, w, at, lanes):
     """offset + R vector."""
     first, second = _load(w, _ROTATION, at, lanes), _load(w, _ROTATION + 3, at, lanes)
@@ -327,19 +331,19 @@ def _to_base(vector, offset, w, at, lanes):
     return _ahead(vector[0], first, _ahead(vector[1], second, _ahead(vector[2], third, offset)))
 
 
-@_inline
-def _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i):
+@inline
+def _spatial_cable(form, lengths, p, w, at, lanes, i):
     """Direction, moment arm, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     b = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PLATFORM, at, lanes)
-    position = _load(w, _CENTRE if lopsided else _STAGE, at, lanes)
+    position = _load(w, _CENTRE if form.lopsided else _STAGE, at, lanes)
     omega = _load(w, _OMEGA, at, lanes)
     velocity = _load(w, _BODY_VELOCITY, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
     turning = _cross(omega, b)
     point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
-    if swivel:
-        radius = p[(_stretch_parameter(m, lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
+    if form.swivel:
+        radius = p[(_stretch_parameter(form.cables, form.lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
         s, v = _to_base(b, d, w, at, lanes), _to_base(point, (0.0, 0.0, 0.0), w, at, lanes)
         u, length, bend = _swivelled(lengths, radius, s, v)
         u = (
@@ -369,7 +373,7 @@ def _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i):
     w[(row + _BIAS) * lanes + at] = bias
 
 
-@_inline
+@inline
 def _weights(p, w, at, lanes, i):
     """(J/r²) and the tension without the unknown part of q̈; both are zero for a slack cable."""
     taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
@@ -377,10 +381,10 @@ def _weights(p, w, at, lanes, i):
     return taut * mu, taut * w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
 
 
-@_inline
-def _known_tensions(m, p, w, at, lanes):
+@inline
+def _known_tensions(form, p, w, at, lanes):
     """κ/r + (J/r²)·bias + (c/r²) q̇ of all cables."""
-    for i in range(m):
+    for i in range(form.cables):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         drive = w[(row + _DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
         damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + _LENGTH_RATE) * lanes + at]
@@ -388,7 +392,7 @@ def _known_tensions(m, p, w, at, lanes):
         w[(row + _KNOWN) * lanes + at] = _fma(inertia, w[(row + _BIAS) * lanes + at], drive + damping)
 
 
-@_inline
+@inline
 def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
     """Adds cable i to the left side ((a, b), (bᵀ, c)) and subtracts its known tension from the right side (f, g)."""
     mu, known = _weights(p, w, at, lanes, i)
@@ -397,7 +401,7 @@ def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
     return a, b, c, f, g
 
 
-@_inline
+@inline
 def _add_row(a, b, c, weight, w, at, lanes, i):
     """Adds weight · row_i row_iᵀ to ((a, b), (bᵀ, c))."""
     row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
@@ -408,20 +412,20 @@ def _add_row(a, b, c, weight, w, at, lanes, i):
     return a, (_ahead(heavy[0], n, b[0]), _ahead(heavy[1], n, b[1]), _ahead(heavy[2], n, b[2])), c
 
 
-@_inline
+@inline
 def _add_pull(f, g, tension, w, at, lanes, i):
     """Subtracts the pull of cable i, row_i · tension, from (f, g)."""
     row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
     return _ahead(-tension, _load(w, row, at, lanes), f), _ahead(-tension, _load(w, row + 3, at, lanes), g)
 
 
-@_inline
+@inline
 def _ahead(factor, x, base):
     """base + factor x."""
     return _fma(factor, x[0], base[0]), _fma(factor, x[1], base[1]), _fma(factor, x[2], base[2])
 
 
-@_inline
+@inline
 def _add_outer(a, x, y):
     """a + x yᵀ for parallel x and y. The symmetric a is stored as (xx, xy, xz, yy, yz, zz)."""
     return (
@@ -434,7 +438,7 @@ def _add_outer(a, x, y):
     )
 
 
-@_inline
+@inline
 def _inverse(a):
     """Inverse of a symmetric 3 × 3 matrix by cofactors, with one division."""
     xx, xy, xz = _cross((a[1], a[3], a[4]), (a[2], a[4], a[5]))
@@ -445,7 +449,7 @@ def _inverse(a):
     return xx * per, xy * per, xz * per, yy * per, yz * per, zz * per
 
 
-@_inline
+@inline
 def _times(a, x):
     """Symmetric 3 × 3 matrix times a vector."""
     return (
@@ -455,7 +459,7 @@ def _times(a, x):
     )
 
 
-@_inline
+@inline
 def _factored(a, b, c):
     """Factors of the symmetric 6 × 6 matrix ((a, b), (bᵀ, c)) for :func:`_solved`: its Schur complement."""
     inverse = _inverse(a)
@@ -472,7 +476,7 @@ def _factored(a, b, c):
     return inverse, (e0, e1, e2), _inverse(complement)
 
 
-@_inline
+@inline
 def _solved(factors, f, g):
     """Both halves of the solution for the right side (f, g)."""
     inverse, e, complement = factors
@@ -480,11 +484,11 @@ def _solved(factors, f, g):
     return _ahead(-half[0], e[0], _ahead(-half[1], e[1], _ahead(-half[2], e[2], _times(inverse, f)))), half
 
 
-@_inline
-def _spatial_solve(m, lopsided, p, w, at, lanes):
+@inline
+def _spatial_solve(form, p, w, at, lanes):
     """y for the current set of taut cables. The cables are not in a loop: a loop that carries tuples is slower."""
     mass, zero = p[MASS * lanes + at], (0.0, 0.0, 0.0)
-    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), _tensor(m, lopsided, p, at, lanes)
+    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), _tensor(form, p, at, lanes)
     f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
@@ -492,28 +496,28 @@ def _spatial_solve(m, lopsided, p, w, at, lanes):
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
-    if m > 6:
+    if form.cables > 6:
         a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 6)
-    if m > 7:
+    if form.cables > 7:
         a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 7)
-    for i in range(8, m):
+    for i in range(8, form.cables):
         a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, i)
     push, turn = _solved(_factored(a, b, c), f, g)
     _store(w, _Y, at, lanes, push)
     _store(w, _Y + 3, at, lanes, turn)
 
 
-@_inline
-def _from_centre(m, lopsided, sign, y, turn, p, w, at, lanes):
+@inline
+def _from_centre(form, sign, y, turn, p, w, at, lanes):
     """y₁ − ω̇ × c − ω × (ω × c), from the centre of mass to the origin of the frame; back with ``sign`` −1."""
-    if lopsided:
-        centre, omega = _load(p, _body(m) + CENTER, at, lanes), _load(w, _OMEGA, at, lanes)
+    if form.lopsided:
+        centre, omega = _load(p, _body(form.cables) + CENTER, at, lanes), _load(w, _OMEGA, at, lanes)
         y = _ahead(-sign, _cross(turn, centre), _ahead(-sign, _cross(omega, _cross(omega, centre)), y))
     return y
 
 
-@_inline
-def _spatial_acceleration(m, lopsided, p, w, at, lanes):
+@inline
+def _spatial_acceleration(form, p, w, at, lanes):
     """Ẍ from y: p̈ = R y₁ less the motion of the centre of mass about the origin, Θ̈ = P⁻¹(ω̇ − Ṗ Θ̇)."""
     first, second, third = (
         _load(w, _ROTATION, at, lanes),
@@ -521,7 +525,7 @@ def _spatial_acceleration(m, lopsided, p, w, at, lanes):
         _load(w, _ROTATION + 6, at, lanes),
     )
     turn, spin = _load(w, _Y + 3, at, lanes), _load(w, _SPIN, at, lanes)
-    y = _from_centre(m, lopsided, 1.0, _load(w, _Y, at, lanes), turn, p, w, at, lanes)
+    y = _from_centre(form, 1.0, _load(w, _Y, at, lanes), turn, p, w, at, lanes)
     x, y_, z = turn[0] - spin[0], turn[1] - spin[1], turn[2] - spin[2]
     sx, cx, sy = _load(w, _TRIG, at, lanes)
     yaw = (sx * y_ + cx * z) / w[(_TRIG + 3) * lanes + at]
@@ -538,7 +542,7 @@ def _spatial_acceleration(m, lopsided, p, w, at, lanes):
 # ----------------------------------------------------------------------- point mass in a plane: one lane at a time
 
 
-@_inline
+@inline
 def _planar_cable(p, w, at, lanes, i):
     """Direction, length rate and bias of cable i. The row is (u, 0) instead of (u, n)."""
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE
@@ -557,13 +561,13 @@ def _planar_cable(p, w, at, lanes, i):
     w[(row + _BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length
 
 
-@_inline
-def _planar_solve(m, p, w, at, lanes):
+@inline
+def _planar_solve(form, p, w, at, lanes):
     """y = Ẍ for the current set of taut cables, from two equations. Gravity acts along y."""
     mass = p[MASS * lanes + at]
     xx, xy, yy, fx = mass, 0.0, mass, p[FORCE * lanes + at]
     fy = _fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
-    for i in range(m):
+    for i in range(form.cables):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         mu, known = _weights(p, w, at, lanes, i)
         ux, uy = w[(row + _ROW) * lanes + at], w[(row + _ROW + 1) * lanes + at]
@@ -577,21 +581,21 @@ def _planar_solve(m, p, w, at, lanes):
 # ------------------------------------------------ point mass in space, platform in a plane: one lane at a time
 
 
-@_inline
+@inline
 def _point_load(p, w, at, lanes):
     """Weight and external force of a point mass in space."""
     push = _load(p, FORCE, at, lanes)
     _store(w, _LOAD, at, lanes, (push[0], push[1], _fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2])))
 
 
-@_inline
-def _point_cable(m, swivel, lengths, p, w, at, lanes, i):
+@inline
+def _point_cable(form, lengths, p, w, at, lanes, i):
     """Direction, length rate and bias of cable i."""
     anchor = _load(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
     position, velocity = _load(w, _STAGE, at, lanes), _load(w, _STAGE + 6, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
-    if swivel:
-        radius = p[(_stretch_parameter(m, False) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
+    if form.swivel:
+        radius = p[(_stretch_parameter(form.cables, False) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
         u, length, bend = _swivelled(lengths, radius, d, velocity)
         rate = _dot(u, velocity)
     else:
@@ -608,12 +612,12 @@ def _point_cable(m, swivel, lengths, p, w, at, lanes, i):
     w[(row + _BIAS) * lanes + at] = bend
 
 
-@_inline
-def _plane_platform(m, p, w, at, lanes):
+@inline
+def _plane_platform(form, p, w, at, lanes):
     """Sine and cosine of φ, motion of the centre of mass, and the terms without cables. Gravity acts along y."""
     sine, cosine = _sincos(w[(_STAGE + 2) * lanes + at])
     omega = w[(_STAGE + 8) * lanes + at]
-    row = _body(m) + CENTER
+    row = _body(form.cables) + CENTER
     cx, cy = p[row * lanes + at], p[(row + 1) * lanes + at]
     sx, sy = cosine * cx - sine * cy, sine * cx + cosine * cy
     w[_TRIG * lanes + at], w[(_TRIG + 1) * lanes + at] = sine, cosine
@@ -626,7 +630,7 @@ def _plane_platform(m, p, w, at, lanes):
     w[(_LOAD + 2) * lanes + at] = p[(MOMENT + 2) * lanes + at]
 
 
-@_inline
+@inline
 def _plane_cable(p, w, at, lanes, i):
     """Direction, moment arm, length rate and bias of cable i, in the base frame."""
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
@@ -648,20 +652,20 @@ def _plane_cable(p, w, at, lanes, i):
     w[(row + _BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length - centripetal
 
 
-@_inline
-def _three_masses(d, p, at, lanes):
+@inline
+def _three_masses(form, p, at, lanes):
     """Diagonal of the mass matrix: (m, m, m) of a point mass, (m, m, I_zz) of a platform in a plane."""
     mass = p[MASS * lanes + at]
-    return mass, mass, p[(INERTIA + 2) * lanes + at] if d == 2 else mass
+    return mass, mass, p[(INERTIA + 2) * lanes + at] if form.dimensions == 2 else mass
 
 
-@_inline
-def _three_solve(d, m, p, w, at, lanes):
+@inline
+def _three_solve(form, p, w, at, lanes):
     """y for the current set of taut cables, from three equations."""
-    xx, yy, zz = _three_masses(d, p, at, lanes)
+    xx, yy, zz = _three_masses(form, p, at, lanes)
     xy, xz, yz = 0.0, 0.0, 0.0
     fx, fy, fz = _load(w, _LOAD, at, lanes)
-    for i in range(m):
+    for i in range(form.cables):
         mu, known = _weights(p, w, at, lanes, i)
         ux, uy, uz = _load(w, _FIRST_CABLE + _CABLE_ROWS * i + _ROW, at, lanes)
         hx, hy, hz = mu * ux, mu * uy, mu * uz
@@ -671,7 +675,7 @@ def _three_solve(d, m, p, w, at, lanes):
     _store(w, _Y, at, lanes, _times(_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)))
 
 
-@_inline
+@inline
 def _plane_acceleration(sign, row, target, w, at, lanes):
     """Ẍ in ``target`` from y in ``row``, from the centre of mass to the origin of the frame; back with ``sign`` −1."""
     sx, sy = w[_CENTRE * lanes + at], w[(_CENTRE + 1) * lanes + at]
@@ -685,49 +689,49 @@ def _plane_acceleration(sign, row, target, w, at, lanes):
 # -------------------------------------------------------------------------------- all robots: cables that only pull
 
 
-@_inline
-def _along(n, w, at, lanes, i):
+@inline
+def _along(form, w, at, lanes, i):
     """row_i · y."""
     row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
     along = w[row * lanes + at] * w[_Y * lanes + at]
     along += w[(row + 1) * lanes + at] * w[(_Y + 1) * lanes + at]
-    if n > 2:
+    if form.coordinates > 2:
         along += w[(row + 2) * lanes + at] * w[(_Y + 2) * lanes + at]
-    if n == 6:
+    if form.coordinates == 6:
         along += _dot(_load(w, row + 3, at, lanes), _load(w, _Y + 3, at, lanes))
     return along
 
 
-@_inline
-def _free_tension(n, p, w, at, lanes, i):
+@inline
+def _free_tension(form, p, w, at, lanes, i):
     """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque u."""
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
     known = w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
-    tension = known + mu * _along(n, w, at, lanes, i)
+    tension = known + mu * _along(form, w, at, lanes, i)
     w[(_FIRST_CABLE + _CABLE_ROWS * i + _FREE_TENSION) * lanes + at] = tension
     return tension
 
 
-@_inline
-def _pulled_lane(d, n, m, lopsided, p, w, at, lanes):
+@inline
+def _pulled_lane(form, p, w, at, lanes):
     """y for the tensions of elastic cables."""
     mass = p[MASS * lanes + at]
-    if n == 6:
+    if form.coordinates == 6:
         f, g = _load(w, _LOAD, at, lanes), _load(w, _LOAD + 3, at, lanes)
-        for i in range(m):
+        for i in range(form.cables):
             f, g = _add_pull(f, g, w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at], w, at, lanes, i)
         _store(w, _Y, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
-        _store(w, _Y + 3, at, lanes, _times(_inverse(_tensor(m, lopsided, p, at, lanes)), g))
-    elif n == 3:
-        masses, (fx, fy, fz) = _three_masses(d, p, at, lanes), _load(w, _LOAD, at, lanes)
-        for i in range(m):
+        _store(w, _Y + 3, at, lanes, _times(_inverse(_tensor(form, p, at, lanes)), g))
+    elif form.coordinates == 3:
+        masses, (fx, fy, fz) = _three_masses(form, p, at, lanes), _load(w, _LOAD, at, lanes)
+        for i in range(form.cables):
             tension = w[(_FIRST_CABLE + _CABLE_ROWS * i + _KNOWN) * lanes + at]
             ux, uy, uz = _load(w, _FIRST_CABLE + _CABLE_ROWS * i + _ROW, at, lanes)
             fx, fy, fz = _fma(-tension, ux, fx), _fma(-tension, uy, fy), _fma(-tension, uz, fz)
         _store(w, _Y, at, lanes, (fx / masses[0], fy / masses[1], fz / masses[2]))
     else:
         fx, fy = p[FORCE * lanes + at], _fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
-        for i in range(m):
+        for i in range(form.cables):
             row = _FIRST_CABLE + _CABLE_ROWS * i
             tension = w[(row + _KNOWN) * lanes + at]
             fx = _fma(-tension, w[(row + _ROW) * lanes + at], fx)
@@ -735,27 +739,27 @@ def _pulled_lane(d, n, m, lopsided, p, w, at, lanes):
         w[_Y * lanes + at], w[(_Y + 1) * lanes + at] = fx / mass, fy / mass
 
 
-@_inline
-def _solve_lane(d, n, m, lopsided, p, w, at, lanes):
-    if n == 6:
-        _spatial_solve(m, lopsided, p, w, at, lanes)
-    elif n == 3:
-        _three_solve(d, m, p, w, at, lanes)
+@inline
+def _solve_lane(form, p, w, at, lanes):
+    if form.coordinates == 6:
+        _spatial_solve(form, p, w, at, lanes)
+    elif form.coordinates == 3:
+        _three_solve(form, p, w, at, lanes)
     else:
-        _planar_solve(m, p, w, at, lanes)
+        _planar_solve(form, p, w, at, lanes)
 
 
-@njit(error_model="numpy")
-def _settle_lane(d, n, m, lopsided, p, w, at, lanes):
+@helper
+def _settle_lane(form, p, w, at, lanes):
     """Finds the taut set of one lane. All wrong cables change sides; after too many trials, only the last one does.
 
     The second rule is Murty's least-index rule, which terminates for every P-matrix, such as that of this problem.
     """
-    for trial in range(10 + 2 ** min(m, 20)):
+    for trial in range(10 + 2 ** min(form.cables, 20)):
         wrong = 0
-        for i in range(m):
+        for i in range(form.cables):
             taut = (_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at
-            pulls = 1.0 if _free_tension(n, p, w, at, lanes, i) > 0.0 else 0.0
+            pulls = 1.0 if _free_tension(form, p, w, at, lanes, i) > 0.0 else 0.0
             if pulls != w[taut]:
                 wrong = i + 1
                 if trial < 10:
@@ -765,72 +769,72 @@ def _settle_lane(d, n, m, lopsided, p, w, at, lanes):
         if trial >= 10:
             taut = (_FIRST_CABLE + _CABLE_ROWS * (wrong - 1) + _TAUT) * lanes + at
             w[taut] = 1.0 - w[taut]
-        _solve_lane(d, n, m, lopsided, p, w, at, lanes)
+        _solve_lane(form, p, w, at, lanes)
 
 
 # -------------------------------------------------------------------------------------------- all robots: a tile
 
 
-@_inline
-def _kinematics(d, n, m, swivel, lengths, lopsided, p, w, lanes):
-    if n == 6:
+@inline
+def _kinematics(form, lengths, p, w, lanes):
+    if form.coordinates == 6:
         for at in range(lanes):
-            _spatial_platform(m, lopsided, p, w, at, lanes)
-    elif n == 3:
+            _spatial_platform(form, p, w, at, lanes)
+    elif form.coordinates == 3:
         for at in range(lanes):
-            if d == 2:
-                _plane_platform(m, p, w, at, lanes)
+            if form.dimensions == 2:
+                _plane_platform(form, p, w, at, lanes)
             else:
                 _point_load(p, w, at, lanes)
-    for i in range(m):
+    for i in range(form.cables):
         for at in range(lanes):
-            if n == 6:
-                _spatial_cable(m, swivel, lengths, lopsided, p, w, at, lanes, i)
-            elif d == 3:
-                _point_cable(m, swivel, lengths, p, w, at, lanes, i)
-            elif n == 3:
+            if form.coordinates == 6:
+                _spatial_cable(form, lengths, p, w, at, lanes, i)
+            elif form.dimensions == 3:
+                _point_cable(form, lengths, p, w, at, lanes, i)
+            elif form.coordinates == 3:
                 _plane_cable(p, w, at, lanes, i)
             else:
                 _planar_cable(p, w, at, lanes, i)
 
 
-@_inline
-def _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes):
+@inline
+def _dynamics(form, unilateral, p, w, lanes):
     """Accelerations of the stage, with the taut sets of all lanes."""
-    if elastic:
+    if form.elastic:
         for at in range(lanes):
-            _pulled_lane(d, n, m, lopsided, p, w, at, lanes)
+            _pulled_lane(form, p, w, at, lanes)
     else:
-        _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes)
-    _accelerations(d, n, m, lopsided, p, w, lanes)
+        _taut_sets(form, unilateral, p, w, lanes)
+    _accelerations(form, p, w, lanes)
 
 
-@_inline
-def _accelerations(d, n, m, lopsided, p, w, lanes):
+@inline
+def _accelerations(form, p, w, lanes):
     """Ẍ from y, in the rows from :func:`_acceleration_row` on."""
     for at in range(lanes):
-        if n == 6:
-            _spatial_acceleration(m, lopsided, p, w, at, lanes)
-        elif n == 3 and d == 2:
+        if form.coordinates == 6:
+            _spatial_acceleration(form, p, w, at, lanes)
+        elif form.coordinates == 3 and form.dimensions == 2:
             _plane_acceleration(1.0, _Y, _RATE, w, at, lanes)
 
 
-@_inline
-def _acceleration_row(d, n):
+@inline
+def _acceleration_row(form):
     """Row of Ẍ after :func:`_dynamics`: y itself of point masses."""
-    return _Y if d == n else _RATE
+    return _Y if form.dimensions == form.coordinates else _RATE
 
 
-@_inline
-def _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes):
+@inline
+def _taut_sets(form, unilateral, p, w, lanes):
     """y and the taut sets of all lanes whose cables do not stretch."""
     for at in range(lanes):
-        _known_tensions(m, p, w, at, lanes)
-        _solve_lane(d, n, m, lopsided, p, w, at, lanes)
+        _known_tensions(form, p, w, at, lanes)
+        _solve_lane(form, p, w, at, lanes)
     for at in range(lanes):
         wrong = 0.0
-        for i in range(m):
-            pulls = 1.0 if _free_tension(n, p, w, at, lanes, i) > 0.0 else 0.0
+        for i in range(form.cables):
+            pulls = 1.0 if _free_tension(form, p, w, at, lanes, i) > 0.0 else 0.0
             taut = w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at]
             wrong += (pulls - taut) * (pulls - taut)
         w[_WRONG * lanes + at] = wrong
@@ -841,16 +845,16 @@ def _taut_sets(d, n, m, lopsided, unilateral, p, w, lanes):
         if wrong > 0.0:
             for at in range(lanes):
                 if w[_WRONG * lanes + at] > 0.0:
-                    _settle_lane(d, n, m, lopsided, p, w, at, lanes)
+                    _settle_lane(form, p, w, at, lanes)
 
 
-@_inline
-def _springs(m, unilateral, p, w, lanes):
+@inline
+def _springs(form, unilateral, p, w, lanes):
     """Torque of the joint springs on the pulleys, κ = K (β′ − β), and the motors' accelerations (Eq. 4).
 
     With unilateral cables κ = K max(β′ − β, 0): a negative twist is slack cable on the pulley.
     """
-    for i in range(m):
+    for i in range(form.cables):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         for at in range(lanes):
             wound = p[(par + HOME_LENGTH) * lanes + at] - w[(row + _LENGTH) * lanes + at]
@@ -864,22 +868,22 @@ def _springs(m, unilateral, p, w, lanes):
             w[(row + _MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
 
 
-@_inline
-def _pulley(m, i):
+@inline
+def _pulley(form, i):
     """Scratch row of pulley i between its joint spring and its elastic cable."""
-    return _FIRST_CABLE + _CABLE_ROWS * m + _PULLEY_ROWS * i
+    return _FIRST_CABLE + _CABLE_ROWS * form.cables + _PULLEY_ROWS * i
 
 
-@_inline
-def _stretch(m, jointed, lopsided, unilateral, p, w, lanes):
+@inline
+def _stretch(form, unilateral, p, w, lanes):
     """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of pulleys and motors.
 
     The joint springs push, too: cables that are slack do not hold their pulleys.
     """
-    for i in range(m):
+    for i in range(form.cables):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
-        more = _stretch_parameter(m, lopsided) + STRETCH_PARAMETERS * i
-        pulley = _pulley(m, i) + _PULLEY_STAGE if jointed else row + _MOTOR_STAGE
+        more = _stretch_parameter(form.cables, form.lopsided) + STRETCH_PARAMETERS * i
+        pulley = _pulley(form, i) + _PULLEY_STAGE if form.jointed else row + _MOTOR_STAGE
         for at in range(lanes):
             radius, stiffness = p[(more + RADIUS) * lanes + at], p[(more + AXIAL_STIFFNESS) * lanes + at]
             angle, speed = w[pulley * lanes + at], w[(pulley + 1) * lanes + at]
@@ -896,9 +900,9 @@ def _stretch(m, jointed, lopsided, unilateral, p, w, lanes):
             damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * radius * radius * speed
             pulling = radius * (tension + wound) + damping
             torque, per_inertia = w[(row + _TORQUE) * lanes + at], p[(more + PER_PULLEY_INERTIA) * lanes + at]
-            if jointed:
+            if form.jointed:
                 twist = p[(par + STIFFNESS) * lanes + at] * (w[(row + _MOTOR_STAGE) * lanes + at] - angle)
-                w[(_pulley(m, i) + _PULLEY_RATE) * lanes + at] = (twist - pulling) * per_inertia
+                w[(_pulley(form, i) + _PULLEY_RATE) * lanes + at] = (twist - pulling) * per_inertia
                 friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + _MOTOR_STAGE + 1) * lanes + at]
                 rest = torque - twist - friction
                 w[(row + _MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
@@ -906,22 +910,22 @@ def _stretch(m, jointed, lopsided, unilateral, p, w, lanes):
                 w[(row + _MOTOR_RATE) * lanes + at] = (torque - pulling) * per_inertia
 
 
-@_inline
-def _motor_speed(flexible, p, w, at, lanes, i):
-    if flexible:
+@inline
+def _motor_speed(form, p, w, at, lanes, i):
+    if form.flexible:
         return w[(_FIRST_CABLE + _CABLE_ROWS * i + _MOTOR_STAGE + 1) * lanes + at]
     per_radius = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + PER_RADIUS) * lanes + at]
     return -w[(_FIRST_CABLE + _CABLE_ROWS * i + _LENGTH_RATE) * lanes + at] * per_radius
 
 
-@_inline
-def _request(m, flexible, lags, h, p, w, record, lanes):
+@inline
+def _request(form, lags, h, p, w, record, lanes):
     """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
-    for i in range(m):
+    for i in range(form.cables):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
-            speed = _motor_speed(flexible, p, w, at, lanes, i)
+            speed = _motor_speed(form, p, w, at, lanes, i)
             action = min(max(record[(rec + DEMAND) * lanes + at], -1.0), 1.0)
             stall, slope = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
             w[(row + _REQUEST) * lanes + at] = stall * action - slope * speed
@@ -935,25 +939,25 @@ def _request(m, flexible, lags, h, p, w, record, lanes):
                 w[(row + _GAP) * lanes + at], w[(row + _DECAY) * lanes + at] = gap, decay
 
 
-@_inline
-def _drive(m, flexible, lags, stage, p, w, lanes):
+@inline
+def _drive(form, lags, stage, p, w, lanes):
     """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
-    for i in range(m):
+    for i in range(form.cables):
         par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
         if lags and stage in (1, 3):  # the stages are at 0, 1/2, 1/2 and 1 of the step
             for at in range(lanes):
                 w[(row + _GAP) * lanes + at] *= w[(row + _DECAY) * lanes + at]
         for at in range(lanes):
             stall, drop = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
-            drop *= _motor_speed(flexible, p, w, at, lanes, i)
+            drop *= _motor_speed(form, p, w, at, lanes, i)
             torque = w[(row + _REQUEST) * lanes + at]
             if lags:
                 torque += w[(row + _GAP) * lanes + at]
             torque = min(max(torque, -stall - drop), stall - drop)
-            w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = torque
+            w[(row + (_TORQUE if form.flexible else _DRIVE)) * lanes + at] = torque
 
 
-@_inline
+@inline
 def _coulomb(p, at, lanes, i, speed):
     """Coulomb friction τ_c ω/√(ω² + ω₀²) of motor i."""
     friction = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + COULOMB_FRICTION) * lanes + at]
@@ -961,22 +965,22 @@ def _coulomb(p, at, lanes, i, speed):
     return friction * speed / math.sqrt(speed * speed + smooth * smooth)
 
 
-@_inline
-def _rub(m, flexible, p, w, lanes):
+@inline
+def _rub(form, p, w, lanes):
     """Subtracts the Coulomb friction from the motor torques."""
-    for i in range(m):
-        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if flexible else _DRIVE)
+    for i in range(form.cables):
+        row = _FIRST_CABLE + _CABLE_ROWS * i + (_TORQUE if form.flexible else _DRIVE)
         for at in range(lanes):
-            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(flexible, p, w, at, lanes, i))
+            w[row * lanes + at] -= _coulomb(p, at, lanes, i, _motor_speed(form, p, w, at, lanes, i))
 
 
-@_inline
-def _note_tensions(m, period_starts, unilateral, w, record, lanes):
+@inline
+def _note_tensions(form, period_starts, unilateral, w, record, lanes):
     """Counts slack cables and updates the least tensions at the start of a physics step.
 
     Stores the tensions at the start of the control period.
     """
-    for i in range(m):
+    for i in range(form.cables):
         row = _FIRST_CABLE + _CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
@@ -992,7 +996,7 @@ def _note_tensions(m, period_starts, unilateral, w, record, lanes):
                 record[(rec + SLACK) * lanes + at] += slack
 
 
-@_inline
+@inline
 def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
     """RK4 update of one row: the value of the next stage or, after the last stage, the new state."""
     ahead = h if stage == 2 else 0.5 * h
@@ -1008,17 +1012,9 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
         w[value * lanes + at] = end
 
 
-@_inline
+@inline
 def _rk4(
-    d,
-    n,
-    m,
-    flexible,
-    jointed,
-    elastic,
-    double,
-    swivel,
-    lopsided,
+    form,
     lags,
     rubs,
     period_starts,
@@ -1031,44 +1027,44 @@ def _rk4(
 ):
     """One physics step of a tile; _START becomes the new state."""
     for stage in range(4):
-        _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
+        _kinematics(form, form.flexible, p, w, lanes)
         if stage == 0 and period_starts:
-            _request(m, flexible, lags, h, p, w, record, lanes)
-        _drive(m, flexible, lags, stage, p, w, lanes)
+            _request(form, lags, h, p, w, record, lanes)
+        _drive(form, lags, stage, p, w, lanes)
         if stage == 0 and period_starts:
-            for i in range(m):
+            for i in range(form.cables):
                 row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
                 for at in range(lanes):
-                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at]
+                    record[(rec + TORQUE) * lanes + at] = w[(row + (_TORQUE if form.flexible else _DRIVE)) * lanes + at]
         if rubs:
-            _rub(m, flexible, p, w, lanes)
-        if elastic:
-            _stretch(m, jointed, lopsided, unilateral, p, w, lanes)
-        elif jointed:
-            _springs(m, unilateral, p, w, lanes)
-        _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes)
+            _rub(form, p, w, lanes)
+        if form.elastic:
+            _stretch(form, unilateral, p, w, lanes)
+        elif form.jointed:
+            _springs(form, unilateral, p, w, lanes)
+        _dynamics(form, unilateral, p, w, lanes)
         if stage == 0:
-            _note_tensions(m, period_starts, unilateral, w, record, lanes)
+            _note_tensions(form, period_starts, unilateral, w, record, lanes)
         # Positions first: their rate is the velocity of the stage, which changes next.
         for half in range(2):
-            rate_row = _STAGE + 6 if half == 0 else _acceleration_row(d, n)
-            for j in range(n):
+            rate_row = _STAGE + 6 if half == 0 else _acceleration_row(form)
+            for j in range(form.coordinates):
                 value = 6 * half + j
                 for at in range(lanes):
                     _blend(stage, h, w, at, lanes, _START + value, _SUM + value, _STAGE + value, rate_row + j)
-        if flexible:
+        if form.flexible:
             for half in range(2):
                 rate_row = _MOTOR_STAGE + 1 if half == 0 else _MOTOR_RATE
-                for i in range(m):
+                for i in range(form.cables):
                     row = _FIRST_CABLE + _CABLE_ROWS * i
                     start, total, value = row + _MOTOR_START + half, row + _MOTOR_SUM + half, row + _MOTOR_STAGE + half
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
-        if double:
+        if form.double:
             for half in range(2):
                 rate_row = _PULLEY_STAGE + 1 if half == 0 else _PULLEY_RATE
-                for i in range(m):
-                    row = _pulley(m, i)
+                for i in range(form.cables):
+                    row = _pulley(form, i)
                     start, total, value = (
                         row + _PULLEY_START + half,
                         row + _PULLEY_SUM + half,
@@ -1078,18 +1074,18 @@ def _rk4(
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
 
 
-@_inline
-def _note_errors(d, n, period_starts, w, record, at, lanes, paths, path, line):
+@inline
+def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
     """Updates the largest position and rotation error after a physics step, against a line of a path.
 
     A view of the line would count a reference.
     """
     dx, dy = w[_START * lanes + at] - paths[path, line, 0], w[(_START + 1) * lanes + at] - paths[path, line, 1]
     square, rotation = dx * dx + dy * dy, 0.0
-    if d == 3:
+    if form.dimensions == 3:
         dz = w[(_START + 2) * lanes + at] - paths[path, line, 2]
         square += dz * dz
-    for j in range(d, n):
+    for j in range(form.dimensions, form.coordinates):
         rotation = max(rotation, abs(w[(_START + j) * lanes + at] - paths[path, line, j]))
     position = math.sqrt(square)
     if not period_starts:
@@ -1099,79 +1095,48 @@ def _note_errors(d, n, period_starts, w, record, at, lanes, paths, path, line):
     record[ROTATION_PEAK * lanes + at] = rotation
 
 
-@_inline
-def _load_tile(n, m, flexible, double, record, w, lanes):
+@inline
+def _load_tile(form, record, w, lanes):
     """Copies the state to the scratch memory. The search starts with the last known slack cables."""
-    for j in range(n):
+    for j in range(form.coordinates):
         for at in range(lanes):
             w[(_START + j) * lanes + at] = record[(POSE + j) * lanes + at]
             w[(_STAGE + j) * lanes + at] = record[(POSE + j) * lanes + at]
             w[(_START + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
             w[(_STAGE + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
-    for i in range(m):
+    for i in range(form.cables):
         for at in range(lanes):
             slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
             w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
-    if flexible:
-        for i in range(m):
+    if form.flexible:
+        for i in range(form.cables):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
                 for half in range(2):
                     value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
                     w[(row + _MOTOR_START + half) * lanes + at] = value
                     w[(row + _MOTOR_STAGE + half) * lanes + at] = value
-    if double:
-        for i in range(m):
+    if form.double:
+        for i in range(form.cables):
             for half in range(2):
                 for at in range(lanes):
-                    value = record[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at]
-                    w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at] = value
-                    w[(_pulley(m, i) + _PULLEY_STAGE + half) * lanes + at] = value
+                    value = record[(_pulley_record(form.cables) + PULLEY_RECORDS * i + half) * lanes + at]
+                    w[(_pulley(form, i) + _PULLEY_START + half) * lanes + at] = value
+                    w[(_pulley(form, i) + _PULLEY_STAGE + half) * lanes + at] = value
 
 
-@_inline
-def _advance(
-    d,
-    n,
-    m,
-    flexible,
-    jointed,
-    elastic,
-    double,
-    swivel,
-    lopsided,
-    lanes,
-    unilateral,
-    lags,
-    rubs,
-    parameters,
-    record,
-    w,
-    paths,
-    ends,
-    path,
-    step,
-    steps,
-    h,
-):
+@inline
+def _advance(form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, flexible, double, r, w, lanes)
+        _load_tile(form, r, w, lanes)
         if not unilateral:
-            for i in range(m):
+            for i in range(form.cables):
                 for at in range(lanes):
                     w[(_FIRST_CABLE + _CABLE_ROWS * i + _TAUT) * lanes + at] = 1.0
         for substep in range(steps):
             _rk4(
-                d,
-                n,
-                m,
-                flexible,
-                jointed,
-                elastic,
-                double,
-                swivel,
-                lopsided,
+                form,
                 lags,
                 rubs,
                 substep == 0,
@@ -1185,21 +1150,21 @@ def _advance(
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
-                _note_errors(d, n, substep == 0, w, r, at, lanes, paths, path[lane], line)
+                _note_errors(form, substep == 0, w, r, at, lanes, paths, path[lane], line)
         for at in range(lanes):
             step[tile * lanes + at] += 1
-        for j in range(n):
+        for j in range(form.coordinates):
             for at in range(lanes):
                 r[(POSE + j) * lanes + at] = w[(_START + j) * lanes + at]
                 r[(VELOCITY + j) * lanes + at] = w[(_START + 6 + j) * lanes + at]
-        for i in range(m):
+        for i in range(form.cables):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
-            if double:
+            if form.double:
                 for half in range(2):
                     for at in range(lanes):
-                        value = w[(_pulley(m, i) + _PULLEY_START + half) * lanes + at]
-                        r[(_pulley_record(m) + PULLEY_RECORDS * i + half) * lanes + at] = value
-            if flexible:
+                        value = w[(_pulley(form, i) + _PULLEY_START + half) * lanes + at]
+                        r[(_pulley_record(form.cables) + PULLEY_RECORDS * i + half) * lanes + at] = value
+            if form.flexible:
                 for half in range(2):
                     for at in range(lanes):
                         r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + _MOTOR_START + half) * lanes + at]
@@ -1209,50 +1174,34 @@ def _advance(
                     r[(rec + LAGGED) * lanes + at] = lagged
 
 
-@_inline
-def _evaluate(
-    d,
-    n,
-    m,
-    flexible,
-    jointed,
-    elastic,
-    double,
-    swivel,
-    lopsided,
-    lanes,
-    unilateral,
-    parameters,
-    record,
-    w,
-    acceleration,
-):
+@inline
+def _evaluate(form, lanes, unilateral, parameters, record, w, acceleration):
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
-        _load_tile(n, m, flexible, double, r, w, lanes)
-        for i in range(m):
+        _load_tile(form, r, w, lanes)
+        for i in range(form.cables):
             row, rec = _FIRST_CABLE + _CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
-                w[(row + (_TORQUE if flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + (_TORQUE if form.flexible else _DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + _TAUT) * lanes + at] = 1.0
-        _kinematics(d, n, m, swivel, flexible, lopsided, p, w, lanes)
-        _rub(m, flexible, p, w, lanes)
-        if elastic:
-            _stretch(m, jointed, lopsided, unilateral, p, w, lanes)
-        elif jointed:
-            _springs(m, unilateral, p, w, lanes)
-        _dynamics(d, n, m, elastic, lopsided, unilateral, p, w, lanes)
-        _note_tensions(m, True, unilateral, w, r, lanes)
-        for j in range(n):
+        _kinematics(form, form.flexible, p, w, lanes)
+        _rub(form, p, w, lanes)
+        if form.elastic:
+            _stretch(form, unilateral, p, w, lanes)
+        elif form.jointed:
+            _springs(form, unilateral, p, w, lanes)
+        _dynamics(form, unilateral, p, w, lanes)
+        _note_tensions(form, True, unilateral, w, r, lanes)
+        for j in range(form.coordinates):
             for at in range(lanes):
-                acceleration[tile, j * lanes + at] = w[(_acceleration_row(d, n) + j) * lanes + at]
+                acceleration[tile, j * lanes + at] = w[(_acceleration_row(form) + j) * lanes + at]
 
 
 # --------------------------------------------------------------------------------------------- inverse dynamics
 
 
-@_inline
-def _spatial_y(m, lopsided, p, w, at, lanes):
+@inline
+def _spatial_y(form, p, w, at, lanes):
     """y from Ẍ, the inverse of :func:`_spatial_acceleration`: y₁ = Rᵀp̈, ω̇ = P Θ̈ + Ṗ Θ̇."""
     push = _load(w, _RATE, at, lanes)
     roll, pitch, yaw = _load(w, _RATE + 3, at, lanes)
@@ -1266,12 +1215,12 @@ def _spatial_y(m, lopsided, p, w, at, lanes):
         _dot(_load(w, _ROTATION + 3, at, lanes), push),
         _dot(_load(w, _ROTATION + 6, at, lanes), push),
     )
-    _store(w, _Y, at, lanes, _from_centre(m, lopsided, -1.0, y, turn, p, w, at, lanes))
+    _store(w, _Y, at, lanes, _from_centre(form, -1.0, y, turn, p, w, at, lanes))
     _store(w, _Y + 3, at, lanes, turn)
 
 
-@_inline
-def _spatial_wrench(m, lopsided, p, w, at, lanes):
+@inline
+def _spatial_wrench(form, p, w, at, lanes):
     """Stores the wrench (f, g) = Σ row_i T_i that y requires in _LOAD."""
     y, load = _load(w, _Y, at, lanes), _load(w, _LOAD, at, lanes)
     turn, moment, inertia = _load(w, _Y + 3, at, lanes), _load(w, _LOAD + 3, at, lanes), _load(p, INERTIA, at, lanes)
@@ -1280,13 +1229,13 @@ def _spatial_wrench(m, lopsided, p, w, at, lanes):
         _fma(-inertia[1], turn[1], moment[1]),
         _fma(-inertia[2], turn[2], moment[2]),
     )
-    if lopsided:
-        g = _ahead(-1.0, _times(_tensor(m, lopsided, p, at, lanes), turn), moment)
+    if form.lopsided:
+        g = _ahead(-1.0, _times(_tensor(form, p, at, lanes), turn), moment)
     _store(w, _LOAD, at, lanes, _ahead(-p[MASS * lanes + at], y, load))
     _store(w, _LOAD + 3, at, lanes, g)
 
 
-@_inline
+@inline
 def _spatial_tensions(w, at, lanes):
     """Solves Σ row_i T_i = (f, g) for the tensions of six cables: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
 
@@ -1308,7 +1257,7 @@ def _spatial_tensions(w, at, lanes):
     _add_tensions(factors, f, g, w, at, lanes)
 
 
-@_inline
+@inline
 def _add_tensions(factors, f, g, w, at, lanes):
     """Adds the tensions for (f, g) to the results; returns the residual."""
     push, turn = _solved(factors, f, g)
@@ -1320,7 +1269,7 @@ def _add_tensions(factors, f, g, w, at, lanes):
     return f, g
 
 
-@_inline
+@inline
 def _three_tensions(w, at, lanes):
     """Solves Σ row_i T_i = f for the tensions of three cables by Cramer's rule."""
     row, f = _FIRST_CABLE + _ROW, _load(w, _LOAD, at, lanes)
@@ -1333,7 +1282,7 @@ def _three_tensions(w, at, lanes):
     w[(results + 2 * _CABLE_ROWS) * lanes + at] = _dot(third, f) * per
 
 
-@_inline
+@inline
 def _two_tensions(w, at, lanes):
     """Solves Σ u_i T_i = f for the tensions of two cables in a plane."""
     row, other = _FIRST_CABLE + _ROW, _FIRST_CABLE + _CABLE_ROWS + _ROW
@@ -1344,23 +1293,23 @@ def _two_tensions(w, at, lanes):
     w[(results + _CABLE_ROWS) * lanes + at] = (ax * fy - ay * fx) * per
 
 
-@_inline
-def _planar_tensions(m, minimum, w, lanes):
+@inline
+def _planar_tensions(form, minimum, w, lanes):
     """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as :func:`textbook.tension_distribution`."""
     for at in range(lanes):
         fx, fy = w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at]
-        for i in range(m):
+        for i in range(form.cables):
             row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW
             fx, fy = fx - minimum * w[row * lanes + at], fy - minimum * w[(row + 1) * lanes + at]
         w[_LOAD * lanes + at], w[(_LOAD + 1) * lanes + at] = fx, fy
         w[_LEAST_SUM * lanes + at] = np.inf
         for j in range(4):
             w[(_PAIR + j) * lanes + at] = 0.0
-    for i in range(m):
-        for j in range(i + 1, m):
+    for i in range(form.cables):
+        for j in range(i + 1, form.cables):
             for at in range(lanes):
                 _try_pair(w, at, lanes, i, j)
-    for i in range(m):
+    for i in range(form.cables):
         for at in range(lanes):
             one, other = w[_PAIR * lanes + at], w[(_PAIR + 1) * lanes + at]
             pull = w[(_PAIR + 2) * lanes + at] if one == i else (w[(_PAIR + 3) * lanes + at] if other == i else 0.0)
@@ -1368,7 +1317,7 @@ def _planar_tensions(m, minimum, w, lanes):
             w[row * lanes + at] = minimum + max(pull, 0.0)
 
 
-@_inline
+@inline
 def _try_pair(w, at, lanes, i, j):
     """Stores cables i and j and their tensions in _PAIR if they give the force with the smallest sum so far."""
     first_row, second_row = _FIRST_CABLE + _CABLE_ROWS * i + _ROW, _FIRST_CABLE + _CABLE_ROWS * j + _ROW
@@ -1388,43 +1337,43 @@ def _try_pair(w, at, lanes, i, j):
     w[(_PAIR + 3) * lanes + at] = second if better else w[(_PAIR + 3) * lanes + at]
 
 
-@_inline
-def _required_motor(n, flexible, p, w, at, lanes, i):
+@inline
+def _required_motor(form, p, w, at, lanes, i):
     """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
     par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
     rate = w[(row + _LENGTH_RATE) * lanes + at]
-    acceleration = _along(n, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
+    acceleration = _along(form, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
     inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at] * acceleration
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
     pull = w[(row + _RESULTS + TENSIONS) * lanes + at] - inertia - damping
     speed = -rate * per_radius
-    friction = _coulomb(p, at, lanes, i, speed) if not flexible else 0.0
+    friction = _coulomb(p, at, lanes, i, speed) if not form.flexible else 0.0
     w[(row + _RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
     w[(row + _RESULTS + SPEEDS) * lanes + at] = speed
     w[(row + _RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
 
 
-@_inline
-def _wrench(d, n, m, swivel, lopsided, p, w, lanes):
+@inline
+def _wrench(form, p, w, lanes):
     """y and the wrench that the cables have to apply, Σ row_i T_i, in _LOAD, for the motion of a tile."""
-    _kinematics(d, n, m, swivel, False, lopsided, p, w, lanes)
-    if n == 6:
+    _kinematics(form, False, p, w, lanes)
+    if form.coordinates == 6:
         for at in range(lanes):
-            _spatial_y(m, lopsided, p, w, at, lanes)
+            _spatial_y(form, p, w, at, lanes)
         for at in range(lanes):
-            _spatial_wrench(m, lopsided, p, w, at, lanes)
+            _spatial_wrench(form, p, w, at, lanes)
         return
     for at in range(lanes):
-        if n == 3 and d == 2:
+        if form.coordinates == 3 and form.dimensions == 2:
             _plane_acceleration(-1.0, _RATE, _Y, w, at, lanes)
         else:
-            for j in range(n):
+            for j in range(form.coordinates):
                 w[(_Y + j) * lanes + at] = w[(_RATE + j) * lanes + at]
     for at in range(lanes):
         mass = p[MASS * lanes + at]
-        if n == 3:
-            masses, y, load = _three_masses(d, p, at, lanes), _load(w, _Y, at, lanes), _load(w, _LOAD, at, lanes)
+        if form.coordinates == 3:
+            masses, y, load = _three_masses(form, p, at, lanes), _load(w, _Y, at, lanes), _load(w, _LOAD, at, lanes)
             rest = (load[0] - masses[0] * y[0], load[1] - masses[1] * y[1], load[2] - masses[2] * y[2])
             _store(w, _LOAD, at, lanes, rest)
         else:
@@ -1433,116 +1382,79 @@ def _wrench(d, n, m, swivel, lopsided, p, w, lanes):
             w[(_LOAD + 1) * lanes + at] = mass * fall
 
 
-@_inline
-def _tile_of_motion(n, lanes, first, p, w, mass, motion):
+@inline
+def _tile_of_motion(form, lanes, first, p, w, mass, motion):
     """Copies a motion to a tile. The unused lanes of the last tile repeat the last robot."""
     count = mass.shape[0]
     for at in range(lanes):
         lane = min(first + at, count - 1)
         p[MASS * lanes + at] = mass[lane]
-        for j in range(n):
+        for j in range(form.coordinates):
             w[(_STAGE + j) * lanes + at] = motion[0, lane, j]
             w[(_STAGE + 6 + j) * lanes + at] = motion[1, lane, j]
             w[(_RATE + j) * lanes + at] = motion[2, lane, j]
 
 
-@_inline
-def _required(
-    d,
-    n,
-    m,
-    flexible,
-    jointed,
-    elastic,
-    double,
-    swivel,
-    lopsided,
-    lanes,
-    parameters,
-    minimum,
-    p,
-    w,
-    mass,
-    motion,
-    results,
-):
+@inline
+def _required(form, lanes, parameters, minimum, p, w, mass, motion, results):
     """Inverse dynamics of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
         for at in range(lanes):
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
-        _tile_of_motion(n, lanes, first, p, w, mass, motion)
-        _wrench(d, n, m, swivel, lopsided, p, w, lanes)
-        if n == 6:
+        _tile_of_motion(form, lanes, first, p, w, mass, motion)
+        _wrench(form, p, w, lanes)
+        if form.coordinates == 6:
             for at in range(lanes):
                 _spatial_tensions(w, at, lanes)
-        elif n == 3:
+        elif form.coordinates == 3:
             for at in range(lanes):
                 _three_tensions(w, at, lanes)
-        elif m == 2:
+        elif form.cables == 2:
             for at in range(lanes):
                 _two_tensions(w, at, lanes)
         else:
-            _planar_tensions(m, minimum, w, lanes)
-        for i in range(m):
+            _planar_tensions(form, minimum, w, lanes)
+        for i in range(form.cables):
             for at in range(lanes):
-                _required_motor(n, flexible, p, w, at, lanes, i)
+                _required_motor(form, p, w, at, lanes, i)
         for result in range(4):
             for at in range(min(lanes, count - first)):
-                for i in range(m):
+                for i in range(form.cables):
                     value = w[(_FIRST_CABLE + _CABLE_ROWS * i + _RESULTS + result) * lanes + at]
                     results[result, first + at, i] = value
 
 
-@_inline
-def _demanded(
-    d,
-    n,
-    m,
-    flexible,
-    jointed,
-    elastic,
-    double,
-    swivel,
-    lopsided,
-    lanes,
-    parameters,
-    p,
-    w,
-    mass,
-    motion,
-    structure,
-    load,
-    results,
-):
+@inline
+def _demanded(form, lanes, parameters, p, w, mass, motion, structure, load, results):
     """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
     for row in range(parameters.shape[0]):
         for at in range(lanes):
             p[row * lanes + at] = parameters[row]
     for first in range(0, count, lanes):
-        _tile_of_motion(n, lanes, first, p, w, mass, motion)
-        _wrench(d, n, m, swivel, lopsided, p, w, lanes)
-        for i in range(m):
+        _tile_of_motion(form, lanes, first, p, w, mass, motion)
+        _wrench(form, p, w, lanes)
+        for i in range(form.cables):
             par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, _FIRST_CABLE + _CABLE_ROWS * i
             for at in range(min(lanes, count - first)):
                 per_radius = p[(par + PER_RADIUS) * lanes + at]
                 results[0, first + at, i] = -w[(row + _LENGTH_RATE) * lanes + at] * per_radius
-                acceleration = _along(n, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
+                acceleration = _along(form, w, at, lanes, i) + w[(row + _BIAS) * lanes + at]
                 results[1, first + at, i] = -acceleration * per_radius
-                for j in range(n):
+                for j in range(form.coordinates):
                     structure[first + at, i, j] = w[(row + _ROW + j) * lanes + at]
         for at in range(min(lanes, count - first)):
-            for j in range(n):
+            for j in range(form.coordinates):
                 load[first + at, j] = -w[(_LOAD + j) * lanes + at]
 
 
 # -------------------------------------------------------------------------------------------- forward kinematics
 
 
-@_inline
-def _locate(d, n, m, swivel, lopsided, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
+@inline
+def _locate(form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
     """Poses of given cable lengths: Gauss-Newton steps of all lanes in tiles.
 
     The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of the length as t_i,
@@ -1556,49 +1468,49 @@ def _locate(d, n, m, swivel, lopsided, lanes, parameters, iterations, tolerance,
     for first in range(0, count, lanes):
         for at in range(lanes):
             lane = min(first + at, count - 1)
-            for j in range(n):
+            for j in range(form.coordinates):
                 w[(_START + j) * lanes + at] = w[(_STAGE + j) * lanes + at] = pose[lane, j]
                 w[(_STAGE + 6 + j) * lanes + at] = 0.0
                 w[(_SUM + j) * lanes + at] = np.nan
-            for i in range(m):
+            for i in range(form.cables):
                 row = _FIRST_CABLE + _CABLE_ROWS * i
                 w[(row + _REQUEST) * lanes + at] = lengths[lane, i]
                 w[(row + _TAUT) * lanes + at] = 1.0
             w[_SQUARES * lanes + at], w[_ENDED * lanes + at] = np.inf, 0.0
         for _ in range(iterations):
-            _kinematics(d, n, m, swivel, True, lopsided, p, w, lanes)
+            _kinematics(form, True, p, w, lanes)
             for at in range(lanes):
                 w[_TRIAL * lanes + at] = 0.0
-            for i in range(m):
+            for i in range(form.cables):
                 row = _FIRST_CABLE + _CABLE_ROWS * i
                 for at in range(lanes):
                     excess = w[(row + _LENGTH) * lanes + at] - w[(row + _REQUEST) * lanes + at]
                     w[(row + _KNOWN) * lanes + at] = excess
                     w[_TRIAL * lanes + at] += excess * excess
             for at in range(lanes):
-                _solve_lane(d, n, m, lopsided, p, w, at, lanes)
-            _accelerations(d, n, m, lopsided, p, w, lanes)
+                _solve_lane(form, p, w, at, lanes)
+            _accelerations(form, p, w, lanes)
             finished = 1.0
             for at in range(lanes):
-                finished *= _take_step(d, n, tolerance, w, at, lanes)
+                finished *= _take_step(form, tolerance, w, at, lanes)
             if finished == 1.0:
                 break
         for at in range(min(lanes, count - first)):
-            for j in range(n):
+            for j in range(form.coordinates):
                 pose[first + at, j] = w[(_START + j) * lanes + at]
             squares[first + at], ended[first + at] = w[_SQUARES * lanes + at], w[_ENDED * lanes + at] == 1.0
 
 
-@_inline
-def _take_step(d, n, tolerance, w, at, lanes):
+@inline
+def _take_step(form, tolerance, w, at, lanes):
     """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended before."""
     before = w[_ENDED * lanes + at]
     better = (w[_TRIAL * lanes + at] <= w[_SQUARES * lanes + at] + 1e-24) | (before == 1.0)  # NaN is not better
     w[_SQUARES * lanes + at] = w[_TRIAL * lanes + at] if better else w[_SQUARES * lanes + at]
     size = 0.0
-    for j in range(n):
+    for j in range(form.coordinates):
         start = w[(_STAGE + j) * lanes + at] if better else w[(_START + j) * lanes + at]
-        step = w[(_acceleration_row(d, n) + j) * lanes + at] if better else w[(_SUM + j) * lanes + at] / 2
+        step = w[(_acceleration_row(form) + j) * lanes + at] if better else w[(_SUM + j) * lanes + at] / 2
         step = 0.0 if before == 1.0 else step
         size += abs(step)
         w[(_START + j) * lanes + at], w[(_SUM + j) * lanes + at] = start, step
@@ -1641,131 +1553,34 @@ class Compiled(NamedTuple):
 
 
 @cache
-def compiled(form: Form) -> Compiled:
+def compiled(form: Form, lanes: int) -> Compiled:
     """The functions for a form: one source, compiled for one lane and for a tile, for each kind and each number of
     cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
 
-    d, n, m, lanes, jointed, elastic, swivel, lopsided = form
-    flexible, double = jointed or elastic, jointed and elastic  # constants: the code would be slower if it made them
-
-    @_compile
+    @entry_point
     def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
-        _advance(
-            d,
-            n,
-            m,
-            flexible,
-            jointed,
-            elastic,
-            double,
-            swivel,
-            lopsided,
-            lanes,
-            unilateral,
-            lags,
-            rubs,
-            parameters,
-            record,
-            w,
-            paths,
-            ends,
-            path,
-            step,
-            substeps,
-            h,
-        )
+        _advance(form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)
 
-    @_compile
+    @entry_point
     def evaluate(unilateral, parameters, record, w, acceleration):
-        _evaluate(
-            d,
-            n,
-            m,
-            flexible,
-            jointed,
-            elastic,
-            double,
-            swivel,
-            lopsided,
-            lanes,
-            unilateral,
-            parameters,
-            record,
-            w,
-            acceleration,
-        )
+        _evaluate(form, lanes, unilateral, parameters, record, w, acceleration)
 
-    @_compile
+    @entry_point
     def required(parameters, minimum, p, w, mass, motion, results):
-        _required(
-            d,
-            n,
-            m,
-            flexible,
-            jointed,
-            elastic,
-            double,
-            swivel,
-            lopsided,
-            lanes,
-            parameters,
-            minimum,
-            p,
-            w,
-            mass,
-            motion,
-            results,
-        )
+        _required(form, lanes, parameters, minimum, p, w, mass, motion, results)
 
-    @_compile
+    @entry_point
     def demanded(parameters, p, w, mass, motion, structure, load, results):
-        _demanded(
-            d,
-            n,
-            m,
-            flexible,
-            jointed,
-            elastic,
-            double,
-            swivel,
-            lopsided,
-            lanes,
-            parameters,
-            p,
-            w,
-            mass,
-            motion,
-            structure,
-            load,
-            results,
-        )
+        _demanded(form, lanes, parameters, p, w, mass, motion, structure, load, results)
 
-    @_compile
+    @entry_point
     def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
-        _locate(
-            d,
-            n,
-            m,
-            swivel,
-            lopsided,
-            lanes,
-            parameters,
-            iterations,
-            tolerance,
-            p,
-            w,
-            lengths,
-            pose,
-            squares,
-            ended,
-        )
+        _locate(form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)
 
     return Compiled(advance, evaluate, required, demanded, locate)
 
 
 def cache_folder() -> Path:
     """Folder in which numba stores the compiled code of this file."""
-    form = Form(
-        dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, elastic=False, swivel=False, lopsided=False
-    )
-    return Path(str(compiled(form).advance.stats.cache_path))
+    form = Form(dimensions=2, coordinates=2, cables=3, jointed=False, elastic=False, swivel=False, lopsided=False)
+    return Path(str(compiled(form, 1).advance.stats.cache_path))

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
@@ -15,7 +19,7 @@ from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
 
-def form_of(robot: RobotArrays, lanes: int = kernel.LANES) -> kernel.Form:
+def form_of(robot: RobotArrays) -> kernel.Form:
     """Form of a robot, for which the kernel is compiled."""
     tensor = robot.inertia_tensor
     products = tensor[..., (0, 0, 1), (1, 2, 2)]
@@ -23,7 +27,6 @@ def form_of(robot: RobotArrays, lanes: int = kernel.LANES) -> kernel.Form:
         dimensions=robot.dimensions,
         coordinates=robot.coordinates,
         cables=robot.cables,
-        lanes=lanes,
         jointed=robot.jointed,
         elastic=robot.elastic,
         swivel=robot.swivel is not None,
@@ -85,6 +88,13 @@ def kernel_memory(*shape: int) -> Array:
     return memory[first : first + count].reshape(shape)
 
 
+def _parts_of(tiles: int, parts: int) -> tuple[slice, ...]:
+    """Tiles of each of at most ``parts`` parts, which are nearly equal."""
+    parts = min(parts, tiles)
+    edges = [tiles * part // parts for part in range(parts + 1)]
+    return tuple(slice(first, last) for first, last in pairwise(edges))
+
+
 class Plant:
     """N robots of one kind, each with its own parameters, which the compiled kernel advances together.
 
@@ -95,9 +105,10 @@ class Plant:
         robot: nominal robot.
         count: number of robots N.
         cable: ``unilateral`` cables can only pull, ``bilateral`` cables can push too.
+        parts: number of parts of the batch that can be advanced in parallel; at most one per tile.
     """
 
-    def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral") -> None:
+    def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral", parts: int = 1) -> None:
         load_numba()
         self.robot, self.count = robot, count
         self.unilateral = cable == "unilateral"
@@ -105,37 +116,48 @@ class Plant:
         tiles = -(-count // self.lanes)
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
-        self._form = form = form_of(robot, self.lanes)
+        self._tiles = _parts_of(tiles, parts)
+        self.parts = tuple(slice(tile.start * self.lanes, min(tile.stop * self.lanes, count)) for tile in self._tiles)
+        """Robots of each part of the batch."""
+        self._form = form = form_of(robot)
         self._parameters = kernel_memory(tiles, kernel.parameter_rows(form) * self.lanes)
         self.record = kernel_memory(tiles, kernel.record_rows(form) * self.lanes)
         """The kernel's record; ``kernel`` defines its rows."""
-        self._action = self._action_view()
-        self._scratch = kernel_memory(kernel.scratch_rows(form) * self.lanes)
         self.trajectory_index = np.zeros(self.width, np.int64)
         """Index of the reference trajectory of each lane, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
         self._lags = self._rubs = False  # whether some robot has had a lag or Coulomb friction so far
-        self._advance = kernel.compiled(form).advance
+        self._bind()
         self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """The attributes without the compiled function, which :meth:`__setstate__` finds again."""
-        return {name: value for name, value in self.__dict__.items() if name != "_advance"}
+        """The attributes without those of :meth:`_bind`."""
+        bound = ("_advance", "_action", "_memory")
+        return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restores a copy or pickle with aligned memory and with ``_action`` as a view of its own record."""
+        """Restores a copy or pickle with aligned memory."""
         self.__dict__.update(state)
-        for name in ("_parameters", "record", "_scratch"):
+        for name in ("_parameters", "record"):
             memory = kernel_memory(*state[name].shape)
             memory[...] = state[name]
             setattr(self, name, memory)
-        self._action = self._action_view()
-        self._advance = kernel.compiled(self._form).advance
+        self._bind()
 
-    def _action_view(self) -> Array:
+    def _bind(self) -> None:
+        """Makes the views of the arrays, which copies and pickles lose, and finds the compiled function."""
+        self._advance = kernel.compiled(self._form, self.lanes).advance
         first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
-        return self._view(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
+        self._action = self._view(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
+        self._memory = tuple(self._memory_of(tiles) for tiles in self._tiles)
+
+    def _memory_of(self, tiles: slice) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Parameters, record, scratch memory of its own, index of the trajectories and of the steps of some tiles."""
+        lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
+        scratch = kernel_memory(kernel.scratch_rows(self._form) * self.lanes)
+        indices = self.trajectory_index[lanes], self.step_index[lanes]
+        return self._parameters[tiles], self.record[tiles], scratch, *indices
 
     @property
     def _parameter_rows(self) -> int:
@@ -244,19 +266,33 @@ class Plant:
             substeps: physics steps per control period.
             step: length of a physics step [s].
         """
-        self._advance(
-            self.unilateral,
-            self._lags,
-            self._rubs,
-            self._parameters,
-            self.record,
-            self._scratch,
-            references,
-            ends,
-            self.trajectory_index,
-            self.step_index,
-            substeps,
-            step,
+        for call in self.advance_calls(references, ends, substeps=substeps, step=step):
+            call()
+
+    def advance_calls(
+        self, references: Array, ends: Array, *, substeps: int, step: float
+    ) -> tuple[Callable[[], None], ...]:
+        """The calls of :meth:`advance`, one for each of :attr:`parts`, which may be made in parallel.
+
+        They can be used until parameters of the robots change.
+        """
+        return tuple(
+            partial(
+                self._advance,
+                self.unilateral,
+                self._lags,
+                self._rubs,
+                parameters,
+                record,
+                scratch,
+                references,
+                ends,
+                trajectory_index,
+                step_index,
+                substeps,
+                step,
+            )
+            for parameters, record, scratch, trajectory_index, step_index in self._memory
         )
 
     @property

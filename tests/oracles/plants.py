@@ -176,8 +176,9 @@ def evaluated(plant, torques):
     first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
     plant._write(plant.record, first, np.arange(plant.count), torques, kernel.CABLE_RECORDS)
     found = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
-    evaluate = kernel.compiled(plant._form).evaluate
-    evaluate(plant.unilateral, plant._parameters, plant.record, plant._scratch, found)
+    evaluate = kernel.compiled(plant._form, plant.lanes).evaluate
+    (_, _, scratch, _, _) = plant._memory[0]
+    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, found)
     return plant._read(found, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numba import njit
 from oracles.one_dimension import line_robot
 from oracles.plants import (
     FLEX_QUAD,
@@ -111,7 +112,7 @@ def test_reset_leaves_nothing_of_the_earlier_run(robot):
 def test_memory_starts_at_cache_lines(count):
     """Otherwise the plant loses a fifth of its speed, by the luck of the allocation."""
     for plant in [Plant(PLANAR, count) for _ in range(5)]:  # so that a lucky allocation will not do
-        for memory in (plant._parameters, plant.record, plant._scratch):
+        for memory in (plant._parameters, plant.record, *(memory for part in plant._memory for memory in part[:3])):
             assert memory.ctypes.data % 64 == 0
 
 
@@ -521,10 +522,11 @@ def test_sine_and_cosine_are_right_to_the_last_digit():
 
     Closer than 1e-9 to a zero the reduction's last digit shows (3e-27 at π/2), and relative errors mean nothing.
     """
+    sine_and_cosine = njit(lambda angle: kernel._sincos(angle))
     quarter = np.arange(-63, 64) * (math.pi / 2)
     near = (quarter[:, None] + np.array([-1e-3, -1e-6, -1e-8, 0.0, 1e-8, 1e-6, 1e-3])).ravel()
     for angle in np.concatenate([np.linspace(-100, 100, 20_001), near, np.linspace(-math.pi, math.pi, 9)]).tolist():
-        for found, expected in zip(kernel._sincos(angle), (math.sin(angle), math.cos(angle)), strict=True):
+        for found, expected in zip(sine_and_cosine(angle), (math.sin(angle), math.cos(angle)), strict=True):
             assert abs(found - expected) <= 1.2e-16
             if abs(expected) > 1e-9:
                 assert abs(found - expected) <= 2 * math.ulp(expected)
