@@ -6,21 +6,91 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import SpecChecked
+from cablebot_gym.envs.observation import ObservationLayout
 from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
+from cablebot_gym.envs.settings import Settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import choice, whole
 
 VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+
+
+class SingleView:
+    """One environment of a vector environment: the attributes of the single environment, and those of ``set_attr``."""
+
+    def __init__(self, vector: CableBotVectorEnv, env_index: int) -> None:
+        self._vector, self._env_index = vector, env_index
+
+    @property
+    def task(self) -> Task:
+        """Task of the present episode."""
+        return self._vector._simulation.task(self._env_index)
+
+    @property
+    def truth(self) -> dict[str, Array]:
+        """True parameters of the present episode."""
+        return self._vector._simulation.truth_of(self._env_index)
+
+    @property
+    def pose(self) -> Array:
+        """True pose X, shape (n,)."""
+        pose: Array = self._vector.pose[self._env_index]
+        return pose
+
+    @property
+    def np_random_seed(self) -> int:
+        """Seed of the present episode's streams."""
+        return int(self._vector._simulation.streams.seeds[self._env_index])
+
+    @property
+    def action_space(self) -> Space[Array]:
+        """Action space of one environment."""
+        return self._vector.single_action_space
+
+    @property
+    def observation_space(self) -> Space[Array]:
+        """Observation space of one environment."""
+        return self._vector.single_observation_space
+
+    @property
+    def settings(self) -> Settings:
+        """Checked constructor keywords."""
+        return self._vector.settings
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """Layout of the observation."""
+        return self._vector.layout
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification from which Gymnasium made the environments."""
+        return self._vector.spec
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Metadata of the environments."""
+        return self._vector.metadata
+
+    @property
+    def render_mode(self) -> str | None:
+        """Render mode of the environments."""
+        return self._vector.render_mode
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The present picture, shape (480, 640, 3), as in the single environment."""
+        return self._vector.picture(self._env_index)
 
 
 class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
@@ -39,6 +109,8 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor keywords: reset
             options apply to one episode only.
         render_mode: None or ``rgb_array``.
+        threads: number of threads that share a step, in tiles of 32 environments. It does not change the results, and
+            pays from about a thousand environments on.
         keywords: further keywords of the single environment.
 
     An environment is truncated by the step that completes its motion. With autoreset disabled it may be stepped on
@@ -63,6 +135,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        threads: int = 1,
         **keywords: Any,
     ) -> None:
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
@@ -74,7 +147,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         self.autoreset_mode = autoreset_mode
         """Autoreset mode, an attribute of Gymnasium's own vector environments too."""
-        self._simulation = Simulation(robot, (self.num_envs,), keywords)
+        self._simulation = Simulation(robot, (self.num_envs,), keywords, threads=whole("threads", threads, least=1))
         self.settings = self._simulation.settings
         """Checked constructor keywords."""
         self.layout = self._simulation.layout
@@ -87,6 +160,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self._done = np.zeros(self.num_envs, np.bool_)
         self._started = False
         self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
+        self._singles = tuple(SingleView(self, env_index) for env_index in range(self.num_envs))
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -203,9 +277,60 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         """
         if self._pictures is None:
             return None
+        return self.call("render")
+
+    def picture(self, env_index: int) -> NDArray[np.uint8] | None:
+        """Picture of one environment, shape (480, 640, 3), if the render mode is ``rgb_array``; else None.
+
+        Raises:
+            ResetNeeded: before the first reset.
+        """
+        if self._pictures is None:
+            return None
         if not self._started:
             raise ResetNeeded("call reset() before render()")
-        return tuple(self._pictures.array(env_index) for env_index in range(self.num_envs))
+        return self._pictures.array(env_index)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Results of a method of each environment, or values of an attribute, as in Gymnasium's vector environments.
+
+        Args:
+            name: name of a public method or attribute of the single environment, or one that :meth:`set_attr` has set.
+                ``reset`` and ``step`` are calls of this environment only.
+            args: arguments of the method.
+            kwargs: keywords of the method.
+
+        Raises:
+            AttributeError: if the environments have no such attribute.
+        """
+        values = [getattr(single, name) for single in self._singles]
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Values of an attribute of each environment, as :meth:`call` returns them."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets an attribute of each environment, which :meth:`get_attr` returns.
+
+        Args:
+            name: name of the attribute.
+            values: list or tuple of N values, or one value for all environments.
+
+        Raises:
+            AttributeError: if the environments compute the attribute.
+            ValueError: if there are not N values.
+        """
+        if hasattr(SingleView, name):
+            raise AttributeError(
+                f"the environments compute {name!r}: change it by keywords of gym.make_vec or by options of reset()"
+            )
+        if not isinstance(values, (list, tuple)):
+            values = [values] * self.num_envs
+        if len(values) != self.num_envs:
+            raise ValueError(f"{name} needs {self.num_envs} values, one per environment, not {len(values)}")
+        for single, value in zip(self._singles, values, strict=True):
+            setattr(single, name, value)
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Last observation and info of the episodes that have ended, in the form of Gymnasium's vector environments."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import random
 from typing import Any
 
@@ -14,6 +15,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from cablebot_gym.envs import PAPER_ENV_IDS, TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.utils.threads import call_all
 
 ROBOTS = {"CableBot-Planar-v0": PLANAR, "CableBot-Spatial-v0": SPATIAL}
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED]
@@ -378,3 +380,83 @@ def test_first_reset_must_start_all_environments():
         env.reset(options={"reset_mask": np.array([True, False, False])})
     with pytest.raises(ResetNeeded, match=r"reset\(\)"):
         env.step(np.zeros((3, 3)))
+
+
+# ------------------------------------------------------------------------------------- threads
+
+
+@pytest.mark.parametrize("count", [1, 40, 97])
+def test_threads_do_not_change_a_bit(count):
+    """With more threads than tiles, and a last tile that is not full."""
+    rugged = RUGGED["CableBot-Planar-v0"] | {"max_episode_steps": LIMIT, "uncertainty": "hardware"}
+    ours, theirs = make(count=count, threads=3, **rugged), make(count=count, **rugged)
+    check_same(ours.reset(seed=5), theirs.reset(seed=5))
+    for action in random_actions("CableBot-Planar-v0", count, 2 * LIMIT):
+        check_same(ours.step(action), theirs.step(action))
+
+
+def test_copy_of_a_threaded_environment_continues_equally():
+    ours = make(count=70, threads=2)
+    ours.reset(seed=0)
+    copy = pickle.loads(pickle.dumps(ours))
+    action = np.full((70, 3), 0.1)
+    check_same(ours.step(action), copy.step(action))
+
+
+@pytest.mark.parametrize("threads", [0, 1.5, "2"])
+def test_invalid_threads_raise(threads):
+    with pytest.raises((TypeError, ValueError), match="threads"):
+        make(threads=threads)
+
+
+def test_error_in_a_thread_is_raised_after_all_calls_ended():
+    ended = []
+
+    def fails():
+        raise ArithmeticError("in a thread")
+
+    with pytest.raises(ArithmeticError, match="in a thread"):
+        call_all([lambda: ended.append(0), fails, lambda: ended.append(2)])
+    assert sorted(ended) == [0, 2]
+
+
+# ---------------------------------------------------------------------------- attributes of single environments
+
+
+ATTRIBUTES = ("task", "truth", "pose", "np_random_seed", "action_space", "observation_space", "settings", "render_mode")
+
+
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_attribute_equals_that_of_gymnasiums_vector_environment(name):
+    keywords = {"payload_range": (0.0, 2.0), "uncertainty": "hardware"}
+    theirs = SyncVectorEnv([lambda: gym.make("CableBot-Planar-v0", **keywords)] * 3)
+    ours = make(**keywords)
+    ours.reset(seed=1)
+    theirs.reset(seed=1)
+    values, expected = ours.get_attr(name), theirs.get_attr(name)
+    assert type(values) is type(expected) is tuple
+    for value, other in zip(values, expected, strict=True):
+        assert repr(value) == repr(other)
+
+
+def test_set_attributes_are_returned():
+    env = make()
+    env.set_attr("label", ["a", "b", "c"])
+    env.set_attr("level", 4)
+    assert (env.get_attr("label"), env.call("level")) == (("a", "b", "c"), (4, 4, 4))
+
+
+def test_invalid_attributes_raise():
+    env = make()
+    with pytest.raises(AttributeError, match="payloads"):
+        env.get_attr("payloads")
+    with pytest.raises(AttributeError, match=r"reset\(\)"):
+        env.set_attr("pose", 0.0)
+    with pytest.raises(ValueError, match="3 values"):
+        env.set_attr("label", [1, 2])
+
+
+def test_call_renders_each_environment():
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    assert [picture.shape for picture in env.call("render")] == [(480, 640, 3)] * 3
