@@ -20,7 +20,6 @@ of S gives the tensions that hold the load, ``T = T_p + N λ``, so x has r or r 
 method of Goldfarb and Idnani finds the point after finitely many steps, or a combination of constraints that excludes
 every point. Bounds count as satisfied within 1e-10 of the largest tension.
 
-All helpers are in this file because numba's cache does not detect changes in other files.
 """
 
 from __future__ import annotations
@@ -29,13 +28,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.compiling import announce_compilation
-
-announce_compilation()
+from cablebot_gym.physics.compiling import njit
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
 """Status of an item: tensions within the bounds hold the load; none do; S has a rank below n, or a value is not

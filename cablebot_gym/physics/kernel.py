@@ -22,30 +22,27 @@ accelerations are computed last. A cable is slack when t_i ≤ 0. The set of tau
 strictly convex, so the result does not depend on the start of the search.
 
 Memory: robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row * lanes + lane]``,
-so the innermost loops run over lanes and vectorise. All helpers are in this file because numba's cache does not detect
-changes in other files. The lane loops vectorise only with ``forceinline`` and ``error_model="numpy"``.
+so the innermost loops run over lanes and vectorise. They vectorise only with ``forceinline`` and
+``error_model="numpy"``.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
-from cablebot_gym.physics.compiling import announce_compilation
-
-announce_compilation()
+from cablebot_gym.physics.compiling import njit
 
 LANES = 32
 """Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""
 
 _inline = njit(forceinline=True, error_model="numpy")
-_compile = njit(cache=True, nogil=True, error_model="numpy")
+_compile = partial(njit, cache=True, nogil=True, error_model="numpy")
 
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
 # on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
@@ -106,6 +103,14 @@ class Form(NamedTuple):
     lopsided: bool
     """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
     for every platform in a plane."""
+
+    @property
+    def robot_text(self) -> str:
+        """The kind of robot in words, without the number of lanes."""
+        body = "point mass" if self.coordinates == self.dimensions else "platform"
+        place = "in space" if self.dimensions == 3 else "in a plane"
+        springs = [text for flag, text in ((self.jointed, "joint springs"), (self.elastic, "elastic cables")) if flag]
+        return " with ".join([f"{body} {place} on {self.cables} cables", *([" and ".join(springs)] if springs else [])])
 
 
 def body_parameter(cables: int) -> int:
@@ -1647,8 +1652,9 @@ def compiled(form: Form) -> Compiled:
 
     d, n, m, lanes, jointed, elastic, swivel, lopsided = form
     flexible, double = jointed or elastic, jointed and elastic  # constants: the code would be slower if it made them
+    compile_form = partial(_compile, robot=form.robot_text)
 
-    @_compile
+    @compile_form
     def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
         _advance(
             d,
@@ -1675,7 +1681,7 @@ def compiled(form: Form) -> Compiled:
             h,
         )
 
-    @_compile
+    @compile_form
     def evaluate(unilateral, parameters, record, w, acceleration):
         _evaluate(
             d,
@@ -1695,7 +1701,7 @@ def compiled(form: Form) -> Compiled:
             acceleration,
         )
 
-    @_compile
+    @compile_form
     def required(parameters, minimum, p, w, mass, motion, results):
         _required(
             d,
@@ -1717,7 +1723,7 @@ def compiled(form: Form) -> Compiled:
             results,
         )
 
-    @_compile
+    @compile_form
     def demanded(parameters, p, w, mass, motion, structure, load, results):
         _demanded(
             d,
@@ -1740,7 +1746,7 @@ def compiled(form: Form) -> Compiled:
             results,
         )
 
-    @_compile
+    @compile_form
     def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
         _locate(
             d,
@@ -1761,11 +1767,3 @@ def compiled(form: Form) -> Compiled:
         )
 
     return Compiled(advance, evaluate, required, demanded, locate)
-
-
-def cache_folder() -> Path:
-    """Folder in which numba stores the compiled code of this file."""
-    form = Form(
-        dimensions=2, coordinates=2, cables=3, lanes=1, jointed=False, elastic=False, swivel=False, lopsided=False
-    )
-    return Path(str(compiled(form).advance.stats.cache_path))
