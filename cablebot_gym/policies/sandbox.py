@@ -83,8 +83,8 @@ def opted_out() -> bool:
 def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[str]:
     """A command line that runs a command in the sandbox.
 
-    The command has no network, sees no other process, and writes to no folder but ``folder`` and an empty home. It reads
-    the operating system, Python, installed packages, compiled code, and the files of the policy.
+    The command has no network, sees no other process, and writes to no folder but ``folder`` and an empty home. It
+    reads the operating system, Python, installed packages, compiled code, and the files of the policy.
 
     Args:
         command: the command.

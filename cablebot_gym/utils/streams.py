@@ -76,7 +76,7 @@ def protect_streams() -> None:
 
 def _protected(stream: Any, original: Any, other: Any) -> Any:
     if stream is None:
-        return open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+        return open(os.devnull, "w", encoding="utf-8")
     if stream is not original:
         return stream
     output = _Output(getattr(stream.buffer, "raw", stream.buffer), other)
