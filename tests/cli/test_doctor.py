@@ -17,7 +17,6 @@ from cablebot_gym.cli import doctor
 from cablebot_gym.cli.doctor import Finding, examine
 from cablebot_gym.policies import ENTRY_POINT_GROUP
 
-
 PLANAR = "CableBot-Planar-v0"
 
 
