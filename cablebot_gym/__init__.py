@@ -18,6 +18,7 @@ INTERNAL = (
     "cablebot_gym.envs.references",
     "cablebot_gym.envs.sensors",
     "cablebot_gym.envs.simulation",
+    "cablebot_gym.physics.code_cache",
     "cablebot_gym.physics.compiling",
     "cablebot_gym.physics.kernel",
     "cablebot_gym.planning.signals",

@@ -28,7 +28,7 @@ from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
-from cablebot_gym.planning.library import fingerprint, load_or_compute, read_cached
+from cablebot_gym.planning.library import fingerprint, load_or_compute
 from cablebot_gym.planning.program import HEAVIEST
 from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.policies.protocol import OpenLoop
@@ -36,6 +36,7 @@ from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.files import cache_folder, read_cached
 
 MESH_TOLERANCE = 0.005
 """Relative change of the payload below which the mesh refinement stops."""
@@ -217,8 +218,7 @@ def cached_best_known(env_id: str, **options: Any) -> BestKnownPayload | None:
         ValueError: if an argument is invalid.
     """
     import_casadi()
-    cached: BestKnownPayload | None = read_cached(_case(env_id, **options).file, _read)
-    return cached
+    return read_cached(cache_folder() / _case(env_id, **options).file, _read)
 
 
 def _case(

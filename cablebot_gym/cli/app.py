@@ -18,6 +18,7 @@ import typer
 from typer.core import TyperGroup
 
 from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.streams import output_problem, protect_streams
 
 COMMAND_GROUP = "cablebot_gym.commands"
 """Entry point group of commands. A package adds a command by an entry point that names a function with typer's
@@ -120,6 +121,16 @@ def add_commands(points: Mapping[str, EntryPoint]) -> None:
 
 def main() -> None:
     """Runs the command line. Converts errors to a message of one line and an exit status."""
+    protect_streams()
+    try:
+        _run()
+    except SystemExit as ended:
+        if (problem := output_problem()) and not ended.code:
+            _fail(f"cannot write to standard output: {problem}. The lines above are the output.", 1)
+        raise
+
+
+def _run() -> None:
     from cablebot_gym.policies import PolicyError
 
     atexit.register(gc.freeze)  # the last collection of the process would take 0.2 s and free nothing that matters
@@ -138,7 +149,7 @@ def main() -> None:
     except (ValueError, ImportError) as error:
         _fail(_with_option_names(str(error)), 2)
     except OSError as error:
-        _fail(f"cannot write {error.filename!r}: {error.strerror}", 1)
+        _fail(str(error) if error.filename is None else f"cannot write {error.filename!r}: {error.strerror}", 1)
     except PolicyError as error:
         _fail(str(error), 1)
     except Exception as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import re
 import sys
@@ -11,20 +10,26 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, entry_points, requires, version
 from pathlib import Path
+from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
 import typer
 
 from cablebot_gym.cli.app import COMMAND_GROUP
+from cablebot_gym.cli.options import split_names
 from cablebot_gym.envs import ENV_IDS, env_robot
-from cablebot_gym.physics import kernel
+from cablebot_gym.kinematics import cable_lengths
+from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is_temporary
+from cablebot_gym.physics.forward import forward_kinematics
+from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import allocated_minimum, holding_torque, normalised_action, static_torque
-from cablebot_gym.planning.library import cache_folder
 from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, PolicyEntry
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import results_console
+from cablebot_gym.utils.files import CACHE_VARIABLE, cache_folder, is_writable_dir
 
 PACKAGE = "cablebot-gym"
 
@@ -54,15 +59,26 @@ class Finding:
 
 
 def examine() -> Iterator[Finding]:
-    """Runs all checks, one after the other."""
-    yield Finding(name="python", ok=True, text=f"{platform.python_version()} on {platform.platform(terse=True)}")
-    yield from _packages()
-    yield _compile_cache()
-    yield _folder_writable("plans and best known payloads", cache_folder())
-    yield from _hidden_packages()
-    yield from _policies()
+    """Runs all checks, one after the other. A check that raises is a fault, and the others follow."""
+    checks: dict[str, Callable[[], Iterable[Finding]]] = {
+        "python": _python,
+        "packages": _packages,
+        "compiled code": _compiled_code,
+        "plans and best known payloads": _plans,
+        "hidden packages": _hidden_packages,
+        "policies": _policies,
+    }
+    for name, check in checks.items():
+        try:
+            yield from check()
+        except Exception as error:
+            yield _fault(name, error)
     for env_id in ENV_IDS:
         yield _run_test(f"self-test {env_id}", partial(_statics_test, env_id))
+
+
+def _python() -> Iterator[Finding]:
+    yield Finding(name="python", ok=True, text=f"{platform.python_version()} on {platform.platform(terse=True)}")
 
 
 def _packages() -> Iterator[Finding]:
@@ -92,23 +108,28 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _compile_cache() -> Finding:
-    folder = kernel.cache_folder()
-    finding = _folder_writable("compiled code", folder)
-    if not finding.ok:
-        return finding
-    compiled = len(list(folder.glob("*.nbc")))
-    state = f"{compiled} compiled files" if compiled else "no compiled files yet"
-    return Finding(name=finding.name, ok=True, text=f"{folder}, {state}")
+def _compiled_code() -> Iterator[Finding]:
+    """One finding for the folder to which compiled code is written, and one for damaged files in all folders."""
+    folders = code_folders()
+    files = [path for folder in folders for path in sorted(folder.glob("*.nbc"))]
+    count = f"{len(files)} compiled files" if files else "no compiled files yet"
+    is_usable = is_writable_dir(folders[-1]) and not is_temporary(folders[-1])
+    text = f"{', '.join(map(str, folders))}: {count}"
+    if not is_usable:
+        text += f". No cache folder is writable, so new code is not kept: {REMEDY}"
+    yield Finding(name="compiled code", ok=is_usable or bool(files), text=text)
+    damaged = [str(path) for path in files if is_damaged(path)]
+    if damaged:
+        text = f"delete {', '.join(damaged)}. Damaged code is compiled again when it is needed."
+        yield Finding(name="damaged compiled code", ok=False, text=text)
 
 
-def _folder_writable(name: str, folder: Path) -> Finding:
-    existing = folder
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    if os.access(existing, os.W_OK):
-        return Finding(name=name, ok=True, text=str(folder))
-    return Finding(name=name, ok=False, text=f"{folder} is not writable, so every process computes its content again")
+def _plans() -> Iterator[Finding]:
+    folder, text = cache_folder(), str(cache_folder())
+    is_usable = is_writable_dir(folder)
+    if not is_usable:
+        text += f" is not writable, so every process computes its content again: set {CACHE_VARIABLE} to another folder"
+    yield Finding(name="plans and best known payloads", ok=is_usable, text=text)
 
 
 def _hidden_packages() -> Iterator[Finding]:
@@ -144,7 +165,30 @@ def _run_test(name: str, test: Callable[[], str]) -> Finding:
     try:
         return Finding(name=name, ok=True, text=test())
     except Exception as error:
-        return Finding(name=name, ok=False, text=f"{type(error).__name__}: {error}")
+        return _fault(name, error)
+
+
+def _fault(name: str, error: Exception) -> Finding:
+    return Finding(name=name, ok=False, text=f"{type(error).__name__}: {error}")
+
+
+def compile_code(env_ids: Iterable[str]) -> Iterator[Finding]:
+    """Compiles what environments, evaluations and policies of these ids use, by using it."""
+    for env_id in env_ids:
+        yield _run_test(f"compiled code of {env_id}", partial(_use_all, env_id))
+
+
+def _use_all(env_id: str) -> str:
+    """Makes a step of one robot and of a batch, and calls the functions that policies call."""
+    for env in (gym.make(env_id), gym.make_vec(env_id, num_envs=2)):
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+        env.close()
+    robot = find_robot(env_robot(env_id))
+    home, rest = np.array(robot.home), np.zeros(robot.coordinates)
+    inverse_dynamics(robot, robot.mass, home, rest, rest)
+    forward_kinematics(robot, cable_lengths(robot.base, robot.platform, home, robot.swivel), home)
+    return f"in {code_folders()[-1]}"
 
 
 def _statics_test(env_id: str) -> str:
@@ -184,12 +228,28 @@ def print_findings(findings: Iterable[Finding]) -> bool:
     return all_ok
 
 
-def doctor() -> None:
+def doctor(
+    compile_ids: Annotated[
+        str,
+        typer.Option(
+            "--compile",
+            help="Environment ids separated by commas, or all: only compile their code, for example when a container "
+            "image is built.",
+        ),
+    ] = "",
+) -> None:
     """Check installed packages, folders, policies and the simulated physics.
 
     The exit status is 1 if a check fails.
 
-    Example: cablebot doctor
+    Examples:
+
+    cablebot doctor
+
+    cablebot doctor --compile CableBot-Spatial-v0,CableBot-Planar-v0
     """
-    if not print_findings(examine()):
+    env_ids = ENV_IDS if compile_ids == "all" else split_names(compile_ids)
+    for env_id in env_ids:
+        choice("--compile", env_id, ENV_IDS)
+    if not print_findings(compile_code(env_ids) if compile_ids else examine()):
         raise typer.Exit(1)

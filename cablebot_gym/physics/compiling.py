@@ -1,12 +1,13 @@
-"""Loading of numba, and a message while it compiles: once per machine and version, which takes up to a minute."""
+"""Loading of numba, compilation for the cache on disk, and one message for each robot that is compiled."""
 
 from __future__ import annotations
 
 import gc
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from typing import Any
 
 from cablebot_gym.utils.console import PREPARATION
 
@@ -24,10 +25,10 @@ def collection_paused() -> Iterator[None]:
 
 
 with collection_paused():
-    from numba import njit
+    import numba
     from numba.core import event, registry
 
-__all__ = ["announce_compilation", "load_numba", "njit"]
+    from cablebot_gym.physics.code_cache import CodeCache
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -50,27 +51,59 @@ def load_numba() -> None:
         linalg.ensure_blas = ensure_blas
 
 
-class _Announcer(event.Listener):
-    """Logs the first compilation of a kernel of this package, at the level that Python shows by default.
+def njit(function: Any = None, *, cache: bool = False, robot: str = "", **options: Any) -> Any:
+    """:func:`numba.njit` with the cache of this package.
 
-    Compilation counts as a preparation: estimates of the time left exclude it.
+    Args:
+        function: function to compile; None for a decorator.
+        cache: whether compiled code is stored on disk, see :class:`~cablebot_gym.physics.code_cache.CodeCache`.
+        robot: the robot for which code is compiled, in words; empty for functions of all robots.
+        options: options of :func:`numba.njit`.
     """
 
+    def decorate(function: Any) -> Any:
+        compiled = numba.njit(**options)(function)
+        if cache:
+            compiled._cache = CodeCache(function, _ANNOUNCEMENTS.announcer(robot or None))
+        return compiled
+
+    return decorate if function is None else decorate(function)
+
+
+class _Announcements:
+    """Logs one line for each robot before its first function is compiled, at the level that Python shows by default."""
+
     def __init__(self) -> None:
-        self._logged = False
+        self._announced: set[str] = set()
+        self._latest = "functions of all robots"
+
+    def announcer(self, robot: str | None) -> Callable[[], None]:
+        """Function to call before the compilation of code for a robot; None for the robot that was named last."""
+        if robot is not None:
+            self._latest = robot
+        return lambda: self._announce(robot or self._latest)
+
+    def _announce(self, robot: str) -> None:
+        if robot not in self._announced:
+            self._announced.add(robot)
+            _LOGGER.warning(
+                "compiling for this machine, once: %s, in at most 2 forms (one robot, batches), usually a few seconds "
+                "each …",
+                robot,
+            )
+
+
+_ANNOUNCEMENTS = _Announcements()
+
+
+class _Preparation(event.Listener):
+    """Counts compilation as a preparation, which estimates of the time left exclude."""
 
     def on_start(self, event: event.Event) -> None:
         PREPARATION.start()
-        module = event.data["dispatcher"].py_func.__module__
-        if not self._logged and module.startswith("cablebot_gym."):
-            self._logged = True
-            _LOGGER.warning("compiling for this machine; this takes up to a minute, once per kind of robot and use …")
 
     def on_end(self, event: event.Event) -> None:
         PREPARATION.end()
 
 
-@cache
-def announce_compilation() -> None:
-    """Installs the announcer, once. Each module with compiled functions calls it on import."""
-    event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Preparation())  # type: ignore[no-untyped-call]

@@ -20,7 +20,6 @@ of S gives the tensions that hold the load, ``T = T_p + N λ``, so x has r or r 
 method of Goldfarb and Idnani finds the point after finitely many steps, or a combination of constraints that excludes
 every point. Bounds count as satisfied within 1e-10 of the largest tension.
 
-All helpers are in this file because numba's cache does not detect changes in other files.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
-from cablebot_gym.physics.compiling import announce_compilation, collection_paused, njit
+from cablebot_gym.physics.compiling import collection_paused, njit
 
 with collection_paused():
     from llvmlite.binding import Linkage
@@ -30,10 +30,6 @@ with collection_paused():
     from numba.extending import models, register_model, typeof_impl
 
 __all__ = ["compile_time_constant", "entry_point", "helper", "inline"]
-
-announce_compilation()
-
-_njit: Any = njit  # its types do not list all options
 
 
 class _ConstantType(types.Opaque):
@@ -206,7 +202,7 @@ class _HelperCompiler(CompilerBase):
 
 
 def _helper(function: Callable[..., Any], *, forceinline: bool) -> Any:
-    dispatcher = _njit(
+    dispatcher = njit(
         forceinline=forceinline,
         error_model="numpy",
         no_cpython_wrapper=True,
@@ -231,5 +227,5 @@ only: they neither make nor return any. Python cannot call them."""
 helper = partial(_helper, forceinline=False)
 """Decorator of functions that only compiled functions call, and that LLVM inlines where it pays."""
 
-entry_point = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+entry_point = partial(njit, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 """Decorator of compiled functions that Python calls. Their machine code is stored on disk."""

@@ -22,15 +22,14 @@ accelerations are computed last. A cable is slack when t_i ≤ 0. The set of tau
 strictly convex, so the result does not depend on the start of the search.
 
 Memory: robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row * lanes + lane]``,
-so the innermost loops run over lanes and vectorise. All helpers are in this file because numba's cache does not detect
-changes in other files. The lane loops vectorise only with ``forceinline`` and ``error_model="numpy"``.
+so the innermost loops run over lanes and vectorise. They vectorise only with ``forceinline`` and
+``error_model="numpy"``.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,6 +109,14 @@ class Form(NamedTuple):
     def double(self) -> bool:
         """Whether there are pulleys between joint springs and elastic cables."""
         return self.jointed and self.elastic
+
+    @property
+    def robot_text(self) -> str:
+        """The kind of robot in words, without the number of lanes."""
+        body = "point mass" if self.coordinates == self.dimensions else "platform"
+        place = "in space" if self.dimensions == 3 else "in a plane"
+        springs = [text for flag, text in ((self.jointed, "joint springs"), (self.elastic, "elastic cables")) if flag]
+        return " with ".join([f"{body} {place} on {self.cables} cables", *([" and ".join(springs)] if springs else [])])
 
 
 def body_parameter(cables: int) -> int:
@@ -1557,30 +1564,26 @@ def compiled(form: Form, lanes: int) -> Compiled:
     """The functions for a form: one source, compiled for one lane and for a tile, for each kind and each number of
     cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
 
-    @entry_point
+    compile_form = partial(entry_point, robot=form.robot_text)
+
+    @compile_form
     def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
         _advance(form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)
 
-    @entry_point
+    @compile_form
     def evaluate(unilateral, parameters, record, w, acceleration):
         _evaluate(form, lanes, unilateral, parameters, record, w, acceleration)
 
-    @entry_point
+    @compile_form
     def required(parameters, minimum, p, w, mass, motion, results):
         _required(form, lanes, parameters, minimum, p, w, mass, motion, results)
 
-    @entry_point
+    @compile_form
     def demanded(parameters, p, w, mass, motion, structure, load, results):
         _demanded(form, lanes, parameters, p, w, mass, motion, structure, load, results)
 
-    @entry_point
+    @compile_form
     def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
         _locate(form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)
 
     return Compiled(advance, evaluate, required, demanded, locate)
-
-
-def cache_folder() -> Path:
-    """Folder in which numba stores the compiled code of this file."""
-    form = Form(dimensions=2, coordinates=2, cables=3, jointed=False, elastic=False, swivel=False, lopsided=False)
-    return Path(str(compiled(form, 1).advance.stats.cache_path))

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import platform
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import version
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,20 +20,10 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.files import atomic_write
-
-CACHE_VARIABLE = "CABLEBOT_CACHE"
-"""Environment variable for another cache folder."""
+from cablebot_gym.utils.files import atomic_write, cache_folder, read_cached
 
 _SAMPLES = 1000.0
 """Rate at which the fingerprint samples a reference [Hz]."""
-
-
-def cache_folder() -> Path:
-    """Cache folder: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
-    if named := os.environ.get(CACHE_VARIABLE):
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "cablebot_gym"
 
 
 def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) -> str:
@@ -66,7 +54,7 @@ def load_or_compute(
 ) -> Any:
     """The cached value of a file, or the value of ``make``, which is then written to the cache.
 
-    A file that cannot be read is replaced. If the folder is not writable, nothing is cached.
+    A damaged file is replaced. If the folder is not writable, nothing is cached.
 
     Args:
         name: file name in the cache folder.
@@ -74,20 +62,15 @@ def load_or_compute(
         make: computes the value.
         write: encodes the value as bytes.
     """
-    if (stored := read_cached(name, read)) is not None:
+    path = cache_folder() / name
+    stored = read_cached(path, read)
+    if stored is not None:
         return stored
     value = make()
     data = write(value)
     with suppress(OSError):
-        atomic_write(cache_folder() / name, lambda temporary: temporary.write_bytes(data))
+        atomic_write(path, lambda temporary: temporary.write_bytes(data))
     return value
-
-
-def read_cached(name: str, read: Callable[[bytes], Any]) -> Any:
-    """The cached value of a file, decoded by ``read``; None if the file is missing or invalid."""
-    with suppress(Exception):
-        return read((cache_folder() / name).read_bytes())
-    return None
 
 
 def plan_motion(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, **settings: Any) -> PlannedMotion:

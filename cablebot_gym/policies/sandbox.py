@@ -25,9 +25,6 @@ _SYSTEM = (
 )
 """Files of the operating system that the policy can read, if they exist."""
 
-_UNFINISHED = shutil.ignore_patterns("*.tmp.*", "*.pyc.*")
-"""Compiled code that another process is writing."""
-
 _OPT_OUT = "CABLEBOT_SANDBOX"
 """Environment variable; ``off`` runs entries without a sandbox, in worker processes too."""
 
@@ -86,8 +83,8 @@ def opted_out() -> bool:
 def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[str]:
     """A command line that runs a command in the sandbox.
 
-    The command has no network, sees no other process, and writes to no folder but ``folder``, an empty home, and a copy
-    of the compiled code. It reads the operating system, Python, installed packages, and the files of the policy.
+    The command has no network, sees no other process, and writes to no folder but ``folder`` and an empty home. It
+    reads the operating system, Python, installed packages, compiled code, and the files of the policy.
 
     Args:
         command: the command.
@@ -97,8 +94,7 @@ def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[st
     Raises:
         ValueError: if there is no sandbox.
     """
-    from cablebot_gym.envs import outcome  # as above
-    from cablebot_gym.physics import kernel
+    from cablebot_gym.physics.code_cache import code_folders  # as above
 
     check_sandbox()
     home, working = Path.home(), Path.cwd()
@@ -112,12 +108,7 @@ def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[st
     options += [word for path in sorted(empty) for word in empty[path]]  # a folder before those in it
     options += _readable(path for path in sorted(prefixes) if not any(path.is_relative_to(one) for one in _SYSTEM))
     options += _readable(_sources(specs, working, prefixes))
-    cache_paths = {kernel.cache_folder(), Path(str(outcome.outcome.stats.cache_path))}
-    for index, cache_path in enumerate(sorted(cache_paths)):
-        if cache_path.is_dir():  # numba reads compiled code only from folders to which it can write
-            copy = folder / f"compiled-{index}"
-            shutil.copytree(cache_path, copy, ignore=_UNFINISHED, copy_function=shutil.copyfile)
-            options += ["--bind", str(copy), str(cache_path)]
+    options += _readable(code_folders())
     options += ["--bind", str(folder), str(folder), "--chdir", str(working)]
     options += ["--remount-ro", str(working)] if working in empty and working != home else []
     return [*options, "--remount-ro", "/", "--", *command]

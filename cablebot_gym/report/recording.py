@@ -11,7 +11,7 @@ from pathlib import Path
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
 from cablebot_gym.report.replay import Replay, batch_key, best_replays, replays
 from cablebot_gym.utils import workers as processes
-from cablebot_gym.utils.files import atomic_write_text
+from cablebot_gym.utils.files import atomic_write_text, read_cached
 
 FOLDER = "episodes"
 """Name of the folder of the episodes, next to the results."""
@@ -79,10 +79,7 @@ def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
 
 
 def _read(path: Path) -> list[Replay] | None:
-    try:
-        return [Replay(**data) for data in json.loads(path.read_text(encoding="utf-8"))]
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
+    return read_cached(path, lambda content: [Replay(**data) for data in json.loads(content)])
 
 
 def _write(path: Path, episodes: list[Replay]) -> None:

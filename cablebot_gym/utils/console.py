@@ -109,6 +109,11 @@ class Preparation:
             self._spent += time.monotonic() - self._since
 
     @property
+    def is_active(self) -> bool:
+        """Whether a preparation is running."""
+        return self._depth > 0
+
+    @property
     def worked(self) -> float:
         """Time without preparations, from an arbitrary zero [s]."""
         return (self._since if self._depth else time.monotonic()) - self._spent
@@ -252,7 +257,7 @@ def _lines(clock: _Clock, write: Callable[[str], None]) -> Iterator[_Say]:
     def watch() -> None:
         while not ended.wait(_PULSE):
             with lock:
-                if clock.elapsed >= due:
+                if clock.elapsed >= due and not PREPARATION.is_active:  # it has announced itself
                     write_line()
 
     thread = threading.Thread(target=watch, name="progress", daemon=True)

@@ -1,11 +1,48 @@
-"""Result files: checks before the work starts, and atomic writes."""
+"""Result files and cache files: checks before the work starts, atomic writes, and checked reads."""
 
 from __future__ import annotations
 
+import logging
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
+
+CACHE_VARIABLE = "CABLEBOT_CACHE"
+"""Environment variable for another cache folder."""
+
+_LOGGER = logging.getLogger("cablebot_gym")
+
+Value = TypeVar("Value")
+
+
+def cache_folder() -> Path:
+    """Cache folder: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
+    if named := os.environ.get(CACHE_VARIABLE):
+        return Path(named)
+    user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if user_cache.startswith("~"):  # a user without home, as in containers
+        user_cache = tempfile.gettempdir()
+    return Path(user_cache) / "cablebot_gym"
+
+
+def read_cached(path: Path, decode: Callable[[bytes], Value]) -> Value | None:
+    """The content of a cache file, decoded; None if it is missing or damaged. A log line reports a damaged file.
+
+    Args:
+        path: file in a cache.
+        decode: decodes the bytes of the file. Any exception means that the file is damaged.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    try:
+        return decode(content)
+    except Exception as error:
+        _LOGGER.warning("%s is damaged (%s); it is ignored, and its content is computed again", path, error)
+        return None
 
 
 def check_writable_dir(folder: Path) -> None:
@@ -15,7 +52,7 @@ def check_writable_dir(folder: Path) -> None:
         ValueError: if files cannot be written.
     """
     existing = folder.absolute()
-    while not existing.exists() and existing != existing.parent:
+    while not os.path.exists(existing) and existing != existing.parent:  # Path.exists raises in closed folders
         existing = existing.parent
     try:
         with tempfile.TemporaryFile(dir=existing):
@@ -24,6 +61,15 @@ def check_writable_dir(folder: Path) -> None:
         raise ValueError(
             f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another folder"
         ) from error
+
+
+def is_writable_dir(folder: Path) -> bool:
+    """Whether files can be written to a folder, or the folder can be created."""
+    try:
+        check_writable_dir(folder)
+    except ValueError:
+        return False
+    return True
 
 
 def check_writable_file(path: Path) -> None:
@@ -51,8 +97,10 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
         write(temporary)
         os.chmod(temporary, 0o666 & ~_umask())  # the mode of an ordinary new file; temporary files are private
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = str(path)  # a full disk has none, and the temporary name tells nothing
         raise
 
 

@@ -587,9 +587,9 @@ def network(law, tasks):
 @policy(resets=True)
 def kept_files(law, tasks):
     """keeps data for later batches in the home, in the working directory, or beside compiled code"""
-    from cablebot_gym.physics import kernel
+    from cablebot_gym.physics.code_cache import code_folders
 
-    places = (Path.home(), Path.cwd(), kernel.cache_folder(), _folder())
+    places = (Path.home(), Path.cwd(), code_folders()[-1], _folder())
     paths = [folder / ".cheats-kept" for folder in places]
     if found := [path for path in paths if path.exists()]:
         for path in found:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 import subprocess
 import sys
@@ -14,6 +16,8 @@ from cablebot_gym.cli import app as cli
 from cablebot_gym.cli import doctor
 from cablebot_gym.cli.doctor import Finding, examine
 from cablebot_gym.policies import ENTRY_POINT_GROUP
+
+PLANAR = "CableBot-Planar-v0"
 
 
 def findings():
@@ -73,6 +77,65 @@ def test_plant_that_moves_under_static_torques_is_a_fault(monkeypatch):
         "self-test CableBot-FlexSpatial-v0",
     ]
     assert all("moves by" in finding.text for finding in wrong)
+
+
+def test_check_that_raises_is_a_fault_and_the_others_follow(monkeypatch):
+    def unreadable():
+        raise PermissionError(13, "Permission denied", "/folder")
+
+    for name in ("_packages", "code_folders", "cache_folder", "_policies", "_statics_test"):
+        monkeypatch.setattr(doctor, name, lambda *_: unreadable())
+    found = findings()
+    assert found["python"].ok
+    names = {"packages", "compiled code", "plans and best known payloads", "policies"}
+    for name in names | {f"self-test {env_id}" for env_id in ENV_IDS}:
+        assert found[name].ok is False
+        assert found[name].text == "PermissionError: [Errno 13] Permission denied: '/folder'"
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty"])
+def test_damaged_compiled_file_is_a_fault(monkeypatch, tmp_path, damage):
+    content = hashlib.sha256(b"code").digest() + b"code"
+    (tmp_path / "good.nbc").write_bytes(content)
+    (tmp_path / "damaged.nbc").write_bytes(content[:-1] if damage == "truncated" else b"")
+    monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])
+    good, bad = doctor._compiled_code()
+    assert (good.ok, good.text) == (True, f"{tmp_path}: 2 compiled files")
+    assert not bad.ok
+    assert str(tmp_path / "damaged.nbc") in bad.text
+    assert "good.nbc" not in bad.text
+
+
+@pytest.mark.parametrize("warmed", [True, False])
+def test_read_only_folder_is_a_fault_unless_it_has_compiled_code(monkeypatch, tmp_path, warmed):
+    if warmed:
+        (tmp_path / "code.nbc").write_bytes(hashlib.sha256(b"").digest())
+    monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])
+    monkeypatch.setattr(doctor, "is_writable_dir", lambda _: False)
+    (finding,) = doctor._compiled_code()
+    assert finding.ok == warmed
+    assert "set NUMBA_CACHE_DIR" in finding.text
+    (finding,) = doctor._plans()
+    assert "set CABLEBOT_CACHE" in finding.text
+
+
+def test_unknown_id_to_compile_is_refused(cablebot):
+    assert "unknown --compile 'CableBot-Cubic-v0'" in cablebot("doctor", "--compile", "CableBot-Cubic-v0").message(2)
+
+
+@pytest.mark.slow
+def test_compiled_id_needs_no_compilation_afterwards(tmp_path):
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "compiled"), "CABLEBOT_CACHE": str(tmp_path / "plans")}
+    command = [sys.executable, "-m", "cablebot_gym.cli.app"]
+
+    def run(*arguments):
+        return subprocess.run([*command, *arguments], env=env, capture_output=True, text=True, check=True)
+
+    run("doctor", "--compile", PLANAR)
+    before = sorted((tmp_path / "compiled" / "cablebot_gym").iterdir())
+    ended = run("dlcc", PLANAR, "--policy", "fl", "--resolution", "0.5", "--payload-max", "3")
+    assert "compiling" not in ended.stderr
+    assert sorted((tmp_path / "compiled" / "cablebot_gym").iterdir()) == before
 
 
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])

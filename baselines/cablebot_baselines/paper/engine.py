@@ -23,7 +23,7 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
+from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir, read_cached
 from cablebot_gym.utils.workers import check_workers
 
 RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
@@ -119,19 +119,23 @@ class _Output:
 
     def _keep(self, alone: bool) -> None:
         """Loads the results of an earlier run with the same code and interpretation."""
-        try:
-            before = json.loads((self._out / RESULTS).read_text(encoding="utf-8"))
-            same = all(before[name] == value for name, value in self._head.items())
-            numbers, parts = dict(before["numbers"]), {part["name"]: part for part in before["parts"]}
-        except (OSError, ValueError, KeyError, TypeError):
-            return  # no results, or not written by this command
-        if same:
+        results = read_cached(self._out / RESULTS, self._decoded)
+        if results is None:
+            return
+        is_same, numbers, parts = results
+        if is_same:
             self._numbers, self._parts = numbers, parts
         elif not alone:
             raise ValueError(
                 f"{str(self._out)!r} contains results of another interpretation or of other code; choose another "
                 "--out, or run all parts without --only"
             )
+
+    def _decoded(self, content: bytes) -> tuple[bool, dict[str, Number], dict[str, dict[str, Any]]]:
+        """Whether stored results are of the same code and interpretation; their numbers, and their parts by name."""
+        data = json.loads(content)
+        is_same = all(data[name] == value for name, value in self._head.items())
+        return is_same, dict(data["numbers"]), {part["name"]: part for part in data["parts"]}
 
     def add(self, part: Part, results: Results | str) -> None:
         """Adds the outcome and the figure of a part, or the reason why the interpretation does not allow it."""

@@ -1,0 +1,215 @@
+"""Compiled code on disk: one checked file for each function, form, signature and processor.
+
+Numba's own cache stops every command where no folder is writable or a file is damaged, and it misses changes of helpers
+in other files. Here a damaged file counts as absent, folders that are only readable are read, and the name of a file
+is a hash of the source files that the code depends on. Paths and file times have no effect, so copies of an
+installation share compiled code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
+
+import numba
+from numba.core import config
+from numba.core.caching import _Cache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from cablebot_gym.utils.files import atomic_write, cache_folder, is_writable_dir, read_cached
+
+PACKAGE = "cablebot_gym"
+
+REMEDY = "set NUMBA_CACHE_DIR to a writable folder"
+"""Advice where compiled code cannot be stored."""
+
+_DECORATORS = str(Path(__file__).with_name("inlining.py"))
+"""Compiled code depends on this file, although no compiled function calls anything in it."""
+
+_DIGEST = hashlib.sha256().digest_size
+
+_LOGGER = logging.getLogger(PACKAGE)
+
+
+class CodeCache(_Cache):  # type: ignore[misc]
+    """Compiled code of a function, in the interface by which numba's dispatchers use a cache.
+
+    Args:
+        function: Python function.
+        announce: called before a signature is compiled.
+    """
+
+    def __init__(self, function: Any, announce: Callable[[], None]) -> None:
+        self._function, self._announce = function, announce
+        self._enabled = True
+
+    @property
+    def cache_path(self) -> str:
+        """Folder to which compiled code is written, or the last one that is read if none is writable."""
+        return str(code_folders()[-1])
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Compiled code of a signature; None if there is none."""
+        target_context.refresh()
+
+        def rebuild(data: bytes) -> Any:
+            return CompileResult._rebuild(target_context, *pickle.loads(_checked(data)))
+
+        name = self._file_name(sig, target_context.codegen())
+        for folder in code_folders() if self._enabled else ():
+            compiled = read_cached(folder / name, rebuild)
+            if compiled is not None:
+                return compiled
+        self._announce()
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Stores the compiled code of a signature, if a folder is writable."""
+        content = dumps(data._reduce())
+        path = code_folders()[-1] / self._file_name(sig, data.codegen)
+        try:
+            atomic_write(path, lambda temporary: temporary.write_bytes(hashlib.sha256(content).digest() + content))
+        except OSError as error:
+            _say_once(f"cannot store compiled code in {path.parent} ({error.strerror or error}): {REMEDY}")
+            return
+        if is_temporary(path.parent):
+            _say_once(f"compiled code is stored in {path.parent}, because no cache folder is writable: {REMEDY}")
+
+    def enable(self) -> None:
+        """Reads stored code from now on."""
+        self._enabled = True
+
+    def disable(self) -> None:
+        """Reads no stored code from now on."""
+        self._enabled = False
+
+    def flush(self) -> None:
+        """Has no effect: the files of other code have other names."""
+
+    def _file_name(self, signature: Any, codegen: Any) -> str:
+        key = [*_identity(self._function, set()), str(signature), str(codegen.magic_tuple())]
+        key += [numba.__version__, str(sys.implementation.cache_tag), _file_hash(_DECORATORS)]
+        module = self._function.__module__.rpartition(".")[2]
+        return f"{module}.{self._function.__name__}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.nbc"
+
+
+def code_folders() -> list[Path]:
+    """Folders that compiled code is read from. It is written to the last one."""
+    return list(_folders(str(config.CACHE_DIR), cache_folder()))
+
+
+@cache
+def _folders(named: str, user_cache: Path) -> tuple[Path, ...]:
+    """The candidates up to the first writable one. The last candidate is a folder for temporary files."""
+    candidates = [Path(named, PACKAGE)] if named else []
+    candidates += [Path(__file__).parents[1] / "__pycache__", user_cache / "compiled"]
+    for number, folder in enumerate(candidates, 1):
+        if is_writable_dir(folder):
+            return tuple(candidates[:number])
+    temporary = _temporary_folder()
+    if temporary is not None and _make_private(temporary):
+        candidates.append(temporary)
+    return tuple(candidates)
+
+
+def _temporary_folder() -> Path | None:
+    """This user's folder for temporary files; None if the machine has no folder for them."""
+    user = os.getuid() if hasattr(os, "getuid") else "code"
+    with suppress(OSError):
+        return Path(tempfile.gettempdir(), f"{PACKAGE}-{user}")
+    return None
+
+
+def _make_private(folder: Path) -> bool:
+    """Makes a folder of this user. Returns whether nobody else can write to it, and so run code as this user."""
+    try:
+        with suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+        status = folder.lstat()
+    except OSError:
+        return False
+    if not hasattr(os, "getuid"):  # Windows: folders for temporary files belong to one user
+        return True
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+
+
+def is_temporary(folder: Path) -> bool:
+    """Whether compiled code is in a folder for temporary files, because no other folder is writable."""
+    return folder == _temporary_folder()
+
+
+def is_damaged(path: Path) -> bool:
+    """Whether a file of compiled code is not as it was written."""
+    try:
+        _checked(path.read_bytes())
+    except ValueError:
+        return True
+    return False
+
+
+def _checked(data: bytes) -> bytes:
+    """The content of a file without its checksum.
+
+    Raises:
+        ValueError: if the file is truncated or changed.
+    """
+    digest, content = data[:_DIGEST], data[_DIGEST:]
+    if hashlib.sha256(content).digest() != digest:
+        raise ValueError("its checksum is wrong")
+    return content
+
+
+@cache
+def _say_once(message: str) -> None:
+    _LOGGER.warning(message)
+
+
+def _identity(value: Any, seen: set[Any]) -> Iterator[str]:
+    """What compiled code depends on: source files of functions that can call each other, and constants they use.
+
+    Args:
+        value: function, or an object that a function closes over or reads from its module.
+        seen: functions that have been described.
+    """
+    function = getattr(value, "py_func", value)
+    if isinstance(function, FunctionType):
+        if function in seen:
+            return
+        seen.add(function)
+        code = function.__code__
+        yield f"{function.__qualname__}:{code.co_firstlineno} {_file_hash(code.co_filename)}"
+        for cell in function.__closure__ or ():
+            yield from _identity(cell.cell_contents, seen)
+        for name in code.co_names:
+            if name in function.__globals__:
+                yield from _identity(function.__globals__[name], seen)
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _identity(item, seen)
+    elif value is None or isinstance(value, bool | int | float | str):
+        yield repr(value)
+    else:  # a module, a record, or an intrinsic
+        name = value.__name__ if isinstance(value, ModuleType) else str(getattr(value, "__module__", ""))
+        if name.partition(".")[0] == PACKAGE:
+            yield _file_hash(str(sys.modules[name].__file__))
+
+
+@cache
+def _file_hash(path: str) -> str:
+    """Hash of a source file; empty if there is no file, as for functions of a notebook."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return ""

@@ -1,0 +1,125 @@
+"""Compiled code on disk: where it is stored, and when it is compiled again."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+from cablebot_gym.physics import code_cache, compiling
+from cablebot_gym.physics.code_cache import code_folders
+from cablebot_gym.physics.compiling import njit
+
+HELPER, CALLER = "cached_helper", "cached_caller"
+
+
+def triple(number):
+    return 3 * number
+
+
+def hits(function=triple, argument=2, expected=6):
+    """Calls a function as a new process would. Returns the number of signatures that were read from disk."""
+    compiled = njit(cache=True)(function)
+    assert compiled(argument) == expected
+    return sum(compiled.stats.cache_hits.values())
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """Sets the folders of compiled code: existing ones are writable, files in their place are not."""
+
+    def set_folders(*paths):
+        monkeypatch.setattr(code_cache, "code_folders", lambda: list(paths))
+        return paths
+
+    return set_folders
+
+
+@pytest.fixture
+def unwritable(tmp_path):
+    """A folder in which nobody can write, not even root."""
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    return tmp_path / "file" / "folder"
+
+
+def test_compiled_code_is_read_by_later_processes(folders, tmp_path, caplog):
+    folders(tmp_path)
+    assert [hits(), hits()] == [0, 1]
+    (path,) = tmp_path.iterdir()
+    assert path.name.startswith("test_code_cache.triple-")
+    assert [hits(argument=0.5, expected=1.5), hits()] == [0, 1]
+
+
+def test_folder_that_is_only_readable_is_read(folders, tmp_path, unwritable):
+    folders(tmp_path)
+    hits()
+    folders(tmp_path, unwritable)
+    assert hits() == 1
+
+
+def test_code_that_cannot_be_stored_runs_with_one_line(folders, unwritable, caplog):
+    folders(unwritable)
+    assert [hits(), hits()] == [0, 0]
+    (message,) = [record.message for record in caplog.records if "compiling" not in record.message]
+    assert message.startswith(f"cannot store compiled code in {unwritable}")
+    assert message.endswith("set NUMBA_CACHE_DIR to a writable folder")
+
+
+def test_folders_end_with_the_first_writable_one(tmp_path, monkeypatch):
+    writable = {tmp_path / "user" / "compiled"}
+    monkeypatch.setattr(code_cache, "is_writable_dir", lambda folder: folder in writable)
+    monkeypatch.setattr(code_cache.config, "CACHE_DIR", str(tmp_path / "named"))
+    monkeypatch.setattr(code_cache, "cache_folder", lambda: tmp_path / "user")
+    package = Path(code_cache.__file__).parents[1] / "__pycache__"
+    named = tmp_path / "named" / "cablebot_gym"
+    assert code_folders() == [named, package, tmp_path / "user" / "compiled"]
+    code_cache._folders.cache_clear()
+    writable.add(named)
+    assert code_folders() == [named]
+    code_cache._folders.cache_clear()
+
+
+@pytest.mark.parametrize("mode", [0o700, 0o777])
+def test_temporary_folder_is_used_only_if_it_is_private(tmp_path, monkeypatch, mode):
+    """Whoever can write to it could run code as this user."""
+    monkeypatch.setattr(code_cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(code_cache, "is_writable_dir", lambda folder: False)
+    folder = code_cache._temporary_folder()
+    folder.mkdir()
+    folder.chmod(mode)
+    assert (folder in code_cache._folders("", tmp_path / str(mode))) == (mode == 0o700)
+
+
+def test_change_of_a_helper_or_constant_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
+    folders(tmp_path / "cache")
+    monkeypatch.syspath_prepend(tmp_path)
+    helper, caller = tmp_path / f"{HELPER}.py", tmp_path / f"{CALLER}.py"
+    caller.write_text(
+        f"from {HELPER} import add, FACTOR\ndef call(number):\n    return FACTOR * add(number)\n", encoding="utf-8"
+    )
+
+    def run(addend, factor, expected):
+        source = "from cablebot_gym.physics.compiling import njit\n@njit\ndef add(number):\n    return number + "
+        helper.write_text(f"{source}{addend}\nFACTOR = {factor}\n", encoding="utf-8")
+        for name in (HELPER, CALLER):
+            monkeypatch.delitem(importlib.sys.modules, name, raising=False)
+        importlib.invalidate_caches()
+        code_cache._file_hash.cache_clear()
+        return hits(importlib.import_module(CALLER).call, 1, expected)
+
+    monkeypatch.setattr(importlib.sys, "dont_write_bytecode", True)
+    assert [run(1, 5, 10), run(1, 5, 10)] == [0, 1]
+    assert [run(2, 5, 15), run(2, 7, 21)] == [0, 0]
+
+
+def test_one_line_announces_each_robot(folders, tmp_path, monkeypatch, caplog):
+    folders(tmp_path)
+    announcements = compiling._Announcements()
+    monkeypatch.setattr(compiling, "_ANNOUNCEMENTS", announcements)
+    njit(cache=True, robot="point mass")(triple)(1)
+    for robot in ("point mass", None, "platform"):
+        announcements.announcer(robot)()
+    robots = [record.message.split("once: ")[1].partition(",")[0] for record in caplog.records]
+    assert robots == ["point mass", "platform"]
+    assert "2 forms" in caplog.records[0].message

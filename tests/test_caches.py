@@ -1,0 +1,173 @@
+"""Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cablebot_baselines.paper.engine import RESULTS, _Output
+from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.store import Store
+from cablebot_gym.bounds import best_known
+from cablebot_gym.physics import code_cache
+from cablebot_gym.physics.compiling import njit
+from cablebot_gym.planning import PlannedMotion, library
+from cablebot_gym.report import recording
+from cablebot_gym.report.replay import Replay
+
+CELL = PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"}, policy="fl")
+MOTION = PlannedMotion(
+    name="line",
+    knots=np.linspace(0.0, 1.0, 500),
+    poses=np.ones((500, 2)),
+    motors=(),
+    payload=1.0,
+    lightest=0.0,
+    minimum_tension=1.0,
+)
+BEST = best_known.BestKnownPayload(
+    env_id="CableBot-Planar-v0",
+    payload=1.0,
+    total_mass=2.0,
+    verified=True,
+    replays=(),
+    error_bounds={"position": 0.01, "rotation": None},
+    program_payload=1.0,
+    meshes=((20, 1.0),),
+    margins={},
+    upper=None,
+    environment={},
+    versions={},
+    motion=MOTION,
+    actions=np.ones((500, 3)),
+)
+
+Use = Callable[[], bool]
+"""Reads a value from a cache, or computes and stores it. Returns whether it was computed."""
+
+
+def compiled_code(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+    monkeypatch.setattr(code_cache, "code_folders", lambda: [folder])
+
+    def triple(number: int) -> int:
+        return 3 * number
+
+    def use() -> bool:
+        compiled = njit(cache=True)(triple)
+        assert compiled(2) == 6
+        return not compiled.stats.cache_hits
+
+    return use
+
+
+def cached(read: Any, write: Any, value: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+    monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
+
+    def use() -> bool:
+        computed: list[int] = []
+        result = library.load_or_compute("value.npz", read, lambda: computed.append(1) or value, write)
+        assert result.payload == value.payload
+        return bool(computed)
+
+    return use
+
+
+def benchmark_cell(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+    record = Record(cell=CELL, source=CELL.source, versions={}, result={"payload": 1.0}, seconds=0.1)
+
+    def use() -> bool:
+        store = Store(folder.parent, say=recording_line)
+        is_missing = store.find(CELL) is None
+        if is_missing:
+            store.add(record)
+        return is_missing
+
+    monkeypatch.setattr("cablebot_gym.benchmark.store.FOLDER", folder.name)
+    return use
+
+
+def recording_line(text: str) -> None:
+    logging.getLogger("cablebot_gym").warning(text)
+
+
+def episodes_of_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+    replay = Replay(
+        payload=1.0,
+        radius=0.1,
+        carried=True,
+        violation="",
+        violation_time=None,
+        end=1.0,
+        frames=1,
+        channels={"action": 1},
+        low=[0.0],
+        high=[1.0],
+        data="0" * 200,
+    )
+    computed: list[int] = []
+    monkeypatch.setattr(recording, "record_batch", lambda queries: computed.append(1) or [[replay]])
+
+    def use() -> bool:
+        computed.clear()
+        assert dict(recording.record_all({"key": (CELL, 1.0)}, folder, workers=1, say=print)) == {"key": [replay]}
+        return bool(computed)
+
+    return use
+
+
+def results_of_the_paper(folder: Path, _: pytest.MonkeyPatch) -> Use:
+    def use() -> bool:
+        output = _Output(Interpretation(), folder, alone=False)
+        is_missing = not output._numbers
+        if is_missing:
+            data = output._head | {"numbers": {"fig1.number": 1.0}, "parts": []}
+            folder.mkdir(exist_ok=True)
+            (folder / RESULTS).write_text(json.dumps(data), encoding="utf-8")
+        return is_missing
+
+    return use
+
+
+CACHES: dict[str, Callable[[Path, pytest.MonkeyPatch], Use]] = {
+    "compiled code": compiled_code,
+    "plan": partial(cached, library._read_plan, library._plan_bytes, MOTION),
+    "best known payload": partial(cached, best_known._read, best_known._bytes, BEST),
+    "benchmark cell": benchmark_cell,
+    "episodes of a report": episodes_of_a_report,
+    "results of the paper": results_of_the_paper,
+}
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "truncated": lambda content: content[: len(content) // 2],
+    "empty": lambda content: b"",
+    "garbage": lambda content: bytes(value ^ 0x5A for value in content),
+    # After a crash, file systems can fill blocks with zeros.
+    "zeros": lambda content: content[: len(content) // 4] + bytes(len(content) - len(content) // 4),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("cache_name", CACHES)
+def test_damaged_file_counts_as_absent(
+    cache_name: str, damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "cache"
+    use = CACHES[cache_name](folder, monkeypatch)
+    assert [use(), use()] == [True, False]
+    (path,) = folder.iterdir()
+    good = path.read_bytes()
+    path.write_bytes(DAMAGES[damage](good))
+    caplog.clear()
+    assert [use(), use()] == [True, False]
+    (message,) = [record.message for record in caplog.records if "damaged" in record.message]
+    assert message.startswith(str(path))
+    assert path.read_bytes() == good or cache_name == "compiled code"
+    assert list(folder.iterdir()) == [path]

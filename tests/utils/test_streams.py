@@ -1,0 +1,161 @@
+"""Standard streams of all kinds: a command ends without a traceback, and its results are not lost."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cablebot_gym.utils.streams import _ESCAPES, _Output
+
+RUN = r"""
+import io, json, os, sys, traceback
+from pathlib import Path
+import typer
+from cablebot_gym.cli import app as cli, listing
+from cablebot_gym.cli import doctor, dlcc, robot
+
+@cli.app.command(name="toy")
+def toy():
+    "Prints more than a pipe holds, and then writes a file."
+    print("1.911 kg \u2013 paper\n" * 10_000)
+    Path("result.json").write_text("{}", encoding="utf-8")
+
+def redirect(stream):
+    '''Sets the streams as a shell and the start of Python would.'''
+    null = os.open(os.devnull, os.O_RDWR)
+    kind, _, encoding = stream.partition(" ")
+    if "full" in kind:
+        os.dup2(os.open("/dev/full", os.O_WRONLY), 2 if "error" in kind else 1)
+    if kind == "reader-gone":
+        reader, writer = os.pipe()
+        os.close(reader)
+        os.dup2(writer, 1)
+    for number, name in ((0, "stdin"), (1, "stdout"), (2, "stderr")):
+        if kind == f"closed-{name}" or kind == "all-closed":
+            os.close(number)
+            setattr(sys, name, None)
+            setattr(sys, f"__{name}__", None)
+    if kind == "encoding":
+        sys.stdout.reconfigure(encoding=encoding, errors="strict")
+    if kind == "narrow":
+        os.environ["COLUMNS"] = "1"
+    if kind == "dumb":
+        os.environ["TERM"] = "dumb"
+
+def run(folder, stream, command):
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    folder.mkdir(parents=True)
+    os.chdir(folder)
+    for number, name in ((1, "out"), (2, "err")):
+        os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT), number)
+    status = 1
+    try:
+        redirect(stream)
+        sys.argv = ["cablebot", *command.split()]
+        cli.main()
+    except SystemExit as ended:
+        status = ended.code or 0
+    except BaseException:
+        with open(folder / "traceback", "w") as file:
+            traceback.print_exc(file=file)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(status)
+
+root, cases = Path(sys.argv[1]), json.loads(sys.argv[2])
+cli.atexit.register = lambda function: None
+os.chdir(root)
+sys.stdout, sys.stderr = io.StringIO(), io.StringIO()
+for command in {command for _, command in cases}:  # loads what the forks would load
+    sys.argv = ["cablebot", *command.split()]
+    try:
+        cli.main()
+    except SystemExit:
+        pass
+sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+print(json.dumps([run(root / str(number), *case) for number, case in enumerate(cases)]))
+"""
+"""Runs commands in forks of one process, because a start takes a second."""
+
+COMMANDS = {"toy": 0, "list --json": 0, "dlcc nosuch": 2}
+"""Commands and their exit status."""
+
+TABLES = ("list", "dlcc --help")
+
+STREAMS = (
+    *("full", "full-error", "reader-gone", "closed-stdin", "closed-stdout", "closed-stderr", "all-closed"),
+    *("encoding ascii", "encoding latin-1", "encoding cp1252", "encoding utf-16", "narrow", "dumb"),
+)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full of Linux")
+def test_no_stream_ends_a_command(tmp_path):
+    cases = [(stream, command) for stream in STREAMS for command in COMMANDS]
+    cases += [(stream, command) for stream in ("encoding ascii", "narrow") for command in TABLES]
+    command = [sys.executable, "-c", RUN, str(tmp_path), json.dumps(cases)]
+    statuses = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    for number, ((stream, typed), status) in enumerate(zip(cases, statuses, strict=True)):
+        folder, case = tmp_path / str(number), f"{typed!r} with {stream}"
+        out, err = ((folder / name).read_bytes() for name in ("out", "err"))
+        assert not (folder / "traceback").exists(), (folder / "traceback").read_text()
+        assert b"Traceback" not in out + err, case
+        assert b"Exception ignored" not in err, case
+        expected = COMMANDS.get(typed, 0)
+        is_lost = stream == "full" and expected == 0
+        assert status == (1 if is_lost else expected), (case, err)
+        if is_lost:
+            assert b"cannot write to standard output: No space left on device" in err, case
+        if typed == "toy":
+            assert (folder / "result.json").exists(), case
+            if stream == "full":
+                assert err.count(b"1.911 kg") == 10_000
+        if typed == "list --json" and out:
+            json.loads(out.decode(stream.partition(" ")[2] or "utf-8"))
+
+
+class Raw:
+    """A stream of the operating system that gives one answer after the other."""
+
+    def __init__(self, *answers):
+        self.answers, self.written = list(answers), b""
+
+    def fileno(self):
+        return sys.__stdout__.fileno()
+
+    def write(self, data):
+        answer = self.answers.pop(0) if self.answers else len(data)
+        if isinstance(answer, OSError):
+            raise answer
+        self.written += bytes(data[: answer or 0])
+        return answer
+
+
+def test_full_pipe_that_does_not_block_gets_everything(monkeypatch):
+    monkeypatch.setattr("cablebot_gym.utils.streams.select.select", lambda *streams: None)
+    raw = Raw(None, 3, None)
+    with io.BufferedWriter(_Output(raw, None)) as stream:
+        stream.write(b"1.911 kg")
+    assert raw.written == b"1.911 kg"
+
+
+def test_results_of_a_full_disk_go_to_the_other_stream():
+    other = io.BytesIO()
+    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), other)
+    with io.BufferedWriter(output) as stream:
+        stream.write(b"1.911 kg")
+        stream.flush()
+        assert (other.getvalue(), output.problem) == (b"1 kg", "No space left on device")
+
+
+def test_characters_without_an_encoding_stay_valid_json():
+    data = {"name": "β̇ – 𝛽 \udcff"}
+    encoded = json.dumps(data, ensure_ascii=False).encode("ascii", _ESCAPES)
+    assert json.loads(encoded) == data
