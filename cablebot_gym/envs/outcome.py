@@ -1,7 +1,6 @@
 """Compiled second half of an environment step: observation, reward, termination and info from the plant's record.
 
-This module reads the record of :mod:`cablebot_gym.physics.kernel` and integrates nothing. It receives the row numbers
-of the record as :class:`RecordRows`, because a change of a constant in another file would not invalidate numba's cache.
+This module reads the record of :mod:`cablebot_gym.physics.kernel` and integrates nothing.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import kernel
 from cablebot_gym.physics.inlining import entry_point, inline
 
 _TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
@@ -52,25 +52,6 @@ EPISODE_SETTINGS = 6
 
 LARGEST = 1e6
 """Largest magnitude in ``info``: larger and non-finite values become ±1e6. Actions must be smaller."""
-
-
-class RecordRows(NamedTuple):
-    """Row numbers of the plant's record, constants of the kernel; those from ``demand`` on are relative to a cable."""
-
-    pose: int
-    velocity: int
-    position_peak: int
-    rotation_peak: int
-    first_cable_record: int
-    cable_records: int
-    demand: int
-    torque: int
-    tension: int
-    speed: int
-    slack: int
-    motor_angle: int
-    motor_speed: int
-    least_tension: int
 
 
 class Constants(NamedTuple):
@@ -165,18 +146,17 @@ def _saturated(value, low, high):
 
 
 @entry_point
-def outcome(fresh, env_indices, rows, constants, episodes, outputs):
+def outcome(fresh, env_indices, constants, episodes, outputs):
     """Fills the outputs of the environments ``env_indices``. Errors, reward and termination use the true state.
 
     Args:
         fresh: whether the environments have just been reset: then there is no reward and no termination.
         env_indices: environments, (k,).
-        rows: :class:`RecordRows`, as a plain tuple, whose type numba finds several times faster.
-        constants: :class:`Constants`, as a plain tuple.
+        constants: :class:`Constants`, as a plain tuple, whose type numba finds several times faster.
         episodes: :class:`Episodes`, as a plain tuple.
         outputs: :class:`Outputs`, as a plain tuple.
     """
-    row, batch, now, out = RecordRows(*rows), Constants(*constants), Episodes(*episodes), Outputs(*outputs)
+    batch, now, out = Constants(*constants), Episodes(*episodes), Outputs(*outputs)
     lanes, m, n = batch.lanes, now.stall.shape[1], batch.workspace.shape[1]
     workspace, bounds, weights, turns = batch.workspace, batch.bounds, batch.weights, n > batch.dimensions
     # Arrays as local variables: in the loop, each access to an array of a record counts a reference.
@@ -198,8 +178,8 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         observation = observations[env_index]
         finite, inside = True, True
         for j in range(n):
-            coordinate = records[tile, (row.pose + j) * lanes + at]
-            rate = records[tile, (row.velocity + j) * lanes + at]
+            coordinate = records[tile, (kernel.POSE + j) * lanes + at]
+            rate = records[tile, (kernel.VELOCITY + j) * lanes + at]
             finite &= math.isfinite(coordinate) and math.isfinite(rate)
             inside &= (coordinate >= workspace[0, j]) & (coordinate <= workspace[1, j])
             if measured == 0:
@@ -209,9 +189,9 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         if batch.flexible:
             first_reference = 2 * n + 2 * m
             for i in range(m):
-                at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
-                angle = records[tile, row.motor_angle * lanes + at_cable]
-                motor_speed = records[tile, row.motor_speed * lanes + at_cable]
+                at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
+                angle = records[tile, kernel.MOTOR_ANGLE * lanes + at_cable]
+                motor_speed = records[tile, kernel.MOTOR_SPEED * lanes + at_cable]
                 finite &= math.isfinite(angle) and math.isfinite(motor_speed)
                 if measured == 0:
                     observation[2 * n + i] = angle
@@ -239,14 +219,14 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         # Errors at this instant. Column 0 of the reference is the time to go; the reference pose follows.
         square, rotation = 0.0, 0.0
         for j in range(n):
-            difference = records[tile, (row.pose + j) * lanes + at] - reference[1 + j]
+            difference = records[tile, (kernel.POSE + j) * lanes + at] - reference[1 + j]
             if j < batch.dimensions:
                 square += difference * difference
             else:
                 rotation = max(rotation, abs(difference))
         position = math.sqrt(square)
-        position_peak = max(position, records[tile, row.position_peak * lanes + at])
-        rotation_peak = max(rotation, records[tile, row.rotation_peak * lanes + at])
+        position_peak = max(position, records[tile, kernel.POSITION_PEAK * lanes + at])
+        rotation_peak = max(rotation, records[tile, kernel.ROTATION_PEAK * lanes + at])
         if not finite:  # comparisons with NaN are false and would hide it
             position = position_peak = LARGEST
             rotation = rotation_peak = LARGEST if turns else 0.0
@@ -261,15 +241,15 @@ def outcome(fresh, env_indices, rows, constants, episodes, outputs):
         info[_ROTATION_PEAK] = _finite(rotation_peak)
         slack_cables, excess, taut, held = 0.0, 0.0, True, True
         for i in range(m):
-            at_cable = (row.first_cable_record + row.cable_records * i) * lanes + at
-            action = records[tile, row.demand * lanes + at_cable]
-            torque = records[tile, row.torque * lanes + at_cable]
-            least_tension = records[tile, row.least_tension * lanes + at_cable]
-            slack = 1.0 if records[tile, row.slack * lanes + at_cable] > 0.0 else 0.0
+            at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
+            action = records[tile, kernel.DEMAND * lanes + at_cable]
+            torque = records[tile, kernel.TORQUE * lanes + at_cable]
+            least_tension = records[tile, kernel.LEAST_TENSION * lanes + at_cable]
+            slack = 1.0 if records[tile, kernel.SLACK * lanes + at_cable] > 0.0 else 0.0
             margin = stall[env_index, i] - abs(torque) if fresh else stall[env_index, i] * (1.0 - abs(action))
-            cables[_TENSION, env_index, i] = _finite(records[tile, row.tension * lanes + at_cable])
+            cables[_TENSION, env_index, i] = _finite(records[tile, kernel.TENSION * lanes + at_cable])
             cables[_TORQUE, env_index, i] = _finite(torque)
-            cables[_SPEED, env_index, i] = _finite(records[tile, row.speed * lanes + at_cable])
+            cables[_SPEED, env_index, i] = _finite(records[tile, kernel.SPEED * lanes + at_cable])
             cables[_COMMANDED, env_index, i] = action
             cables[_MARGIN, env_index, i] = margin
             cables[_LEAST_TENSION, env_index, i] = _finite(least_tension)

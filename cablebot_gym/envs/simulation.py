@@ -28,8 +28,6 @@ from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_
 from cablebot_gym.utils.checks import unexpected_keyword_error
 from cablebot_gym.utils.threads import call_all
 
-_RECORD_ROWS = tuple(getattr(kernel, name.upper()) for name in outcome.RecordRows._fields)
-
 
 class Simulation:
     """N environments, each with its own episode. The single environment is a batch of one.
@@ -144,7 +142,7 @@ class Simulation:
         self._advance = plant.advance_calls(
             tables.physics, tables.physics_ends, substeps=self.settings.substeps, step=self.settings.physics_step
         )
-        self._records = _RECORD_ROWS, tuple(self._constants), tuple(episodes), tuple(outputs)
+        self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
         self._judge_step = tuple(
             partial(outcome.outcome, False, self._all_indices[part], *self._records) for part in plant.parts
         )

@@ -19,7 +19,6 @@ All four are one problem: the point of a polyhedron ``C x ≥ d`` that is neares
 of S gives the tensions that hold the load, ``T = T_p + N λ``, so x has r or r + 1 components. The dual active-set
 method of Goldfarb and Idnani finds the point after finitely many steps, or a combination of constraints that excludes
 every point. Bounds count as satisfied within 1e-10 of the largest tension.
-
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ with collection_paused():
     from numba.core.compiler_machinery import FunctionPass, register_pass
     from numba.core.imputils import lower_constant
     from numba.core.ir_utils import build_definitions
-    from numba.core.runtime import rtsys
+    from numba.core.runtime.nrt import rtsys
     from numba.core.untyped_passes import IRProcessing
     from numba.extending import models, register_model, typeof_impl
 
