@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import entry_points, version
+from multiprocessing import parent_process
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -29,10 +30,14 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
 from cablebot_gym.uncertainty import find_uncertainty
 from cablebot_gym.utils.checks import whole
+from cablebot_gym.utils.workers import cores
 
 BATCH = 1024
 """Number of episodes that one batch should have: this many fit into the caches of a core. A batch of heavy payloads
 ends as soon as all of them have failed."""
+
+THREADED = 512
+"""Number of episodes from which on several threads make a batch faster."""
 
 DEFAULT_DRAWS = 512
 """Default number of draws at each payload under a random uncertainty, and of repeats of a stochastic policy."""
@@ -261,6 +266,7 @@ class Batch:
             error_bounds=self.error_bounds,
             max_episode_steps=None,
             uncertainty=self._uncertainty,
+            threads=_threads(rows),
             **self.keywords | {"robot": self._robot} | changes,
         ).unwrapped
         assert isinstance(env, CableBotVectorEnv)
@@ -362,6 +368,13 @@ class Batch:
                 f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone, in {carried} of {self.draws} together"
             )
             raise PolicyError(f"policy {self.name!r} {DEPENDENT.format(text)}")
+
+
+def _threads(rows: int) -> int:
+    """Threads that share a step of a batch: one in worker processes, which share the cores already."""
+    if rows < THREADED or parent_process() is not None:
+        return 1
+    return cores()
 
 
 def secret_order(count: int) -> NDArray[np.int64]:
