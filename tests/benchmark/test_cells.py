@@ -22,7 +22,11 @@ from cablebot_gym.utils import code_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
-FL = PolicyCell(env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl", resolution=0.02, payload_max=4.0)
+SLOW = 125.0
+"""Control frequency with a quarter of the usual steps [1/s]."""
+FL = PolicyCell(
+    env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl", resolution=0.02, payload_max=4.0, control_frequency=SLOW
+)
 BEST = BestKnownCell(env_id=PLANAR_ID, trajectory=CIRCLE)
 SPRINGS = {"transmission": {"stiffness": 10.0}}
 OTHERS = {
@@ -122,7 +126,7 @@ def test_robot_changes_reach_plant_and_policy():
 @pytest.mark.usefixtures("inline")
 def test_draws_and_probability_reach_the_evaluation():
     cell = changed(uncertainty="table6", draws=60, probability=0.5, seed=2**127)
-    search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127}
+    search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127, "control_frequency": SLOW}
     expected = evaluate_dlcc("fl", PLANAR_ID, uncertainty="table6", draws=60, probability=0.5, **search)
     found = compute(cell).result
     assert (found["payload"], found["assured"]) == (expected.payload, True)
@@ -134,7 +138,12 @@ def test_draws_and_probability_reach_the_evaluation():
 def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
     monkeypatch.setattr("cablebot_gym.evaluation.evaluator.SEARCH_DRAWS", 1)  # each episode takes its time
     module("toy_slow.py", SLEEPS)
-    slow = changed(policy="toy_slow:make", resolution=1.0, trajectory={"name": "circle-planar", "dwell": 0.0})
+    slow = changed(
+        policy="toy_slow:make",
+        resolution=1.0,
+        control_frequency=500.0,
+        trajectory={"name": "circle-planar", "dwell": 0.0},
+    )
     in_time, late = (compute(one).result for one in (slow, dataclasses.replace(slow, real_time=True, draws=59)))
     assert in_time["payload"] > 1.0
     assert late["payload"] is None or late["payload"] < in_time["payload"]
@@ -184,7 +193,8 @@ def test_model_payload_factor_scales_the_payload_of_the_model_only(factor):
     policy = load_policy("fl", PLANAR)
     for more, carried in ((0.0, True), (found["resolution"], False)):
         true = found["payload"] + more
-        env = DLCCMonitor(gym.make(PLANAR_ID, payload=factor * true, uncertainty=wrong, max_episode_steps=None))
+        options = {"payload": factor * true, "uncertainty": wrong, "control_frequency": SLOW}
+        env = DLCCMonitor(gym.make(PLANAR_ID, max_episode_steps=None, **options))
         observation, info = env.reset(seed=0)
         assert info["payload"] == pytest.approx(true)
         assert env.unwrapped.layout.split(observation)["model_payload"] == pytest.approx(factor * true)
@@ -243,7 +253,7 @@ def impossible(robot):
 @pytest.mark.usefixtures("inline")
 def test_paper_criterion_takes_unsaturated_policies_and_marks_those_that_only_declare(module):
     module("toy_policies.py", TOYS)
-    paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}}
+    paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}, "control_frequency": 500.0}
     result = compute(changed(policy="toy_policies:clips", **paper)).result
     assert (result["applicable"], result["payload"]) == (False, None)
     law, same = compute(changed(**paper)).result, compute(changed(policy="toy_policies:claims", **paper)).result
