@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,27 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "cache"
     monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
     return folder
+
+
+@pytest.fixture
+def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Ctrl-C in the third iteration of IPOPT."""
+    from cablebot_gym.planning.signals import SolverInterrupt
+
+    requested, iterations = [False], []
+
+    def read(_: SolverInterrupt) -> bool:
+        iterations.append(None)
+        if len(iterations) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return requested[-1]
+
+    monkeypatch.setattr(
+        SolverInterrupt, "_requested", property(read, lambda _, value: requested.append(value)), raising=False
+    )
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
