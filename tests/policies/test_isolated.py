@@ -140,6 +140,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
         policy.reset((lambda: None,))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 def test_processes_that_a_policy_starts_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
@@ -200,6 +201,7 @@ def test_late_answer_raises(monkeypatch, times, message):
     assert clock.now <= isolated.TOTAL
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)
 def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
