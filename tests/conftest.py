@@ -5,18 +5,33 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
-def pytest_configure() -> None:
-    """Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with SIGINT ignored.
+VARIABLES = (
+    *("CABLEBOT_SANDBOX", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "CLICOLOR_FORCE", "TTY_COMPATIBLE"),
+    *("TTY_INTERACTIVE", "TERM", "TERMINAL_WIDTH", "PY_COLORS", "GITHUB_ACTIONS", "MPLBACKEND", "RAY_ADDRESS"),
+)
+"""Environment variables that change what commands print, and where policies and cells run."""
 
+
+def pytest_configure() -> None:
+    """The tests are the same on every machine, however they are started.
+
+    Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with SIGINT ignored.
     Shells start background jobs so: ``nohup pytest &``.
     """
+    for name in VARIABLES:
+        os.environ.pop(name, None)
+    # Other programs may use the cores: no example is too slow.
+    settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("any machine")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -29,10 +44,13 @@ def _own_cache(tmp_path_factory):
         yield
 
 
-@pytest.fixture(autouse=True)
-def _own_width(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tables have the width that they have without a terminal."""
-    monkeypatch.delenv("COLUMNS", raising=False)
+@pytest.fixture(autouse=True, scope="session")
+def _shared_compilation(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Test processes do not compile the same kernel at the same time."""
+    if hasattr(request.config, "workerinput"):
+        from compiling import share
+
+        share(tmp_path_factory.getbasetemp().parent / "compiling")
 
 
 @pytest.fixture(autouse=True)
@@ -47,6 +65,35 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "cache"
     monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
     return folder
+
+
+@pytest.fixture
+def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Ctrl-C in the third iteration of IPOPT."""
+    from cablebot_gym.planning.signals import SolverInterrupt
+
+    requested, iterations = [False], []
+
+    def read(_: SolverInterrupt) -> bool:
+        iterations.append(None)
+        if len(iterations) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return requested[-1]
+
+    monkeypatch.setattr(
+        SolverInterrupt, "_requested", property(read, lambda _, value: requested.append(value)), raising=False
+    )
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cells of a benchmark load their policies in this process: starts of processes are most of their time."""
+    from inline import InlinePolicy
+
+    monkeypatch.setattr("cablebot_gym.benchmark.cells.IsolatedPolicy", InlinePolicy)
 
 
 @pytest.fixture(scope="session")

@@ -88,3 +88,24 @@ def test_baselines_import_only_public_names():
             if other.startswith("cablebot_gym"):
                 assert not f"{other}.".startswith(internal), f"{module} imports {other}"
                 assert not name.startswith("_"), f"{module} imports {name} from {other}"
+
+
+CLOCKS = {"time", "timeit", "sched"}
+REAL_TIME = {
+    "clock.py": "a test that waits for another process or thread",
+    "attacks/cheats.py": "policies that hang or are slow",
+}
+"""Files of the tests that use real time, with the reason."""
+
+
+def test_tests_do_not_depend_on_real_time():
+    """They set the time of tests/clock.py: a sleep or a measured time is another one on a busy machine."""
+    folder = ROOT / "tests"
+    for path in folder.rglob("*.py"):
+        if path.relative_to(folder).as_posix() in REAL_TIME:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            modules += [node.module] if isinstance(node, ast.ImportFrom) else []
+            assert CLOCKS.isdisjoint(modules), f"{path}:{node.lineno}"
+            assert getattr(node, "attr", "") not in ("Timer", "wait_for_timeout"), f"{path}:{node.lineno}"

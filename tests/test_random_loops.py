@@ -98,7 +98,7 @@ def test_curve_is_the_documented_draw(name: str) -> None:
 # --- shape --------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(name=names, seed=seeds, fraction=st.floats(0.01, 0.99))
 def test_derivatives_are_the_slopes(name: str, seed: int, fraction: float) -> None:
     motion = loop(name, seed)
@@ -109,7 +109,7 @@ def test_derivatives_are_the_slopes(name: str, seed: int, fraction: float) -> No
     assert np.all(np.abs(differences - values[1:, 2]) <= 1e-6 * scale[:, None])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(name=names, seed=seeds)
 def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> None:
     """At rest to snap at both ends. Each group uses its reach, and one of them its acceleration."""

@@ -194,7 +194,7 @@ def largest_common_tension(jacobian, load):
 point = st.tuples(*[st.floats(-1, 1).map(lambda value: round(value, 3))] * 2)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(st.lists(point, min_size=3, max_size=5), point)
 def test_planar_home_is_accepted_exactly_if_a_linear_program_finds_tensions(anchors, home):
     ends = np.array([*anchors, home])
@@ -214,7 +214,7 @@ def test_planar_home_is_accepted_exactly_if_a_linear_program_finds_tensions(anch
 factor = st.floats(-0.5, 2.0).map(lambda value: round(value, 6))
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80, derandomize=True)
 @given(st.lists(factor, min_size=8, max_size=8), st.lists(st.floats(-0.6, 0.6), min_size=6, max_size=6), st.randoms())
 def test_random_spatial_robot_is_physical_if_it_is_accepted(factors, shift, random):
     mass, gravity, stall, speed, radius, inertia, damping, moment = factors

@@ -66,7 +66,7 @@ def drawn(robot, parameters, count=200, payload=0.0, seed=0):
 # ------------------------------------------------------------------------------------------------- a distribution
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(
     low=st.floats(-3, 3),
     width=st.floats(0, 3),

@@ -50,6 +50,7 @@ from cablebot_gym.policies.wrapped import say
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.workers import GRACE
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -359,9 +360,10 @@ class _Process:
         self._stderr = bytearray()
         self._jobs: queue.SimpleQueue[tuple[bytes, int] | None] = queue.SimpleQueue()
         self._outcomes: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
+        self._drainer = threading.Thread(target=_drain, args=(self._popen.stderr, self._stderr), daemon=True)
         threads = [
             threading.Thread(target=_talk, args=(self._popen, self._jobs, self._outcomes), daemon=True),
-            threading.Thread(target=_drain, args=(self._popen.stderr, self._stderr), daemon=True),
+            self._drainer,
         ]
         for thread in threads:
             thread.start()
@@ -380,7 +382,7 @@ class _Process:
         if outcome is not None:
             return outcome
         try:
-            status = self._popen.wait(1.0)  # the pipe closes shortly before the process ends
+            status = self._popen.wait(GRACE)  # the pipe closes shortly before the process ends
         except subprocess.TimeoutExpired:
             raise _EndedError("its process closed its pipe or sent invalid data") from None
         if self._sandboxed and status > 128:  # as shells report a signal
@@ -389,7 +391,7 @@ class _Process:
         if status < 0:
             with suppress(ValueError):
                 cause = f"its process was ended by {signal.Signals(-status).name}"
-        time.sleep(0.01)  # the last bytes of standard error
+        self._drainer.join(GRACE)  # the last bytes of standard error
         lines = _plain(bytes(self._stderr).decode(errors="replace").strip().rpartition("\n")[2])
         raise _EndedError(f"{cause}; the last line of its standard error is {lines!r}" if lines else cause)
 

@@ -27,6 +27,10 @@ ATTEMPTS = 2
 """Number of times that a computation is started if its process dies."""
 
 
+GRACE = 5.0
+"""Longest time from the end of a process's pipe to its own end, on a busy machine too [s]."""
+
+
 class WorkerDied(RuntimeError):
     """A computation ended its process or tried to, for example by ``sys.exit``, a crash or for lack of memory."""
 
@@ -170,7 +174,7 @@ class _Pool:
         try:
             kind, content = worker.pipe.recv()
         except (EOFError, OSError):
-            worker.process.join(1.0)  # the pipe closes shortly before the process ends
+            worker.process.join(GRACE)  # the pipe closes shortly before the process ends
             worker.end()
             return WorkerDied(f"its process died {ATTEMPTS} times, with exit status {worker.process.exitcode}")
         if kind == "log":

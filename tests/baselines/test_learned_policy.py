@@ -442,7 +442,7 @@ def test_network_equals_its_layers():
         np.testing.assert_allclose(network(x), expected, rtol=1e-12)
 
 
-def test_bundle_is_evaluated_by_name_and_cell(tmp_path):
+def test_bundle_is_evaluated_by_name_and_cell(tmp_path, inline):
     path, bundle = tmp_path / "zero.zip", bundle_of(scale=0.0)
     bundle.save(path)
     expected = evaluate_dlcc(bundle.base.make(PLANAR), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload

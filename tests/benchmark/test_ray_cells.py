@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from clock import wait_until
 
 from cablebot_gym.benchmark import ray_backend
 from cablebot_gym.benchmark.cells import PolicyCell, compute
@@ -59,13 +60,12 @@ def raises():
     raise KeyError("no such gain")
 
 
-def node_of(seconds):
-    import time
-
+def meets_another_node(folder):
+    """Returns when computations on two nodes have met in the folder."""
     import ray
 
-    time.sleep(seconds)
-    return ray.get_runtime_context().get_node_id()
+    Path(folder, ray.get_runtime_context().get_node_id()).touch()
+    wait_until(lambda: len(list(Path(folder).iterdir())) == 2)
 
 
 def run(address, computations, returned=(WorkerDied,)):
@@ -86,8 +86,9 @@ def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
 
 
 @pytest.mark.slow
-def test_jobs_use_both_nodes(address):
-    assert len(set(run(address, {str(number): partial(node_of, 0.5) for number in range(4)}).values())) == 2
+def test_jobs_use_both_nodes(address, tmp_path):
+    run(address, {str(number): partial(meets_another_node, str(tmp_path)) for number in range(4)})
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.slow

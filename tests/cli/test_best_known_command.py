@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import threading
 from types import SimpleNamespace
 
 import pytest
@@ -71,18 +69,9 @@ def test_bad_input_ends_with_status_2(cablebot, arguments, message):
     assert message in lines.err.splitlines()[-1]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_interrupt_ends_the_solver(cablebot, cache, monkeypatch):
-    monkeypatch.setattr(best_known, "INTERVALS_PER_SECOND", 150.0)  # so that the first program takes seconds
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    timer = threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT))
-    try:
-        timer.start()
-        ended = cablebot("best-known", SPATIAL)
-    finally:
-        timer.join()
-        signal.signal(signal.SIGINT, before)
+def test_interrupt_ends_the_solver(cablebot, cache, interrupted_solver):
+    ended = cablebot("best-known", PLANAR, *LINE)
     assert ended.status == 130
     assert "interrupted" in ended.err
     assert not cache.exists()

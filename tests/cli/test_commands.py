@@ -10,12 +10,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
 import typer
 from cli.conftest import names
+from clock import HANG, Clock, wait_until
 
 from cablebot_gym.cli import app as cli
 from cablebot_gym.utils import console
@@ -125,18 +125,18 @@ def test_missing_extra_ends_with_the_command_that_installs_it(cablebot, monkeypa
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Time in seconds that a test sets; the thread that writes due lines sleeps."""
-    now = [0.0]
-    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    """Time that a test sets; the thread that writes due lines sleeps."""
+    clock = Clock()
+    monkeypatch.setattr(console, "time", clock)
     monkeypatch.setattr(console, "_PULSE", 1e6)
-    return now
+    return clock
 
 
 def test_progress_in_a_log_has_elapsed_and_remaining_time(clock, capsys):
     with console.progress("recording", "episodes") as step:
         for done in range(100, 201):  # 100 are stored already
             step(done, 200)
-            clock[0] += 1.0
+            clock.sleep(1.0)
     lines = capsys.readouterr().err.splitlines()
     assert lines[1] == "recording: 104 of 200 episodes, 4 s elapsed, 96 s left"
     assert 8 < len(lines) < 20
@@ -144,14 +144,14 @@ def test_progress_in_a_log_has_elapsed_and_remaining_time(clock, capsys):
 
 def test_time_left_counts_work_from_the_first_step_on(clock, capsys):
     with console.progress("task criterion") as step:
-        clock[0] += 60.0  # the policy plans
+        clock.sleep(60.0)  # the policy plans
         step(1, 100)
         for done in range(2, 12):
             if done == 5:
                 console.PREPARATION.start()
-                clock[0] += 500.0
+                clock.sleep(500.0)
                 console.PREPARATION.end()
-            clock[0] += 1.0
+            clock.sleep(1.0)
             step(done, 100)
     assert capsys.readouterr().err.splitlines()[-1] == "task criterion: 5%, 9.4 min elapsed, 95 s left"
 
@@ -159,22 +159,27 @@ def test_time_left_counts_work_from_the_first_step_on(clock, capsys):
 def test_time_left_shrinks_until_the_next_cell_is_late(clock):
     watch, left = console._Clock(), []
     watch.update(0, 5)
-    clock[0] += 40.0
+    clock.sleep(40.0)
     watch.update(1, 5)
     for _ in range(3):
-        clock[0] += 20.0
+        clock.sleep(20.0)
         left.append(watch.left)
     assert left == ["2.3 min left", "2.0 min left", "2.5 min left"]
 
 
-def test_silent_computation_writes_lines(monkeypatch, capsys):
-    monkeypatch.setattr(console, "FIRST_LINE", 0.01)
-    monkeypatch.setattr(console, "_PULSE", 0.01)
-    with console.activity():
-        time.sleep(0.5)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) > 2
-    assert set(lines) == {"starting, 1 s elapsed"}
+def test_silent_computation_writes_lines(clock, monkeypatch):
+    lines = []
+
+    def write(line):
+        lines.append(line)
+        clock.sleep(3.0)
+
+    monkeypatch.setattr(console, "_PULSE", 0.0)
+    with console._lines(console._Clock(), write) as say:
+        say("starting")
+        clock.sleep(2.0)
+        wait_until(lambda: len(lines) > 2)
+    assert lines[:3] == ["starting, 2 s elapsed", "starting, 5 s elapsed", "starting, 8 s elapsed"]
 
 
 def test_preparation_that_announced_itself_writes_no_lines(clock, monkeypatch, capsys):
@@ -256,17 +261,13 @@ def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
     command = [sys.executable, "-c", START + "c.main()", *typed]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, start_new_session=True, **pipes)
-    deadline = time.monotonic() + 120
-    while not (tmp_path / "fig3.svg").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
+    wait_until((tmp_path / "fig3.svg").exists)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=HANG)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert "--only scan" in " ".join(err.split())
-    while is_alive(process.pid) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not is_alive(process.pid)
+    wait_until(lambda: not is_alive(process.pid))
 
 
 # --- reproduce --------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from cablebot_gym.policies.isolated import public_entry
 from cablebot_gym.utils.code_hash import module_file
 
 PLANAR = "CableBot-Planar-v0"
-CHANGES = {"payload_max": 4.0}
+CHANGES = {"payload_max": 4.0, "control_frequency": 125.0}
 TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), blocks=(Block(changes=CHANGES),), best_known=False)
 HIDDEN = Suite(
     name="hidden",

@@ -156,7 +156,7 @@ def test_scan_that_ends_while_feasible_has_no_violation():
     assert result.feasible == ((0.0, 0.25),)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(threshold=st.floats(0.0, 4.9), resolution=st.sampled_from([0.3, 1e-4]))
 def test_search_finds_a_threshold(threshold, resolution):
     result = evaluate_dlcc(

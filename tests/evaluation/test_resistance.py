@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from attacks.suite import cheats
+from clock import Clock
 from evaluation.conftest import Dropping
 
 from cablebot_baselines.classical import FeedbackLinearization
@@ -15,7 +14,7 @@ from cablebot_gym.evaluation.batch import ALONE, RISK, Batch
 from cablebot_gym.evaluation.evaluator import FINER, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
-from cablebot_gym.policies import PolicyFactory, RealTime
+from cablebot_gym.policies import PolicyFactory, RealTime, real_time
 from cablebot_gym.robots import SPATIAL
 
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -189,32 +188,48 @@ def test_resolution_includes_the_discretisation(heavier, monkeypatch):
 
 
 class Slow(Law):
-    """Needs 5 ms for every fourth action."""
+    """Needs 1 s for the reset, 1 ms for an action, and 5 ms for every fourth one."""
 
-    calls = 0
+    def __init__(self, clock):
+        super().__init__()
+        self.clock, self.calls = clock, 0
+
+    def reset(self, tasks):
+        self.clock.sleep(1.0)
 
     def act(self, observation):
         self.calls += 1
-        if self.calls % 4 == 0:
-            time.sleep(0.005)
+        self.clock.sleep(0.005 if self.calls % 4 == 0 else 0.001)
         return super().act(observation)
 
 
-def test_times_of_actions():
-    times = time_actions(Slow(), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.2})
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(real_time, "time", clock)
+    return clock
+
+
+@pytest.mark.parametrize("payload", [0.0, 19.0])
+def test_times_of_actions(clock, payload):
+    """Also of those after a violation, which the larger payload causes at once."""
+    times = time_actions(Slow(clock), SPATIAL_ID, payload=payload, trajectory=HANG)
+    late = [calls % 4 == 0 for calls in range(WARM_UP + 1, round(HANG["duration"] / times.period) + 1)]
     assert times.period == 0.002
-    assert times.p99 > 0.005
-    assert times.missed == pytest.approx(0.25, abs=0.1)
-    falling = time_actions(Slow(), SPATIAL_ID, payload=19.0, trajectory=HANG)
-    assert falling.missed == pytest.approx(0.25, abs=0.1)
+    assert times.missed == np.mean(late)
+    assert (times.median, times.p99) == pytest.approx((0.001, 0.005))
+    assert times.start == pytest.approx(1.0 + 0.001 * 8 + 0.005 * 2)
+
+
+def test_episode_without_actions_to_time_raises(clock):
     with pytest.raises(ValueError, match="ends after 5 actions"):
-        time_actions(Slow(), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01})
+        time_actions(Slow(clock), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01})
 
 
-def test_late_action_is_replaced_by_the_last_one():
+def test_late_action_is_replaced_by_the_last_one(clock):
     def sleeping(observation):
         steps.append(1)
-        time.sleep(0.01 if len(steps) == WARM_UP + 3 else 0.0)
+        clock.sleep(0.01 if len(steps) == WARM_UP + 3 else 0.0)
         return np.full(6, float(len(steps)))
 
     steps = []

@@ -36,7 +36,7 @@ coordinate = st.floats(-0.2, 0.2)
 force = st.floats(-20, 20).filter(lambda value: value == 0 or abs(value) > 1e-3)
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80, derandomize=True)
 @given(coordinate, coordinate, force, force, st.sampled_from([0.0, 1.0, 5.0]), st.sampled_from([PLANAR, QUAD]))
 def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot):
     structure, load = textbook.jacobian(robot, [x, y]), np.array([fx, fy])
@@ -48,7 +48,7 @@ def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot
     assert found.sum() == pytest.approx(best.fun, rel=1e-7, abs=1e-7)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(coordinate, coordinate, force, force, st.sampled_from([0.0, 1.0, 5.0]))
 def test_least_tensions_of_three_cables_are_least_at_once(x, y, fx, fy, minimum):
     """The least α minimises every tension at once."""
@@ -61,7 +61,7 @@ def test_least_tensions_of_three_cables_are_least_at_once(x, y, fx, fy, minimum)
     assert found.min() == pytest.approx(minimum, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(coordinate, coordinate, force, force, st.sampled_from([0.5, 5.0]))
 def test_smooth_tensions_are_a_soft_maximum(x, y, fx, fy, softness):
     """By another way: least-norm tensions, and a soft maximum of what each cable needs of the null space."""

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import json
 import os
+import queue
+import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from clock import HANG, Clock, wait_until
 
-from cablebot_gym.policies import IsolatedPolicy, PolicyError
+from cablebot_gym.policies import IsolatedPolicy, PolicyError, isolated
+from cablebot_gym.policies.process import ANSWER
 from cablebot_gym.robots import SPATIAL
 
 MODULE = """
@@ -85,14 +89,6 @@ def alive(pid):
         return False
 
 
-def ends(pid, seconds=5.0):
-    """Whether a process ends in time."""
-    limit = time.monotonic() + seconds
-    while alive(pid) and time.monotonic() < limit:
-        time.sleep(0.02)
-    return not alive(pid)
-
-
 def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
     Path("weight.txt").write_text("0.5", encoding="ascii")
     observation = np.zeros((5, 3))
@@ -144,6 +140,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
         policy.reset((lambda: None,))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 def test_processes_that_a_policy_starts_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
@@ -159,15 +156,52 @@ def test_processes_that_a_policy_starts_end_when_it_is_collected(spec):
     assert not folder.exists()
 
 
-def test_all_calls_together_have_a_deadline(spec, monkeypatch):
-    """Each batch has a fresh process, but not a fresh deadline."""
-    with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
+class Timed:
+    """Stands for the process of a policy, whose answers take the given times."""
+
+    def __init__(self, clock, times):
+        self.clock, self.times = clock, times
+
+    def exchange(self, request, largest, seconds):
+        needed = next(self.times)
+        self.clock.sleep(min(needed, seconds))
+        if needed > seconds:
+            raise queue.Empty
+        return ANSWER, b"{}" if largest == isolated._TEXT else bytes(largest)
+
+    def end(self):
+        pass
+
+
+def ask_without_end(deadline):
+    policy = IsolatedPolicy("any", SPATIAL, deadline=deadline)
+    while True:
         policy.reset(())
-        monkeypatch.setattr("cablebot_gym.policies.isolated.TOTAL", 1e-3)
-        with pytest.raises(PolicyError, match=r"within 0.06 s, the deadline of all calls together"):
-            policy.reset(())
+        policy.predict(np.zeros(3))
+        policy.predict(np.zeros(3))
 
 
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ({"load": 11.0}, "10 s, the deadline of loading, reset() and the first call"),
+        ({"load": 4.0, "reset": 4.0, "first": 3.0}, "10 s, the deadline of loading, reset() and the first call"),
+        ({"load": 4.0, "reset": 4.0, "first": 1.0, "second": 1.5}, "1 s, the deadline of a call"),
+        # Each batch has a fresh process, but not a fresh deadline.
+        ({"load": 9.0, "reset": 0.5, "first": 0.4, "second": 0.9}, "240 s, the deadline of all calls together"),
+    ],
+)
+def test_late_answer_raises(monkeypatch, times, message):
+    clock = Clock()
+    needed = itertools.cycle([times.get(call, 0.0) for call in ("load", "reset", "first", "second")])
+    monkeypatch.setattr(isolated, "time", clock)
+    monkeypatch.setattr(isolated, "_Process", lambda specs: Timed(clock, needed))
+    with pytest.raises(PolicyError, match=re.escape(f"it did not answer within {message}")):
+        ask_without_end(deadline=1.0)
+    assert clock.now <= isolated.TOTAL
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)
 def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
@@ -176,14 +210,10 @@ def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
         "IsolatedPolicy('mine:hangs', SPATIAL).predict(np.zeros((1, 3)))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
-    limit = time.monotonic() + 60
-    while not Path("pids").exists() or not Path("pids").read_text(encoding="ascii"):
-        assert time.monotonic() < limit
-        assert parent.poll() is None
-        time.sleep(0.05)
+    wait_until(lambda: parent.poll() is not None or (Path("pids").exists() and Path("pids").stat().st_size > 0))
     pid, seen, folder = Path("pids").read_text(encoding="ascii").split()
     assert int(seen) == parent.pid
     parent.send_signal(sent)
-    parent.wait(30)
-    assert ends(int(pid))
+    parent.wait(HANG)
+    wait_until(lambda: not alive(int(pid)))
     assert not Path(folder).exists()

@@ -292,6 +292,7 @@ def module(tmp_path, monkeypatch):
     return path
 
 
+@pytest.mark.slow
 def test_isolated_process_gives_the_same_payload_from_the_stand_in_alone(module):
     names = [f"{module}:Spies", f"{module}:Half"]
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:

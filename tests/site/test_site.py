@@ -80,7 +80,6 @@ def test_search_finds_the_words_of_users(opened, word):
     page = opened(f"search.html?q={word}")
     page.wait_for_selector("#search-results .search-summary:not(:empty)")
     page.wait_for_selector("#search-results li a")
-    page.wait_for_timeout(500)  # results appear one by one
     results = page.eval_on_selector_all("#search-results li > a", "all => all.map(one => one.getAttribute('href'))")
     assert any(found.split(".html")[0].endswith(FOUND[word]) for found in results[:FIRST]), results[:FIRST]
 

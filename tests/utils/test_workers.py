@@ -8,11 +8,11 @@ import os
 import signal
 import sys
 import threading
-import time
 from functools import partial
 from pathlib import Path
 
 import pytest
+from clock import wait_until
 
 from cablebot_gym.policies.protocol import BatchItemError
 from cablebot_gym.utils.workers import WorkerDied, check_workers, cores, leaders_first, run
@@ -52,10 +52,8 @@ def touches(marker):
 
 
 def waits_for(marker):
-    deadline = time.monotonic() + 30
-    while not Path(marker).exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return Path(marker).exists()
+    wait_until(Path(marker).exists)
+    return True
 
 
 def started(tasks, *, workers=2, say=print, **keywords):
