@@ -29,8 +29,8 @@ _USES = """Imitation learning, offline reinforcement learning, and identificatio
 policy is evaluated in the environment, not on this dataset."""
 
 _LIMITATIONS = """The plant is a model: {platform} on straight cables without mass (transmission: {springs}), with the
-uncertainty that the keywords and options name and no other. Conclusions about a real robot need a test on that robot. The data cover the
-policy, robot, motions and payloads named here; other states may be absent."""
+uncertainty that the keywords and options name and no other. Conclusions about a real robot need a test on that robot.
+The data cover the policy, robot, motions and payloads named here; other states may be absent."""
 
 _DATASHEET = """# Datasheet of {id}
 

@@ -50,8 +50,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     ## Observation space
 
     A flat, bounded `Box`. `env.unwrapped.layout` gives the slices of the blocks, and `layout.table()` prints them with
-    their bounds. m is the number of cables, n the number of coordinates: (x, y) or (x, y, z) of a point mass, (x, y, φ) of
-    a platform in a plane, (x, y, z, ψ, θ, φ) of one in space. A component saturates at its bound.
+    their bounds. m is the number of cables, n that of the coordinates: (x, y) or (x, y, z) of a point mass, (x, y, φ) of a
+    platform in a plane, (x, y, z, ψ, θ, φ) of one in space. A component saturates at its bound.
 
     | name | size | meaning |
     |---|---|---|
@@ -143,8 +143,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
       the circle as printed, accelerates from time 0 and starts on the reference.
     * `initial_error` sets the difference between start pose and reference pose; 0 starts on the reference.
 
-    `info["torques"]` after a reset are the torques that hold the true robot at rest at the start pose, with a reserve of
-    tension if there are more cables than coordinates. `torque_margin` is their distance from the stall torques. If a
+    `info["torques"]` after a reset are the torques that hold the true robot at rest at the start pose, with a reserve
+    of tension if there are more cables than coordinates. `torque_margin` is their distance from the stall torques. If a
     component is negative, no policy can hold the robot there, and the payload counts as not carried, if the motion
     starts at rest.
 

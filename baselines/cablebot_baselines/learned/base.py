@@ -74,7 +74,7 @@ class Base:
 
 
 def default_base(robot: Robot) -> Base:
-    """The base law of a robot for which none is chosen: ``motor-pd`` if it is flexible, else ``fl`` with stiff gains."""
+    """The base law of a robot without a choice: ``motor-pd`` if it is flexible, else ``fl`` with stiff gains."""
     return Base(law="motor-pd") if robot.flexible else Base(gains=(2500.0, 100.0))
 
 
