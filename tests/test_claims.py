@@ -23,10 +23,10 @@ FORBIDDEN = {
     "robots with three coordinates": r"\bn is 2\b|2 planar, 6 spatial|0 for planar robots|planar robots start at",
     "real robots": r"(?<!first four )robots are those of Korayem",
     "elastic cables": r"inextensible|nor this project has a model of elastic",
-    "eight environments": r"all four robots|both robots|standard` has all|all environments, 3|circle of all environments",
+    "eight environments": r"all four robots|both robots|standard` has all|all environments, 3|circle of all env",
     "compiled once per form and use": r"once for each kind of robot",
     "robots whose motion is no circle": r"that of the robot: the paper's circle|\* \| the paper's circle",
-    "bounds of robots under gravity": r"upper bound: for rigid planar|infeasible, for rigid planar|^\* Spatial robots and a motion",
+    "bounds of robots under gravity": r"(bound:|infeasible,) for rigid planar|^\* Spatial robots and a motion",
     "tension bound, not slack": r"without a slack cable|within its bound and no slack",
     "standard gravity is 9.80665": r"STANDARD_GRAVITY",
     "a card's field that says nothing": r"--data - ",
@@ -37,7 +37,11 @@ FOLDERS = ("cablebot_gym", "baselines", "docs", "paper", "scripts", "examples")
 SUFFIXES = {".py", ".md", ".toml", ".html", ".ipynb", ".yaml"}
 TEXTS = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
-    for path in [ROOT / "README.md", ROOT / "LEADERBOARD.md", *(p for name in FOLDERS for p in (ROOT / name).rglob("*"))]
+    for path in [
+        ROOT / "README.md",
+        ROOT / "LEADERBOARD.md",
+        *(p for name in FOLDERS for p in (ROOT / name).rglob("*")),
+    ]
     if path.suffix in SUFFIXES and "generated" not in path.parts
 }
 

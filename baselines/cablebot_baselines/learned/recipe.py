@@ -2,9 +2,9 @@
 
 The settings are those of ``cablebot train --algo ppo`` for the environment, from ``hyperparams/ppo.yaml``::
 
-    envs = make_training_envs("CableBot-Planar-v0", 512, seed=0)
-    model = PPO("MlpPolicy", envs, seed=0, **ppo_settings("CableBot-Planar-v0"))
-    model.learn(1_000_000)
+    envs = make_training_envs("CableBot-Planar-v0", 256, seed=0)
+    model = PPO("MlpPolicy", envs, seed=0, **ppo_settings("CableBot-Planar-v0", 256))
+    model.learn(400_000)
     evaluate_dlcc(trained_policy(model), "CableBot-Planar-v0")
 """
 
@@ -34,14 +34,21 @@ def find_config(env_id: str, algorithm: str = "ppo") -> Config:
     return make_config(read_yaml(env_id, Path(algorithm)))
 
 
-def ppo_settings(env_id: str) -> dict[str, Any]:
+def ppo_settings(env_id: str, n_envs: int | None = None) -> dict[str, Any]:
     """The shipped hyperparameters of PPO for an environment, as keyword arguments of SB3's ``PPO``.
 
     Without ``policy``, ``env`` and ``seed``. The CPU is faster than an accelerator for networks of this size.
+
+    Args:
+        env_id: as for :func:`make_training_envs`.
+        n_envs: as for :func:`make_training_envs`; the batch size is proportional to it.
     """
-    settings = dict(find_config(env_id).model)
+    config = find_config(env_id)
+    settings = {"device": "cpu", **config.model}
     del settings["policy"]
-    return {"device": "cpu", **settings}
+    if n_envs is not None:
+        settings["batch_size"] = max(1, settings["batch_size"] * n_envs // config.n_envs)
+    return settings
 
 
 def make_training_envs(
