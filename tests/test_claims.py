@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import math
 import re
+from io import BytesIO
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
+from PIL import Image
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.bounds.certificate import hold_payload
@@ -91,3 +94,34 @@ def test_upper_bound_exists_under_gravity_as_the_page_says(env_id):
     task = gym.make(env_id).unwrapped.settings
     bound = hold_payload(task.robot, task.trajectory, task.error_bounds)
     assert math.isfinite(bound) == (not task.robot.weightless)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("style", "box"),
+    [("docs/_static/site.css", "table-wrapper"), ("cablebot_gym/report/assets/style.css", "wide")],
+)
+def test_wide_table_on_a_phone_shows_that_it_scrolls(browser, style, box, scheme):
+    """Its edge has a shadow where columns are hidden, and none at the end of the table."""
+    row = "<tr>" + "<td style='min-width: 9em'>–</td>" * 8 + "</tr>"
+    css = (ROOT / style).read_text(encoding="utf-8")
+    page = browser.new_page(viewport={"width": 390, "height": 300}, color_scheme=scheme)
+    page.set_content(
+        f"<html data-theme={scheme}><style>body {{ --color-background-primary: Canvas; color-scheme: {scheme} }}"
+        f"{css} .{box} {{ overflow-x: auto }}</style>"
+        f"<body data-theme={scheme}><div class={box}><table>{8 * row}</table></div></body></html>"
+    )
+
+    def edges():
+        with Image.open(BytesIO(page.screenshot())) as picture:
+            colours = np.asarray(picture.convert("L"), int)[100]
+        return [abs(int(colours[x]) - int(np.median(colours))) for x in (14, 375)]
+
+    left, right = edges()
+    assert left < 20 < right
+    page.evaluate(f"document.querySelector('.{box}').scrollLeft = 1e6")
+    page.wait_for_timeout(100)
+    left, right = edges()
+    assert right < 20 < left
+    page.close()
