@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cablebot_gym.envs.single import CableBotEnv
+from cablebot_gym.robots import KIND_TEXTS, Robot
 from cablebot_gym.utils.files import atomic_write_text
 
 if TYPE_CHECKING:
@@ -27,9 +28,15 @@ Code: {code}"""
 _USES = """Imitation learning, offline reinforcement learning, and identification of models of cable-suspended robots. A
 policy is evaluated in the environment, not on this dataset."""
 
-_LIMITATIONS = """The plant is a model: a rigid platform on massless, inextensible cables, with the uncertainty that the
-keywords and options name and no other. Conclusions about a real robot need a test on that robot. The data cover the
-policy, robot, motions and payloads named here; other states may be absent."""
+_LIMITATIONS = """The plant is a model: {platform} on straight cables without mass (transmission: {springs}), with the
+uncertainty that the keywords and options name and no other. Conclusions about a real robot need a test on that robot.
+The data cover the policy, robot, motions and payloads named here; other states may be absent."""
+
+
+def limitations(robot: Robot) -> str:
+    """What the plant of a robot leaves out, for a datasheet."""
+    return _LIMITATIONS.format(platform=KIND_TEXTS[robot.kind], springs=robot.springs)
+
 
 _DATASHEET = """# Datasheet of {id}
 
@@ -141,7 +148,7 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
         "code": data["code_permalink"],
     }
     env.close()
-    texts = {"collection": _COLLECTION.format(**facts), "uses": _USES, "limitations": _LIMITATIONS}
+    texts = {"collection": _COLLECTION.format(**facts), "uses": _USES, "limitations": limitations(plain.task.robot)}
     texts = {name: " ".join(text.split()) for name, text in texts.items()}
     sheet, croissant = file.parents[1] / "DATASHEET.md", file.parents[1] / "croissant.json"
     atomic_write_text(sheet, _DATASHEET.format(**facts, **texts))

@@ -30,8 +30,8 @@ from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""
 
-STANDARD_GRAVITY = 9.81
-"""Gravitational acceleration along +z [m/s²]."""
+GRAVITY = 9.81
+"""Gravitational acceleration along +z [m/s²], the value of the paper and of most robots here."""
 
 LARGEST_SIZE = 3000.0
 """Largest ratio of the width of the base to a pulley radius. It is 20 for the paper's robots and 220 for CoGiRo."""
@@ -232,7 +232,7 @@ class Robot:
     """
     cable_density: PerMotor = 0.0
     """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag uses it."""
-    gravity: float = STANDARD_GRAVITY
+    gravity: float = GRAVITY
     """Gravitational acceleration along +z, or along +y in a vertical plane [m/s²]. A robot in a horizontal plane only
     accepts the default."""
     minimum_tension: float = 1.0
@@ -415,6 +415,16 @@ class Robot:
         return self.jointed or self.elastic
 
     @property
+    def springs(self) -> str:
+        """What is elastic, as text: ``rigid``, ``joint springs``, ``elastic cables``, or the last two."""
+        springs = []
+        if self.jointed:
+            springs.append("joint springs")
+        if self.elastic:
+            springs.append("elastic cables")
+        return " and ".join(springs) or "rigid"
+
+    @property
     def joints(self) -> Literal["rigid", "flexible"]:
         """``rigid`` or ``flexible``; used as a key in tables of settings."""
         return "flexible" if self.flexible else "rigid"
@@ -499,7 +509,7 @@ def _check_fields(robot: Robot) -> None:
     choice("plane", robot.plane, get_args(Plane))
     if not planar and robot.plane != "horizontal":
         raise ValueError("plane is for planar robots, with base_anchors (x, y): remove it")
-    if planar and robot.plane == "horizontal" and robot.gravity != STANDARD_GRAVITY:
+    if planar and robot.plane == "horizontal" and robot.gravity != GRAVITY:
         raise ValueError('gravity does not act in a horizontal plane: remove it, or set plane = "vertical"')
     number("minimum_tension", robot.minimum_tension, least=0, unit="N")
     for name in ("swivel_radius", "cable_density"):

@@ -64,8 +64,7 @@ def estimating_the_payload_helps(lines: list[str], folder: Path) -> bool:
 
 
 def trained_policy_is_evaluated(lines: list[str], folder: Path) -> bool:
-    first, last = (float(line.rsplit(" ", 1)[1]) for line in lines[:2])
-    return last > first + 1 and (folder / "out" / "mine.zip").is_file() and "fails unloaded" in lines[-1]
+    return (folder / "out" / "mine.zip").is_file() and payloads(lines)[-1] > 1.9
 
 
 def video_is_written(lines: list[str], folder: Path) -> bool:

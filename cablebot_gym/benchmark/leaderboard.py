@@ -17,7 +17,14 @@ from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, cell_fro
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.scores import CONFIDENCE, BestKnown, best_known_payloads, leaderboards, payload_maps, scores
 from cablebot_gym.benchmark.suites import find_suite
+from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.utils.console import results_console
+
+_INTRODUCTION = """# Leaderboard
+
+Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload. Rows are sorted by the first
+column; the [definitions](#definitions) are at the end.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,11 +141,10 @@ def markdown(results: Results) -> str:
     cells = [score.cell for score in scores(records)]
     default = next((cell for cell in cells if not varied_fields(cell)), cells[0])
     boards = leaderboards(records)
-    template = (files("cablebot_gym.benchmark") / "leaderboard_head.md").read_text(encoding="utf-8")
-    position, rotation = (1e3 * default.error_bounds[name] for name in ("position", "rotation"))
-    text = template.format(position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE)
-    if results.board is not None:
-        text += _board_text(results.board)
+    text = _INTRODUCTION
+    absent = [f"`{env_id}`" for env_id in ENV_IDS if env_id not in {board.env_id for board in boards}]
+    if results.board is not None and absent:
+        text += f"\nNo board yet: {', '.join(absent)}.\n"
     unverified = {entry.policy for entry in results.entries if not entry.verified}
     for leaderboard in boards:
         head, *rows = tables.leaderboard_rows(leaderboard)
@@ -167,6 +173,13 @@ def markdown(results: Results) -> str:
         text += "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
     used = "; ".join(
         ", ".join(f"{name} {value}" for name, value in versions.items()) for versions in _versions(records)
+    )
+    if results.board is not None:
+        text += _board_text(results.board)
+    position, rotation = (1e3 * default.error_bounds[name] for name in ("position", "rotation"))
+    template = (files("cablebot_gym.benchmark") / "leaderboard_definitions.md").read_text(encoding="utf-8")
+    text += "\n" + template.format(
+        position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE
     )
     summary = find_suite(results.suite).summary
     return f"{text}\nSuite `{results.suite}` ({summary}), computed by `{results.command}` with {used}.\n"
@@ -217,7 +230,10 @@ def _entries_table(entries: Sequence[EntryNote]) -> str:
 
 def print_page(page: str) -> None:
     """Prints the leaderboard page without its explanations."""
-    results_console().print(Markdown(page[page.index("\n## ") :]))
+    tables_and_notes, _, definitions = page.partition("\n## Definitions\n")
+    command = definitions.rpartition("\n\n")[2]
+    text = tables_and_notes[page.index("\n## ") :] + "\n" + command
+    results_console().print(Markdown(text))
 
 
 def _escaped(text: str) -> str:

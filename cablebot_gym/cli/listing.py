@@ -73,7 +73,7 @@ def _robot_entry(name: str) -> dict[str, Any]:
         "kind": robot.kind,
         "cables": robot.cables,
         "coordinates": robot.coordinates,
-        "joints": robot.joints,
+        "transmission": robot.springs,
         "origin": "library" if robot.sources else "paper",
         "documented": len(robot.sources) - len(assumed),
         "assumed": assumed,
@@ -149,16 +149,16 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     from cablebot_gym.trajectories import TRAJECTORIES
     from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, ExternalWrench, ParameterDistribution, SensorNoise
 
-    rows = [["id", "robot", "cables", "coordinates", "joints"]]
+    rows = [["id", "robot", "cables", "coordinates", "transmission"]]
     for env_id in ENV_IDS:
         robot = find_robot(env_robot(env_id))
-        rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.joints])
+        rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.springs])
     yield "ids", "Environments", rows
 
-    rows = [["name", "kind", "cables", "joints", "values with a source"]]
+    rows = [["name", "kind", "cables", "transmission", "values with a source"]]
     for entry in map(_robot_entry, robot_names()):
         values = "the paper" if not entry["sources"] else f"{entry['documented']} of {len(entry['sources'])}"
-        rows.append([entry["name"], entry["kind"], str(entry["cables"]), entry["joints"], values])
+        rows.append([entry["name"], entry["kind"], str(entry["cables"]), entry["transmission"], values])
     yield "robots", "Robots", rows
 
     rows = [["name", "field", "default", "unit"]]

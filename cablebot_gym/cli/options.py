@@ -107,7 +107,7 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
             callback=_read_data,
             help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, or '
             "file.py:name of a Trajectory or of a function that makes one. `cablebot list` shows names and fields. The "
-            "default is that of the robot: the paper's circle between two dwells.",
+            "default is that of the robot.",
         ),
     ),
     "payload_known": (

@@ -92,7 +92,7 @@ def report(check: RobotCheck) -> list[str]:
 
     robot, limit = check.robot, check.limit
     place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
-    lines = [f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {_springs(robot)}"]
+    lines = [f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}"]
     if limit.largest < limit.least:
         lines += [f"motion     {check.trajectory.name}: no payload can be held", f"           {place}:"]
     else:
@@ -115,11 +115,6 @@ def report(check: RobotCheck) -> list[str]:
     lines += _sag_lines(check)
     lines += [f"question   {question}" for question in check.questions] or ["questions  none"]
     return lines
-
-
-def _springs(robot: Robot) -> str:
-    springs = [text for text, has in (("joint springs", robot.jointed), ("elastic cables", robot.elastic)) if has]
-    return " and ".join(springs) or "rigid"
 
 
 def _sag_lines(check: RobotCheck) -> list[str]:

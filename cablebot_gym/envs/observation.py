@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
-from cablebot_gym.robots import STANDARD_GRAVITY, Robot
+from cablebot_gym.robots import GRAVITY, Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 
@@ -220,7 +220,7 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
         "angular_rate": ((-100.0, 100.0), rate, "rad/s", "angular rate of the platform in its own frame"),
         "specific_force": (
             (-1e3, 1e3),
-            STANDARD_GRAVITY,
+            GRAVITY,
             "m/s²",
             f"mean acceleration minus gravity {last}, same frame",
         ),
@@ -243,7 +243,7 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
         ("reference_acceleration", bounds[2], scales[2], n, units[2], "second derivative of X_d"),
         *(higher if robot.flexible else []),
         *previews,
-        ("model_payload", (0.0, max(1e3, m * pull / STANDARD_GRAVITY)), payload, 1, "kg", model),
+        ("model_payload", (0.0, max(1e3, m * pull / GRAVITY)), payload, 1, "kg", model),
         ("payload_known", (0.0, 1.0), 1.0, 1, "–", "1 if the payload is known, else 0"),
         ("last_actions", (-1.0, 1.0), 1.0, LAST_ACTIONS * m, "–", sent),
         ("slack_time", (0.0, 1e3), SLACK_SCALE, 1, "s", "time for which some cable has been slack without a pause"),

@@ -50,7 +50,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     ## Observation space
 
     A flat, bounded `Box`. `env.unwrapped.layout` gives the slices of the blocks, and `layout.table()` prints them with
-    their bounds. n is 2 (x, y) or 6 (x, y, z, ψ, θ, φ), m is the number of cables. A component saturates at its bound.
+    their bounds. m is the number of cables, n that of the coordinates: (x, y) or (x, y, z) of a point mass, (x, y, φ)
+    of a platform in a plane, (x, y, z, ψ, θ, φ) of one in space. A component saturates at its bound.
 
     | name | size | meaning |
     |---|---|---|
@@ -111,7 +112,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     |---|---|---|
     | `inside` | 1 | 1 while no limit has been violated in the episode, else 0 |
     | `position` | 0.05 | 1/(1 + e/R), with the position error e and its bound R |
-    | `rotation` | 0.05 | 1/(1 + e/R), with the rotation error e and its bound R; 0 for planar robots |
+    | `rotation` | 0.05 | 1/(1 + e/R), with the rotation error e and its bound R; 0 for a point mass |
     | `saturation` | 0.02 | minus the mean over the motors of min(1, max(0, abs(a) − 1)) |
     | `violation` | 0.1 | minus the number of control steps of the motion, once, at the first violation |
 
@@ -136,15 +137,16 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     An episode starts at time 0 with the velocity of the reference. The start pose is the same for all payloads:
 
-    * Planar robots start at the first pose of the reference.
-    * Spatial robots start lower (larger z) than this pose by half the position error bound, at most 50 mm, if the
+    * Without gravity, which is in a horizontal plane, robots start at the first pose of the reference.
+    * Under gravity they start lower than this pose by half the position error bound, at most 50 mm, if the
       motion starts at rest: there the cables are steeper, and the motors hold more payload at rest. `paper-spatial`,
       the circle as printed, accelerates from time 0 and starts on the reference.
     * `initial_error` sets the difference between start pose and reference pose; 0 starts on the reference.
 
-    `info["torques"]` after a reset are the torques that hold the true robot at rest at the start pose (planar: with a
-    tension of at least 5 N in each cable). `torque_margin` is their distance from the stall torques. If a component is
-    negative, no policy can hold the robot there, and the payload counts as not carried, if the motion starts at rest.
+    `info["torques"]` after a reset are the torques that hold the true robot at rest at the start pose, with a reserve
+    of tension if there are more cables than coordinates. `torque_margin` is their distance from the stall torques. If a
+    component is negative, no policy can hold the robot there, and the payload counts as not carried, if the motion
+    starts at rest.
 
     The springs of a flexible robot start with these torques, clipped to the stall torques, and its motors start at the
     speed of the pulleys. A policy that reads `motor_angle` can therefore infer an unknown payload; this is physically
@@ -217,11 +219,11 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode, in place of `payload` |
     | `payload_known`* | True | whether the payload is known to the controller |
     | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
-    | `trajectory`* | the paper's circle between dwells | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
+    | `trajectory`* | that of the robot | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
     | `initial_error`* | None | start pose minus reference pose, n values; None for the start pose under "Start" |
     | `initial_error_range` | None | n half widths of a uniform error, drawn in each episode, added to the start pose |
     | `uncertainty`* | None | difference between the true and the nominal robot, see below |
-    | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds of the tracking errors |
+    | `error_bounds`* | those of the robot | `{"position": …, "rotation": …}`, bounds of the tracking errors |
     | `robot` | by id | a name, a `.toml` file, `Robot.to_dict()` data or a `Robot` |
     | `measurement` | "pose" | sensors: "pose", "winches", "winches+tensions+imu", or data, see "Observation space" |
     | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
@@ -285,7 +287,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | field | default | meaning |
     |---|---|---|
     | `force_mean`, `force_std` | 0 | normal force along the axes of the base frame, one number or one per axis [N] |
-    | `moment_mean`, `moment_std` | 0 | spatial only: moment about these axes through the centre of mass [N·m] |
+    | `moment_mean`, `moment_std` | 0 | not for a point mass: moment about these axes through the centre of mass [N·m] |
     | `correlation_time` | 0.01 | time for which a draw is constant [s] |
     | `factor` | (1, 1) | (low, high) of a uniform factor for each component, drawn once per episode |
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import STANDARD_GRAVITY, Robot
+from cablebot_gym.robots import GRAVITY, Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +100,7 @@ def _chords(robot: Robot, pose: ArrayLike) -> tuple[Array, Array]:
 
 def _weights(robot: Robot) -> Array:
     """Weight of the cables per length, shape (m,) [N/m]."""
-    gravity = STANDARD_GRAVITY if robot.planar and robot.plane == "horizontal" else robot.gravity
+    gravity = GRAVITY if robot.planar and robot.plane == "horizontal" else robot.gravity
     return gravity * robot.per_motor(robot.cable_density)
 
 

@@ -58,7 +58,7 @@ class Moment:
     position_error: float
     """Distance from the reference position [m]."""
     rotation_error: float
-    """Largest difference of an angle from the reference [rad]; 0 for planar robots."""
+    """Largest difference of an angle from the reference [rad]; 0 for a point mass."""
 
     @classmethod
     def from_info(cls, robot: Robot, stall_torque: Array, pose: Array, info: Mapping[str, Any]) -> Moment:

@@ -88,8 +88,8 @@ def _equations(robot: Robot) -> str:
 
 
 def _policies(env_id: str) -> str:
+    boards = [board for board in all_leaderboards() if board.env_id == env_id]
+    if not boards:
+        return "The [leaderboard](/leaderboard.md) has no board for this environment yet.\n"
     text = "Payload [kg] and its fraction of the best known payload, from the [leaderboard](/leaderboard.md).\n"
-    for board in all_leaderboards():
-        if board.env_id == env_id:
-            text += f"\n{table(leaderboard_rows(board))}"
-    return text
+    return text + "".join(f"\n{table(leaderboard_rows(board))}" for board in boards)

@@ -10,10 +10,13 @@ import shutil
 import signal
 import sys
 from types import SimpleNamespace
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
+from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
@@ -22,11 +25,14 @@ from cablebot_baselines.learned import runs, training
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.config import ALGORITHMS, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
+from cablebot_baselines.learned.recipe import make_training_envs, ppo_settings, trained_policy
 from cablebot_baselines.learned.runs import TrainingResult, read_yaml
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
-from cablebot_baselines.learned.wrappers import make_steered_vec
+from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, make_steered_vec
+from cablebot_baselines.learned.wrappers.steered import ACTIONS
+from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
-from cablebot_gym.envs import PAPER_ENV_IDS
+from cablebot_gym.evaluation import evaluate_dlcc
 
 PLANAR = "CableBot-Planar-v0"
 QUICK = {"control_frequency": 100, "payload_max": 1.0, "resolution": 0.5}
@@ -96,12 +102,59 @@ def copied(trained, tmp_path):
 
 def test_shipped_configurations_are_valid():
     for algorithm in ALGORITHMS:
-        for env_id in PAPER_ENV_IDS:
+        for env_id in ENV_IDS:
             made = make_config(read_yaml(env_id, runs.Path(algorithm)))
             names = [wrapper.__name__ for wrapper, _ in made.wrappers]
             assert names == ["PayloadCurriculum", "Steered"]
             assert made.env_kwargs["terminate_on_violation"]
             assert made.normalize["gamma"] == made.model["gamma"]
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_default_settings_follow_from_the_robot(env_id):
+    """Nothing is compiled, because no environment is reset."""
+    default = make_config(read_yaml("a robot without a key", runs.Path("ppo")))
+    env: Any = gym.make_vec(env_id, num_envs=2, autoreset_mode=AutoresetMode.DISABLED, **default.env_kwargs)
+    plant = env.settings
+    for wrapper, arguments in default.wrappers:
+        env = wrapper.vector(env, **arguments)
+    periods = plant.trajectory.duration * plant.control_frequency
+    assert env.steering.periods * ACTIONS == pytest.approx(periods, rel=0.01)
+    assert (env.steering.base.law == "motor-pd") == plant.robot.flexible
+    assert 0 < env.env.ceiling < env.env._heaviest
+
+
+def test_curriculum_without_exact_tracking_needs_a_payload():
+    fast = {"name": "paper-planar", "duration": 0.1}
+    env = gym.make_vec(PLANAR, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, trajectory=fast)
+    with pytest.raises(ValueError, match="heaviest must be given in kg: the motors of robot 'planar' cannot follow"):
+        PayloadCurriculumVector(env)
+
+
+def test_own_training_gives_a_policy(tmp_path):
+    envs = make_training_envs(PLANAR, 8, config=make_config(plain()))
+    settings = ppo_settings(PLANAR, 8) | {"n_steps": 4}
+    assert settings["batch_size"] == 32
+    model = PPO("MlpPolicy", envs, seed=0, **settings).learn(32)
+    policy = trained_policy(model)
+    policy.bundle.save(tmp_path / "mine.zip")
+    conditions = {"trajectory": "paper-planar", **QUICK}
+    result = evaluate_dlcc(policy, PLANAR, **conditions)
+    assert result.payload == evaluate_dlcc(str(tmp_path / "mine.zip"), PLANAR, **conditions).payload
+    with pytest.raises(ValueError, match="must have the environments that it was trained on"):
+        trained_policy(PPO("MlpPolicy", "CartPole-v1", device="cpu"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_every_id_trains(env_id, tmp_path):
+    settings = read_yaml(env_id, runs.Path("ppo")) | {"n_envs": 8, "n_steps": 4, "batch_size": 32}
+    path = tmp_path / "ppo.yaml"
+    path.write_text(yaml.safe_dump({env_id: settings}), encoding="utf-8")
+    evaluation = {"search": "bisection", "resolution": 1.0}
+    result = training.train(env_id, out=tmp_path / "run", config=path, timesteps=32, evaluation=evaluation)
+    assert result.base_payload_kg is not None
+    assert result.best is not None
 
 
 def test_texts_of_rl_zoo_are_converted():

@@ -34,7 +34,12 @@ def test_json_has_every_name(data):
 def test_robots_have_their_kind_and_the_completeness_of_their_sources(data):
     found = {robot["name"]: robot for robot in data["robots"]}
     camera, paper = found["flex-stadium-camera"], found["planar"]
-    assert (camera["kind"], camera["cables"], camera["joints"], camera["origin"]) == ("point", 4, "flexible", "library")
+    assert (camera["kind"], camera["cables"], camera["transmission"], camera["origin"]) == (
+        "point",
+        4,
+        "elastic cables",
+        "library",
+    )
     assert (paper["kind"], paper["origin"], paper["sources"]) == ("planar", "paper", {})
     assert "mass" not in camera["assumed"]
     assert camera["documented"] == len(camera["sources"]) - len(camera["assumed"])

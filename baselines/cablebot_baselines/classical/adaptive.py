@@ -16,7 +16,7 @@ from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import STANDARD_GRAVITY, Robot
+from cablebot_gym.robots import GRAVITY, Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 
@@ -79,7 +79,7 @@ class Adaptive(ClassicalLaw):
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
         self.model = law.model
         weight = number("estimator_prior_weight", estimator_prior_weight, above=0.0, unit="s")
-        self.law, self._prior_weight = law, weight * STANDARD_GRAVITY**2
+        self.law, self._prior_weight = law, weight * GRAVITY**2
         self._allocates = allocation and law.robot.cables == law.robot.coordinates
         self.unsaturated_actions = law.unsaturated_actions and not self._allocates
 

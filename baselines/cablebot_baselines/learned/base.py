@@ -73,6 +73,11 @@ class Base:
         return Adaptive(law, estimator_prior_weight=self.estimator_prior_weight, allocation=self.allocates)
 
 
+def default_base(robot: Robot) -> Base:
+    """The base law of a robot without a choice: ``motor-pd`` if it is flexible, else ``fl`` with stiff gains."""
+    return Base(law="motor-pd") if robot.flexible else Base(gains=(2500.0, 100.0))
+
+
 def find_base(base: Base | str | Mapping[str, Any]) -> Base:
     """Returns a base law from a :class:`Base`, a law's name, or a dict ``{"law": …, "gains": …}``.
 

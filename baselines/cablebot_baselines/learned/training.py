@@ -19,15 +19,15 @@ try:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, make_output_format
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+    from stable_baselines3.common.vec_env import VecNormalize
 except ImportError as error:
     raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
 
 from cablebot_baselines.learned import runs
 from cablebot_baselines.learned.config import Config, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
-from cablebot_baselines.learned.vec_env import CableBotVecEnv
-from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, make_steered_vec
+from cablebot_baselines.learned.recipe import make_training_envs, steered_env
+from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
@@ -106,7 +106,7 @@ def train(
         model = (_load if resume else _make)(state, hyperparameters, envs)
         network_from_sb3(model)  # fails before the training if the model cannot be exported
         total, evaluation = state.settings["timesteps"], state.settings["evaluation"]
-        steered: Any = envs.env
+        steered = steered_env(model)
         run = runs.Run(
             state,
             steered.steering,
@@ -116,7 +116,7 @@ def train(
             progress=progress,
             say=say,
         )
-        callback = _RunCallback(run, _curriculum(envs))
+        callback = _RunCallback(run, _curriculum(steered))
         callback.init_callback(model)
         if not resume:
             run.start()
@@ -124,13 +124,12 @@ def train(
     return state
 
 
-def _environments(config: Config, state: runs.TrainingResult) -> CableBotVecEnv:
+def _environments(config: Config, state: runs.TrainingResult) -> VecNormalize:
     seed = state.settings["seed"] + state.timesteps  # a resumed run does not repeat its first episodes
-    wrappers, env_id = list(config.wrappers), state.settings["env_id"]
-    return CableBotVecEnv(make_steered_vec(env_id, config.n_envs, wrappers=wrappers, seed=seed, **config.env_kwargs))
+    return make_training_envs(state.settings["env_id"], seed=seed, config=config)
 
 
-def _make(state: runs.TrainingResult, config: Config, envs: CableBotVecEnv) -> BaseAlgorithm:
+def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> BaseAlgorithm:
     """Makes a new model.
 
     Raises:
@@ -139,15 +138,14 @@ def _make(state: runs.TrainingResult, config: Config, envs: CableBotVecEnv) -> B
     name = state.settings["algorithm"]
     algorithm: Any = algorithm_class(name)
     try:
-        normalize = VecNormalize(VecMonitor(envs), **config.normalize)
         # The CPU is faster than an accelerator for networks of this size, and gives reproducible weights.
-        model: BaseAlgorithm = algorithm(env=normalize, seed=state.settings["seed"], device="cpu", **config.model)
+        model: BaseAlgorithm = algorithm(env=envs, seed=state.settings["seed"], device="cpu", **config.model)
     except (TypeError, ValueError, AssertionError) as error:
         raise ValueError(f"{name} rejects the hyperparameters ({error}): correct the file") from error
     return model
 
 
-def _load(state: runs.TrainingResult, config: Config, envs: CableBotVecEnv) -> BaseAlgorithm:
+def _load(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> BaseAlgorithm:
     """Loads the model of a checkpoint, and the payload ceiling of its curriculum.
 
     Raises:
@@ -155,18 +153,19 @@ def _load(state: runs.TrainingResult, config: Config, envs: CableBotVecEnv) -> B
     """
     folder = state.checkpoint
     with runs.checkpoint_errors(state.out):
-        normalize = VecNormalize.load(str(folder / _NORMALIZE), VecMonitor(envs))
+        normalize = VecNormalize.load(str(folder / _NORMALIZE), envs.venv)
         model = algorithm_class(state.settings["algorithm"]).load(folder / _MODEL, env=normalize, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(folder / _REPLAY)
     model.set_random_seed(state.settings["seed"] + state.timesteps)
-    if (curriculum := _curriculum(envs)) is not None and state.payload_ceiling is not None:
+    curriculum = _curriculum(steered_env(model))
+    if curriculum is not None and state.payload_ceiling is not None:
         curriculum.ceiling = state.payload_ceiling
     return model
 
 
-def _curriculum(envs: CableBotVecEnv) -> PayloadCurriculumVector | None:
-    layer: Any = envs.env
+def _curriculum(steered: SteeredVector) -> PayloadCurriculumVector | None:
+    layer: Any = steered
     while layer is not None and not isinstance(layer, PayloadCurriculumVector):
         layer = getattr(layer, "env", None)
     return layer

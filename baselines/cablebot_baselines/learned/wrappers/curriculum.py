@@ -13,12 +13,18 @@ from numpy.typing import ArrayLike
 
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.wrappers.layers import CURRICULUM, BatchWrapper, SingleWrapper, restart_mask
+from cablebot_gym.bounds.robot_check import SAMPLES, payload_limit
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.envs.vector import VectorStep
 from cablebot_gym.utils.checks import number, whole
 
 HEAVY = 2 / 3
 """Fraction of the ceiling above which a payload counts as heavy."""
+
+
+EXACT_MULTIPLE = 4.0
+"""Default of ``heaviest``, as a multiple of the largest payload with which the motors can follow the motion exactly.
+The error bounds allow several times that payload."""
 
 
 class PayloadCurriculumVector(BatchWrapper):
@@ -33,7 +39,7 @@ class PayloadCurriculumVector(BatchWrapper):
         self,
         env: VectorEnv[Array, ArrayLike, Array],
         *,
-        heaviest: float,
+        heaviest: float | None = None,
         power: float = 0.6,
         start: float | None = None,
         step: float = 0.05,
@@ -42,6 +48,10 @@ class PayloadCurriculumVector(BatchWrapper):
         setback: float = 0.0,
     ) -> None:
         super().__init__(env)
+        if heaviest is None:
+            exact = self._exact_payload()
+            heaviest = EXACT_MULTIPLE * exact
+            start = exact if start is None else start
         self._heaviest = number("heaviest", heaviest, above=0.0, unit="kg")
         self._power = number("power", power, above=0.0)
         lowest = self._heaviest if start is None else start
@@ -57,6 +67,22 @@ class PayloadCurriculumVector(BatchWrapper):
         self._started = False
         self._payload = np.full(self.num_envs, np.nan)
         self._running = np.zeros(self.num_envs, np.bool_)
+
+    def _exact_payload(self) -> float:
+        """Largest payload with which the motors can follow the motion exactly [kg].
+
+        Raises:
+            ValueError: if they cannot follow it with any payload.
+        """
+        settings = self._plant.settings
+        times = np.linspace(0.0, settings.trajectory.duration, SAMPLES)
+        exact = payload_limit(settings.robot, times, settings.trajectory(times)).largest
+        if not exact > 0.0:
+            raise ValueError(
+                f"heaviest must be given in kg: the motors of robot {settings.robot.name!r} cannot follow the motion "
+                "exactly, so it has no default"
+            )
+        return exact
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Starts episodes with drawn payloads, unless ``options`` contains a payload. An invalid call has no effect.
@@ -138,7 +164,8 @@ class PayloadCurriculum(SingleWrapper):
 
     Args:
         env: single environment of this package.
-        heaviest: largest ceiling [kg]; > 0.
+        heaviest: largest ceiling [kg]; > 0. None for :data:`EXACT_MULTIPLE` times the largest payload with which the
+            motors can follow the motion exactly, which then is the default of ``start``.
         power: exponent; below 1, heavy payloads are more frequent; > 0.
         start: initial ceiling [kg]; None for ``heaviest``, which makes the distribution constant.
         step: change of the ceiling as a fraction of ``heaviest``; in (0, 1].

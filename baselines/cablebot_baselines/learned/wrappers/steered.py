@@ -17,11 +17,14 @@ from numpy.typing import ArrayLike
 
 import cablebot_gym  # noqa: F401 - registers the ids
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.learned.base import Base, find_base
+from cablebot_baselines.learned.base import Base, default_base, find_base
 from cablebot_baselines.learned.steering import Memory, Residual, Shift, Steering, find_action_mapping
 from cablebot_baselines.learned.wrappers.layers import STEERED, BatchWrapper, SingleWrapper, restart_mask
 from cablebot_gym.envs.vector import VectorStep
 from cablebot_gym.utils.checks import number, numbers
+
+ACTIONS = 40
+"""Default number of actions in an episode: one action each 40 ms of the paper's circle."""
 
 
 class SteeredVector(BatchWrapper):
@@ -41,8 +44,8 @@ class SteeredVector(BatchWrapper):
         self,
         env: VectorEnv[Array, ArrayLike, Array],
         *,
-        base: Base | str | Mapping[str, Any],
-        steering: Shift | Residual | str | Mapping[str, Any],
+        base: Base | str | Mapping[str, Any] | None = None,
+        steering: Shift | Residual | str | Mapping[str, Any] | None = None,
         features: Sequence[str],
         effort: float = 0.0,
     ) -> None:
@@ -52,8 +55,14 @@ class SteeredVector(BatchWrapper):
         if self._plant.settings.observation_dtype != "float64":
             raise ValueError("Steered reads observations in float64: leave out observation_dtype")
         self._effort = number("effort", effort, least=0.0)
-        robot, action_mapping = self._plant.settings.robot, find_action_mapping(steering)
-        self.steering = Steering(robot, base=find_base(base), action_mapping=action_mapping, features=features)
+        robot = self._plant.settings.robot
+        if base is None:
+            base = default_base(robot)
+        if steering is None:
+            steering = Shift(action_period=self._plant.settings.trajectory.duration / ACTIONS)
+        self.steering = Steering(
+            robot, base=find_base(base), action_mapping=find_action_mapping(steering), features=features
+        )
         """The steered base law."""
         self.single_observation_space = Box(-np.inf, np.inf, (self.steering.inputs,), np.float32)
         self.single_action_space = Box(-1.0, 1.0, (self.steering.actions,), np.float32)
@@ -146,9 +155,10 @@ class Steered(SingleWrapper):
 
     Args:
         env: single environment of this package, optionally with other wrappers.
-        base: base law as a name, a dict ``{"law": …, "gains": …}`` or a :class:`Base`.
+        base: base law as a name, a dict ``{"law": …, "gains": …}`` or a :class:`Base`; None for that of the robot, see
+            :func:`~cablebot_baselines.learned.base.default_base`.
         steering: action mapping: ``"shift"``, ``"residual"``, a dict ``{"kind": "shift", "action_period": 0.04, …}``, a
-            :class:`Shift` or a :class:`Residual`.
+            :class:`Shift` or a :class:`Residual`; None for a shift with :data:`ACTIONS` actions in the motion.
         features: names of the features, in the order of the observation.
         effort: penalty factor of the mean square of each action; ≥ 0. At the end of an episode, actions have no
             consequence; without this penalty they drift to the edge of their range, where the gradient vanishes.
