@@ -21,6 +21,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import Kind, Robot
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
+from cablebot_gym.utils.files import JSON_FORM, check_not_a_file
 
 Distribution = Literal["uniform", "normal"]
 
@@ -637,6 +638,7 @@ def find_uncertainty(uncertainty: str | Mapping[str, Any] | Uncertainty | None, 
 
 def _joined(names: str, robot: Robot) -> Uncertainty:
     merged: dict[str, Any] = {}
+    check_not_a_file("uncertainty", names, JSON_FORM)
     for name in names.split("+"):
         one = UNCERTAINTIES[choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")](robot)
         given = {item.name: getattr(one, item.name) for item in fields(one) if getattr(one, item.name)}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import Json, Payload, counted, episode_options
+from cablebot_gym.cli.options import Json, Payload, counted, episode_options, note_waypoints
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console
 
@@ -49,6 +49,7 @@ def robot(
     if model is None:
         raise typer.Exit(1)
     check = check_model(model, payload=payload, trajectory=episode["trajectory"])
+    note_waypoints(check.robot, check.trajectory)
     if out is not None:
         _draw(check, out)
     if as_json:

@@ -11,7 +11,7 @@ from pathlib import Path
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
 from cablebot_gym.report.replay import Replay, batch_key, best_replays, replays
 from cablebot_gym.utils import workers as processes
-from cablebot_gym.utils.files import atomic_write_text
+from cablebot_gym.utils.files import atomic_write_text, read_text
 
 FOLDER = "episodes"
 """Name of the folder of the episodes, next to the results."""
@@ -80,7 +80,7 @@ def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
 
 def _read(path: Path) -> list[Replay] | None:
     try:
-        return [Replay(**data) for data in json.loads(path.read_text(encoding="utf-8"))]
+        return [Replay(**data) for data in json.loads(read_text(path))]
     except (OSError, ValueError, TypeError, KeyError):
         return None
 

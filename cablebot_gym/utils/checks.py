@@ -41,7 +41,10 @@ def number(
     Raises:
         ValueError: if the value is not such a number.
     """
-    real = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    try:
+        real = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an integer beyond the largest float
+        real = False
     if not (real and above < value < below and least <= value <= most):
         bounds = _bounds_text(above, least, below, most, unit)
         raise ValueError(f"{name} must be a finite number{bounds}, not {value!r}")
