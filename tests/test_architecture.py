@@ -18,6 +18,7 @@ ORDER = (
         "utils",
         "kinematics",
         "robots",
+        "importers",
         "measurement",
         "waypoints",
         "trajectories",
