@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.robots import COORDINATE_NAMES, Kind
-from cablebot_gym.utils.checks import mapping, number, numbers, unknown_name_error, whole
+from cablebot_gym.utils.checks import all_finite, mapping, number, numbers, unknown_name_error, whole
 from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
@@ -74,6 +74,16 @@ class Trajectory(Protocol):
         """
 
 
+def _finite_times(times: ArrayLike) -> Array:
+    """Times as an array.
+
+    Raises:
+        ValueError: if a time is not finite.
+    """
+    all_finite("times", times)
+    return np.asarray(times, float)
+
+
 class _Motion:
     """Base of the motions in this module: clamps the time and checks the duration and the poses."""
 
@@ -99,7 +109,7 @@ class _Motion:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        times = np.asarray(times, float)
+        times = _finite_times(times)
         derivatives = self._derivatives(np.clip(times, 0.0, self.duration))
         derivatives[1:, times > self.duration] = 0.0
         position, velocity, acceleration, jerk, snap = derivatives
@@ -373,7 +383,7 @@ class BetweenDwells:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        since = np.asarray(times, float) - self.dwell
+        since = _finite_times(times) - self.dwell
         reference = self.motion(np.clip(since, 0.0, self.motion.duration))
         moves = ((since >= 0) & (since <= self.motion.duration))[..., None]
         rates = {order: np.where(moves, getattr(reference, order), 0.0) for order in _RATES}
@@ -463,7 +473,7 @@ class Chain:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        times = np.asarray(times, float)
+        times = _finite_times(times)
         index = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, len(self.motions) - 1)
         orders = {order: np.zeros((*times.shape, self.coordinates)) for order in ("position", *_RATES)}
         for number_of, part in enumerate(self.motions):

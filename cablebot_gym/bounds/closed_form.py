@@ -23,7 +23,7 @@ from cablebot_gym.physics.distribution import HELD, SINGULAR, largest_scale
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
-from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.checks import number, numbers
 
 Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
@@ -99,13 +99,14 @@ def exact_payload(
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
     minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
+    line_speed, grid = numbers("line_speed", line_speed, least=0), number("grid", grid, above=0, unit="Hz")
     times, reference = (
         _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )
     if robot.cables > robot.coordinates and robot.kind != "planar":
-        return _redundant(robot, times, reference, minimum_tension, np.asarray(line_speed, float))
+        return _redundant(robot, times, reference, minimum_tension, line_speed)
     masses = _nodes(robot, reference, minimum_tension)
-    margins = _margins(robot, reference, masses, minimum_tension, np.asarray(line_speed, float))
+    margins = _margins(robot, reference, masses, minimum_tension, line_speed)
     starts, ends, indices = _violated(masses, margins)
 
     gaps = _gaps(starts, ends)
@@ -204,8 +205,13 @@ def tension_bounds(
         reference: the reference at K instants.
         minimum: minimum tension [N].
         line_speed: as in :func:`exact_payload`.
+
+    Raises:
+        ValueError: if a number is not finite, or a cable has no length on the reference, and thus no direction.
     """
     pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    if not np.isfinite(textbook.jacobian(robot, pose)).all():
+        raise ValueError(f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory")
     speed = textbook.pulley_speed(robot, pose, velocity)
     rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
     if robot.flexible:
@@ -213,9 +219,9 @@ def tension_bounds(
     if robot.jointed:
         rest = rest + robot.motor_damping * speed
         rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    limits = textbook.torque_limits(robot, np.asarray(line_speed, float) * speed)
+    limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
     lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
-    return np.maximum(lower, minimum), upper
+    return np.maximum(lower, number("minimum", minimum)), upper
 
 
 def _redundant(

@@ -190,7 +190,7 @@ def _rounded(values: Any) -> Any:
     """Derived values with six digits."""
     if np.ndim(values):
         return [_rounded(value) for value in values]
-    return float(f"{values:.6g}")
+    return float(f"{values:.6g}") + 0.0  # without −0.0
 
 
 def _drum_radius(source: Source, sources: dict[str, str]) -> float:

@@ -112,6 +112,21 @@ def numbers(
     return given.astype(np.float64)
 
 
+def all_finite(name: str, values: Any) -> None:
+    """Checks that all numbers are finite. It costs a microsecond or two, for functions that run in every control step.
+
+    Args:
+        name: name of the argument in the message.
+        values: numbers of any shape. Other objects, such as symbols, pass.
+
+    Raises:
+        ValueError: if a number is not finite.
+    """
+    array = np.asarray(values)
+    if array.dtype != object and not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, without NaN and infinity")
+
+
 def mapping(name: str, value: Any, keys: Iterable[str]) -> dict[str, Any]:
     """A mapping whose keys are all valid, as a new dict.
 
