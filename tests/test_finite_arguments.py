@@ -137,7 +137,6 @@ def test_function_rejects_a_number_that_is_not_finite(name):
                 continue
             with pytest.raises(ValueError, match=r"finite|numbers"):
                 function(**changed)
-                pytest.fail(f"{name} accepts {argument} with {bad}")
 
 
 def test_every_public_function_of_tensions_is_in_the_table():

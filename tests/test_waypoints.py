@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def test_spline_is_continuous_up_to_snap_and_has_its_derivatives(way):
     step = 1e-5
     times = np.linspace(2 * step, motion.duration - 2 * step, 1001)
     before, at, after = (motion(times + shift) for shift in (-step, 0.0, step))
-    for below, order in zip(ORDERS, ORDERS[1:], strict=False):
+    for below, order in pairwise(ORDERS):
         rate = (getattr(after, below) - getattr(before, below)) / (2 * step)
         scale = np.abs(getattr(at, order)).max()
         np.testing.assert_allclose(rate, getattr(at, order), atol=2e-4 * scale)

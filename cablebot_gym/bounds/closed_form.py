@@ -206,12 +206,18 @@ def tension_bounds(
         minimum: minimum tension [N].
         line_speed: as in :func:`exact_payload`.
 
+    Returns:
+        The tensions; NaN where a cable has no length, and thus no direction.
+
     Raises:
-        ValueError: if a number is not finite, or a cable has no length on the reference, and thus no direction.
+        ValueError: if a number is not finite.
     """
-    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
-    if not np.isfinite(textbook.jacobian(robot, pose)).all():
-        raise ValueError(f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory")
+    known = np.isfinite(textbook.jacobian(robot, reference.position)).all(axis=(-2, -1))[..., None]
+    pose, velocity, acceleration = (
+        np.where(known, reference.position, robot.home),
+        reference.velocity,
+        reference.acceleration,
+    )
     speed = textbook.pulley_speed(robot, pose, velocity)
     rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
     if robot.flexible:
@@ -221,7 +227,8 @@ def tension_bounds(
         rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
     limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
     lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
-    return np.maximum(lower, number("minimum", minimum)), upper
+    lower = np.maximum(lower, number("minimum", minimum))
+    return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
 
 
 def _redundant(
@@ -231,6 +238,8 @@ def _redundant(
     pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
     lower, highest = tension_bounds(robot, reference, minimum, line_speed=line_speed)
     empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
+    if np.any(np.isnan(lower)):
+        raise ValueError(f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory")
     found = largest_scale(textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest)
     if np.any(found.status == SINGULAR):
         raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")

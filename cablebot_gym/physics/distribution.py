@@ -833,7 +833,7 @@ def _arrays(
     batch: tuple[tuple[int, ...], ...] = (),
 ) -> tuple[tuple[int, ...], Array, Array, list[Array]]:
     """Leading shape, then the arrays with one leading axis: S, w and the values of cables, the bounds first."""
-    all_finite("structure", structure)
+    all_finite("structure (NaN for a cable without length)", structure)
     all_finite("load", load)
     lower, upper = bounds
     # A lower bound of +inf or an upper bound of −inf excludes every tension; comparisons with NaN are false.

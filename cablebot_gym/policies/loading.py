@@ -162,7 +162,7 @@ def as_robot(robot: Robot | str) -> Robot:
     if isinstance(robot, Robot):
         return robot
     names = [*ENV_ROBOTS, *robot_names()]
-    if robot not in names and not Path(robot).suffix:
+    if robot not in names and not Path(robot).suffix and not Path(robot).exists():
         raise unknown_name_error("environment or robot", robot, names, ", a robot file, or pass a Robot")
     return find_robot(ENV_ROBOTS.get(robot, robot))
 

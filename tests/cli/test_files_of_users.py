@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
-from cablebot_gym.benchmark.entries import read_claims
+from cablebot_gym.benchmark.entries import CLAIMS, read_claims
 from cablebot_gym.cli.benchmark import read_results
 from cablebot_gym.importers import import_robot
 from cablebot_gym.measurement import find_measurement
@@ -47,7 +48,7 @@ def card(path):
 
 
 def claims(path):
-    return read_claims(path.rename(path.with_name("claims.json")).parent)
+    return read_claims(path.rename(path.with_name(CLAIMS)).parent)
 
 
 SQUARE = (ROOT / "examples" / "square.toml").read_text(encoding="utf-8")
@@ -132,6 +133,7 @@ def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name)
 @pytest.mark.parametrize("command", ["check", "rollout"])
 def test_error_in_a_motion_file_is_one_sentence(cablebot, tmp_path, monkeypatch, command, name, status, message):
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "motion_of_a_test", raising=False)
     path = tmp_path / "motion_of_a_test.py"
     path.write_text(MOTION, encoding="utf-8")
     arguments = ("robot", "check", "planar")
@@ -157,11 +159,10 @@ def test_error_of_user_code_in_a_worker_keeps_its_line(monkeypatch):
 def test_error_of_this_package_is_no_error_of_user_code():
     from cablebot_gym.utils.user_code import sentence_of_user_code
 
-    try:
+    with pytest.raises(ValueError, match="unknown robot") as caught:
         find_robot(3.0)
-    except ValueError as error:
-        error.__traceback__ = error.__traceback__.tb_next
-        assert sentence_of_user_code(error) == ""
+    caught.value.__traceback__ = caught.tb.tb_next
+    assert sentence_of_user_code(caught.value) == ""
 
 
 def test_command_says_the_largest_speed_of_waypoints(cablebot, tmp_path):
