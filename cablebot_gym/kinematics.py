@@ -21,9 +21,20 @@ Array = NDArray[Any]
 
 
 def as_numbers(values: ArrayLike) -> Array:
-    """The values as a float64 array; an object array is returned unchanged."""
+    """The values as a float64 array; an object array is returned unchanged.
+
+    All functions here and in the textbook pass their arguments through this one.
+
+    Raises:
+        ValueError: if a number is not finite.
+    """
     array = np.asarray(values)
-    return array if array.dtype == object else array.astype(float, copy=False)
+    if array.dtype == object:
+        return array
+    numbers = array.astype(float, copy=False)
+    if not np.isfinite(numbers).all():
+        raise ValueError("poses, velocities and other arguments must be finite, without NaN and infinity")
+    return numbers
 
 
 def rotation_matrix(euler: ArrayLike) -> Array:

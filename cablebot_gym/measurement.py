@@ -10,6 +10,7 @@ import numpy as np
 
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice, number, record
+from cablebot_gym.utils.files import JSON_FORM, check_not_a_file
 
 KINDS = ("pose", "winches")
 """Kinds of measurement."""
@@ -91,6 +92,7 @@ def find_measurement(measurement: str | Mapping[str, Any] | Measurement | None, 
         ValueError: if a name or a field is unknown, or the robot cannot have a sensor.
     """
     if isinstance(measurement, str):
+        check_not_a_file("measurement", measurement, JSON_FORM)
         kind, *sensors = measurement.split("+")
         otherwise = f", and join it with {' or '.join(SENSORS)} by '+'"
         chosen = choice("measurement", kind, KINDS, otherwise)

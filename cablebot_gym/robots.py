@@ -7,6 +7,7 @@ not physically possible. All values are in SI units and radians, motor speeds in
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import tomllib
 from collections.abc import Mapping
@@ -26,6 +27,7 @@ from cablebot_gym.kinematics import (
     structure_jacobian,
 )
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, unknown_name_error
+from cablebot_gym.utils.files import check_not_a_file, read_text
 
 RPM = 2 * math.pi / 60
 """One revolution per minute in rad/s."""
@@ -520,7 +522,8 @@ def _check_fields(robot: Robot) -> None:
         for field in dataclasses.fields(part):
             if np.shape(getattr(part, field.name)) not in ((), (m,)):
                 raise ValueError(f"{field.name} must be one number or one for each of the {m} motors")
-    mapping("sources", robot.sources, robot.sources)
+    if not isinstance(robot.sources, Mapping):
+        raise ValueError(f"sources must be a table of texts by the name of the field, not {robot.sources!r}")
     fewest = n + robot.weightless
     if m < fewest:
         remedy = "add cables" if point else "add cables, or remove platform_anchors and inertia for a point mass"
@@ -726,28 +729,38 @@ def _library_robot(name: str) -> Robot:
 def load_robot(path: str | Path) -> Robot:
     """A robot from a TOML file with the fields of :class:`Robot`, and with the optional table :class:`Defaults`.
 
-    A default motion ``file.py:name`` is relative to the folder of the TOML file.
+    A ``.json`` file has the data of :meth:`Robot.to_dict`. A default motion ``file.py:name`` or ``file.csv`` is
+    relative to the folder of the file.
 
     Raises:
         ValueError: if the file cannot be read or does not describe a physical robot. The message names the file.
     """
     path = Path(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = read_text(path)
+        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
         robot = Robot.from_dict(data)
     except OSError as error:
         raise ValueError(f"cannot read robot file {str(path)!r}: {error.strerror}") from error
     except ValueError as error:  # of the TOML, too
         raise ValueError(f"robot file {str(path)!r}: {error}") from error
-    motion = robot.defaults.trajectory
-    if not isinstance(motion, str) or ".py:" not in motion:
-        return robot
-    defaults = dataclasses.replace(robot.defaults, trajectory=str(path.absolute().parent / motion))
-    return robot.replace(defaults=defaults)
+    return robot.replace(defaults=_with_motion_beside(robot.defaults, path.absolute().parent))
+
+
+def _with_motion_beside(defaults: Defaults, folder: Path) -> Defaults:
+    """Defaults whose motion, if it is that of a file, is in the folder of the robot's file."""
+    motion = defaults.trajectory
+    name = motion.get("name") if isinstance(motion, Mapping) else motion
+    if not isinstance(name, str) or not (".py:" in name or name.lower().endswith((".py", ".csv"))):
+        return defaults
+    beside = str(folder / name)
+    return dataclasses.replace(
+        defaults, trajectory=dict(motion, name=beside) if isinstance(motion, Mapping) else beside
+    )
 
 
 def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
-    """A robot from a name, from a TOML file, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
+    """A robot from a name, from a TOML or JSON file, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
 
     Names are those of :func:`robot_names`. ``cogiro`` is the robot of the library with rigid cables, ``flex-cogiro``
     the same robot with elastic cables, as its file describes it.
@@ -759,10 +772,12 @@ def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
         return robot
     if isinstance(robot, Mapping):
         return Robot.from_dict(robot)
-    if isinstance(robot, (str, Path)) and Path(robot).suffix == ".toml":
+    if isinstance(robot, (str, Path)) and Path(robot).suffix.lower() in (".toml", ".json"):
         return load_robot(robot)
-    if robot in ROBOTS:
+    if str(robot) in ROBOTS:
         return ROBOTS[str(robot)]
     if str(robot).removeprefix(ELASTIC) not in library():
-        raise unknown_name_error("robot", robot, robot_names(), ", a .toml file, or pass a Robot")
+        forms = "a .toml or .json file"
+        check_not_a_file("robot", robot, f"{forms}; `cablebot robot import` makes one from CASPR and WireX files")
+        raise unknown_name_error("robot", robot, robot_names(), f", {forms}, or pass a Robot")
     return _library_robot(str(robot))

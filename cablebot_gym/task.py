@@ -170,8 +170,17 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
         raise ValueError(
             f"trajectory {trajectory.name!r} leaves the workspace of {robot.name!r} at t = {times[sample]:.3f} s: "
             f"{symbol} = {poses[sample][channel]:.3g} is not within {low[channel]:.3g} to {high[channel]:.3g}; "
-            "change the motion or the workspace"
+            f"{_remedy(symbol, poses[:, channel], max(abs(low[channel]), abs(high[channel])))}"
         )
+
+
+def _remedy(symbol: str, values: Array, farthest: float) -> str:
+    """What to do about a coordinate outside of the workspace: convert its unit if it is far outside."""
+    if np.max(np.abs(values)) <= 20 * farthest:
+        return "change the motion or the workspace"
+    if symbol in "xyz":
+        return "lengths are in metres: divide millimetres by 1000"
+    return "angles are in radians: multiply degrees by π/180"
 
 
 def payload_model_text(payload_known: bool, factor: float = 1.0) -> str:

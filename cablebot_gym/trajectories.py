@@ -8,20 +8,25 @@ A custom motion is any object with ``name``, ``duration``, ``coordinates`` and `
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from numbers import Real
+from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.robots import Kind
-from cablebot_gym.utils.checks import mapping, number, numbers, unknown_name_error, whole
+from cablebot_gym.robots import COORDINATE_NAMES, Kind
+from cablebot_gym.utils.checks import all_finite, mapping, number, numbers, unknown_name_error, whole
+from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
+from cablebot_gym.utils.user_code import raised
+from cablebot_gym.waypoints import is_waypoint_file, read_waypoints
 
 Array = NDArray[np.float64]
 
@@ -69,6 +74,16 @@ class Trajectory(Protocol):
         """
 
 
+def _finite_times(times: ArrayLike) -> Array:
+    """Times as an array.
+
+    Raises:
+        ValueError: if a time is not finite.
+    """
+    all_finite("times", times)
+    return np.asarray(times, float)
+
+
 class _Motion:
     """Base of the motions in this module: clamps the time and checks the duration and the poses."""
 
@@ -94,7 +109,7 @@ class _Motion:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        times = np.asarray(times, float)
+        times = _finite_times(times)
         derivatives = self._derivatives(np.clip(times, 0.0, self.duration))
         derivatives[1:, times > self.duration] = 0.0
         position, velocity, acceleration, jerk, snap = derivatives
@@ -252,6 +267,77 @@ class Lemniscate(_Motion):
         return _in_plane(self.center, x, y, alpha)
 
 
+SPLINE_DEGREE = 5
+"""Degree of the spline of :class:`Waypoints`: the least one with a continuous snap, which swings the least."""
+
+SPLINE_ERROR = 1e-7
+"""Largest distance of the spline from a waypoint, as a fraction of the largest coordinate or of 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waypoints(_Motion):
+    """A spline through waypoints, from rest at the first one to rest at the last one; the motion is C⁴.
+
+    Between waypoints the spline may swing, the more the less evenly they are spaced.
+
+    Raises:
+        ValueError: if there are fewer than two waypoints, a number is not finite, or the times do not increase from 0.
+    """
+
+    times: tuple[float, ...]
+    """Times of the waypoints [s]; the first one is 0."""
+    poses: tuple[tuple[float, ...], ...]
+    """Poses of the waypoints, shape (k, n)."""
+    name: str = "waypoints"
+    """Name shown in tables and error messages."""
+    duration: float = dataclasses.field(init=False)
+    """Time of the last waypoint [s]."""
+    _POSES = ()
+
+    def __post_init__(self) -> None:
+        times = numbers("times", self.times)
+        if times.ndim != 1 or len(times) < 2 or times[0] != 0 or np.any(np.diff(times) <= 0):
+            raise ValueError("times must be at least two numbers that increase from 0")
+        shapes = [(len(times), n) for n in sorted(set(COORDINATES.values()))]
+        poses = numbers("poses", self.poses, shapes=shapes, form="one pose per time")
+        object.__setattr__(self, "times", tuple(times.tolist()))
+        object.__setattr__(self, "poses", tuple(map(tuple, poses.tolist())))
+        object.__setattr__(self, "duration", float(times[-1]))
+        super().__post_init__()
+        missed = np.max(np.abs(self._spline(times / self.duration) - poses))
+        if not missed <= SPLINE_ERROR * max(1.0, float(np.max(np.abs(poses)))):
+            raise ValueError("no smooth curve was found: the waypoints are spaced too unevenly in time; leave some out")
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates n of the pose."""
+        return len(self.poses[0])
+
+    @cached_property
+    def _spline(self) -> Any:
+        """The spline over the fraction of the duration, of which equations are better conditioned than over time."""
+        from scipy.interpolate import make_interp_spline  # slow to import
+
+        at_rest: Any = [(order, np.zeros(self.coordinates)) for order in range(1, 5)]
+        fractions = np.array(self.times) / self.duration
+        # The spline has a knot at each waypoint. Rest at both ends takes four more, two near each end.
+        inner = fractions[1:-1]
+        if len(inner):
+            thirds = np.array([1.0, 2.0]) / 3
+            inner = np.concatenate([inner[0] * thirds, inner, inner[-1] + (1 - inner[-1]) * thirds])
+        else:
+            inner = np.linspace(0.0, 1.0, 6)[1:-1]
+        ends = np.ones(SPLINE_DEGREE + 1)
+        knots = np.concatenate([0 * ends, inner, ends])
+        return make_interp_spline(fractions, self.poses, SPLINE_DEGREE, t=knots, bc_type=(at_rest, at_rest))
+
+    def _derivatives(self, time: Array) -> Array:
+        fraction = time / self.duration
+        derivatives = np.stack([self._spline(fraction, nu=order) / self.duration**order for order in range(5)])
+        derivatives[1:, (time <= 0) | (time >= self.duration)] = 0.0  # exactly at rest, without rounding
+        return derivatives
+
+
 DWELL = 0.3
 """Default length of each dwell of :class:`BetweenDwells` [s]."""
 
@@ -297,7 +383,7 @@ class BetweenDwells:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        since = np.asarray(times, float) - self.dwell
+        since = _finite_times(times) - self.dwell
         reference = self.motion(np.clip(since, 0.0, self.motion.duration))
         moves = ((since >= 0) & (since <= self.motion.duration))[..., None]
         rates = {order: np.where(moves, getattr(reference, order), 0.0) for order in _RATES}
@@ -387,7 +473,7 @@ class Chain:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        times = np.asarray(times, float)
+        times = _finite_times(times)
         index = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, len(self.motions) - 1)
         orders = {order: np.zeros((*times.shape, self.coordinates)) for order in ("position", *_RATES)}
         for number_of, part in enumerate(self.motions):
@@ -626,6 +712,8 @@ def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
 
 def _fields_of(name: Any) -> set[str]:
     """Fields of a named motion; empty if there is none of this name."""
+    if is_waypoint_file(name):
+        return {"duration", "dwell", "times", "poses"}
     return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"} if name in TRAJECTORIES else set()
 
 
@@ -742,14 +830,16 @@ def _kinds(kind: Kind | int) -> list[Kind]:
     return [name for name, n in COORDINATES.items() if kind in (name, n)]
 
 
-def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, kind: Kind | int) -> Trajectory:
+def find_trajectory(trajectory: str | Path | Mapping[str, Any] | Trajectory, kind: Kind | int) -> Trajectory:
     """A trajectory for a robot from a name, from a dict with a name and fields, or from a trajectory object.
 
     Args:
         trajectory: a name of :func:`trajectory_names`, JSON-able data such as ``{"name": "circle-spatial", "duration":
             1.5, "dwell": 0.5}``, where ``duration`` is that of the motion between the dwells, an object that satisfies
             :class:`Trajectory`, or the place of one: ``file.py:name`` or ``package.module:name``. The object there may
-            also be a function or a class that makes the trajectory without arguments.
+            also be a function or a class that makes the trajectory without arguments. ``file.csv`` has waypoints, see
+            :class:`Waypoints`, with dwells as the named motions; its columns are ``t`` [s] and the coordinates [m,
+            rad]. Without ``t`` it needs a duration: ``{"name": "file.csv", "duration": 4.0}``.
         kind: the robot's kind, or its number of coordinates n.
 
     Raises:
@@ -757,17 +847,12 @@ def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, kind: Kind
     """
     kinds = _kinds(kind)
     coordinates = COORDINATES[kinds[0]]
+    if isinstance(trajectory, Path):
+        trajectory = str(trajectory)
     if isinstance(trajectory, str):
         trajectory = _imported(trajectory) if ":" in trajectory or trajectory.endswith(".py") else {"name": trajectory}
     if isinstance(trajectory, Mapping):
-        fields = dict(trajectory)
-        name = fields.pop("name", None)
-        found = None
-        if name in TRAJECTORIES and _kinds_of(str(name)) & set(kinds):
-            found = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(_fields_of(name))))
-        if found is None or found.coordinates != coordinates:
-            raise unknown_name_error("trajectory", name, trajectory_names(kind))
-        trajectory = found
+        trajectory = _named(dict(trajectory), kinds)
     elif not isinstance(trajectory, Trajectory) or isinstance(trajectory, type):
         other = ", a dict with one of these as 'name', or pass a Trajectory"
         raise unknown_name_error("trajectory", trajectory, trajectory_names(kind), other)
@@ -777,6 +862,49 @@ def find_trajectory(trajectory: str | Mapping[str, Any] | Trajectory, kind: Kind
             f"{trajectory.name!r} has {trajectory.coordinates} coordinates and the robot has {coordinates}"
         )
     return trajectory
+
+
+def _named(fields: dict[str, Any], kinds: list[Kind]) -> Trajectory:
+    """The motion with the name and the fields in a dict, for one of the kinds.
+
+    Raises:
+        ValueError: if the name, a field or a value is invalid, or the motion is for another kind.
+    """
+    name = fields.pop("name", None)
+    if is_waypoint_file(name):
+        return _between_waypoints(str(name), kinds, **mapping("trajectory", fields, sorted(_fields_of(name))))
+    if isinstance(name, str) and name in TRAJECTORIES and _kinds_of(name) & set(kinds):
+        motion = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(_fields_of(name))))
+        if motion.coordinates == COORDINATES[kinds[0]]:
+            return motion
+    check_not_a_file("trajectory", name, "file.py:name, or a .csv file; of a .json file, pass the data in Python")
+    names = [valid for kind in kinds for valid in trajectory_names(kind)]
+    raise unknown_name_error("trajectory", name, dict.fromkeys(names))
+
+
+def _between_waypoints(
+    name: str,
+    kinds: list[Kind],
+    *,
+    duration: float | None = None,
+    dwell: float = DWELL,
+    times: Any = None,
+    poses: Any = None,
+) -> BetweenDwells:
+    """The spline through the waypoints of a file between dwells, or through ``poses``, so that stored data suffice.
+
+    The duration scales the times of the file.
+    """
+    if poses is None:
+        times, poses = read_waypoints(Path(name), [COORDINATE_NAMES[kind] for kind in kinds])
+        if times is None and duration is None:
+            raise ValueError(
+                f'trajectory file {name!r} has no column t. Add it, or give a duration: {{"name": "{name}", '
+                '"duration": 4}'
+            )
+        fractions = np.linspace(0.0, 1.0, len(poses)) if times is None else times / times[-1]
+        times = times if duration is None else fractions * number("duration", duration, above=0, unit="s")
+    return BetweenDwells(motion=Waypoints(name=Path(name).name, times=times, poses=poses), dwell=dwell)
 
 
 @cache
@@ -790,16 +918,41 @@ def _imported(place: str) -> Trajectory:
         found = import_object(place)
         ready = isinstance(found, Trajectory) and not isinstance(found, type)
         made = found if ready or not callable(found) else found()
-    except (ValueError, ImportError):
+    except (ValueError, ImportError, KeyboardInterrupt):
         raise
-    except Exception as error:
-        text = f"{type(error).__name__}: {error}"
-        raise ValueError(
-            f"trajectory {place!r} raises {text}. Name a Trajectory, or a function without arguments that returns one"
-        ) from error
+    except BaseException as error:
+        remedy = "Name a Trajectory, or a function without arguments that returns one"
+        raise ValueError(f"trajectory {place!r}: {raised(error)}. {remedy}") from error
     if not isinstance(made, Trajectory) or isinstance(made, type):
         raise ValueError(
             f"trajectory {place!r} gives {made!r}, which is no Trajectory: an object with name, duration, coordinates "
             "and a call that returns a Reference"
         )
+    sampled(made, np.array([0.0, made.duration]), ORDERS[:3])
     return made
+
+
+ORDERS = ("position", *_RATES)
+"""Orders of a motion: position and its time derivatives."""
+
+
+def sampled(trajectory: Trajectory, times: Array, orders: tuple[str, ...] = ORDERS) -> list[Array]:
+    """The ``orders`` of a motion at times (k,) [s], each (k, n). A custom motion may return anything: it is checked.
+
+    Raises:
+        ValueError: if the motion does not return a :class:`Reference`, or a shape is wrong, or a number is not finite.
+    """
+    label, shape = f"trajectory {trajectory.name!r}", (len(times), trajectory.coordinates)
+    motion = trajectory(times)
+    if not isinstance(motion, Reference):
+        raise ValueError(f"{label} must return a Reference, not {type(motion).__name__}")
+    samples = [np.asarray(getattr(motion, name)) for name in orders]
+    for name, values in zip(orders, samples, strict=True):
+        if values.shape != shape:
+            raise ValueError(f"{label} must return a {name} of shape {shape} for {shape[0]} times, not {values.shape}")
+        if values.dtype.kind not in "iuf":
+            raise ValueError(f"{label} must return a {name} of numbers, not of {values.dtype}")
+        if not np.all(np.isfinite(values)):
+            time = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
+            raise ValueError(f"{label} must return finite numbers: its {name} at {time:g} s is not finite")
+    return samples

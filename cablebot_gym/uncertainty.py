@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import Kind, Robot
-from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
+from cablebot_gym.utils.checks import all_finite, choice, mapping, number, numbers, record, whole
+from cablebot_gym.utils.files import JSON_FORM, check_not_a_file
 
 Distribution = Literal["uniform", "normal"]
 
@@ -68,7 +69,12 @@ class ParameterDistribution:
                 raise ValueError("low and high must lie within eight std of the mean; change them, mean or std")
 
     def deviation(self, uniform: Array) -> Array:
-        """Deviations from numbers that are uniform in [0, 1), by the inverse cumulative distribution function."""
+        """Deviations from numbers that are uniform in [0, 1), by the inverse cumulative distribution function.
+
+        Raises:
+            ValueError: if a number is not finite.
+        """
+        all_finite("uniform", uniform)
         if self.std is None:
             return self.low + (self.high - self.low) * uniform
         from scipy.special import ndtr, ndtri  # slow to import
@@ -81,6 +87,8 @@ class ParameterDistribution:
 
     def applied(self, nominal: Array, deviation: Array) -> Array:
         """The true value for a nominal value and a deviation in the unit of ``low`` and ``high``."""
+        all_finite("nominal", nominal)
+        all_finite("deviation", deviation)
         return nominal * (1 + deviation) if self.relative else nominal + deviation
 
 
@@ -352,7 +360,12 @@ class Uncertainty:
             payload: nominal payloads, shape (N,) [kg].
             uniform: numbers in [0, 1), shape (N, :func:`draw_size`). Each parameter has its own columns, so adding
                 an uncertain parameter does not change the draws of the others.
+
+        Raises:
+            ValueError: if a number is not finite.
         """
+        all_finite("payload", payload)
+        all_finite("uniform", uniform)
         deviations = {}
         for name, (start, shape) in _columns(robot).items():
             if name in self.parameters:
@@ -637,6 +650,7 @@ def find_uncertainty(uncertainty: str | Mapping[str, Any] | Uncertainty | None, 
 
 def _joined(names: str, robot: Robot) -> Uncertainty:
     merged: dict[str, Any] = {}
+    check_not_a_file("uncertainty", names, JSON_FORM)
     for name in names.split("+"):
         one = UNCERTAINTIES[choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")](robot)
         given = {item.name: getattr(one, item.name) for item in fields(one) if getattr(one, item.name)}

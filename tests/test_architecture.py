@@ -14,7 +14,19 @@ import cablebot_gym
 ROOT = Path(__file__).parents[1]
 
 ORDER = (
-    *("utils", "kinematics", "robots", "measurement", "trajectories", "uncertainty", "task", "physics", "planning"),
+    *(
+        "utils",
+        "kinematics",
+        "robots",
+        "importers",
+        "measurement",
+        "waypoints",
+        "trajectories",
+        "uncertainty",
+        "task",
+        "physics",
+        "planning",
+    ),
     *(
         "rendering",
         "envs",

@@ -320,7 +320,9 @@ def test_robots_are_found_by_name():
     assert {name: find_robot(name).name for name in ROBOTS} == {name: name for name in ROBOTS}
     assert find_robot("planar") is PLANAR
     assert find_robot(UNEQUAL) is UNEQUAL
-    names = "planar, spatial, flex-planar, flex-spatial, cogiro, .*, flex-ttk4900, a .toml file, or pass a Robot"
+    names = (
+        "planar, spatial, flex-planar, flex-spatial, cogiro, .*, flex-ttk4900, a .toml or .json file, or pass a Robot"
+    )
     with pytest.raises(ValueError, match=f"choose one of {names}"):
         find_robot("cubical")
 

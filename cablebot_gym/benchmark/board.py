@@ -15,7 +15,7 @@ from cablebot_gym.benchmark.policy_source import in_package, policy_source
 from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 from cablebot_gym.utils.code_hash import file_digest
-from cablebot_gym.utils.files import atomic_write_text
+from cablebot_gym.utils.files import atomic_write_text, read_text
 
 RUN, BOARD, SECRET = "run.json", "board.json", "secret.json"
 """Names of the files in the results folder: evaluation seed, public commitment, and secret of the hidden motions."""
@@ -167,6 +167,6 @@ def policy_digest(policy: str) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        return dict(json.loads(read_text(path)))
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"{str(path)!r} is missing or damaged ({error}); restore it") from error

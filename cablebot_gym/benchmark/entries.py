@@ -20,7 +20,7 @@ from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, Entry, digests, 
 from cablebot_gym.policies.loading import is_own, policy_points
 from cablebot_gym.policies.sandbox import sandbox_name
 from cablebot_gym.utils.code_hash import source_files
-from cablebot_gym.utils.files import atomic_write_text
+from cablebot_gym.utils.files import atomic_write_text, read_text
 from cablebot_gym.utils.imports import split_name
 
 CLAIMS, VERIFICATION = "results.json", "verification.json"
@@ -56,7 +56,7 @@ def make_entry(folder: Path, policy: str, env_ids: Sequence[str], texts: Mapping
     )
     card = folder / CARD
     if card.exists():
-        if card.read_text(encoding="utf-8") != entry.to_json():
+        if read_text(card) != entry.to_json():
             raise ValueError(f"{str(folder)!r} has another entry, or an older one: choose another folder or delete it")
         return entry
     for name in entry.files if package is None else ():
@@ -143,7 +143,7 @@ def read_claims(folder: Path) -> Results:
         ValueError: if they cannot be read, or if their cells are not all cells of their suite.
     """
     try:
-        results = Results.from_json((folder / CLAIMS).read_text(encoding="utf-8"))
+        results = Results.from_json(read_text(folder / CLAIMS))
         claims = replace(results, records=renamed(results.records, str(folder)))
         expected = {_conditions(cell) for cell in entry_cells(folder, claims.suite, seed=0, claims_only=True).values()}
     except (OSError, KeyError, TypeError, IndexError, AttributeError, ValueError) as error:

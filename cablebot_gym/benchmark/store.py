@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Cell, Record, canonical, cell_from_dict
-from cablebot_gym.utils.files import atomic_write_text
+from cablebot_gym.utils.files import atomic_write_text, read_text
 
 FOLDER = "cells"
 """Name of the folder of the records, next to the tables."""
@@ -62,7 +62,7 @@ class Store:
     def _read(self, path: Path, cell: Cell) -> Record | None:
         """The record in a file; None, with a message, if the file is not as it was written for the cell."""
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = json.loads(read_text(path))
             checksum = data.pop("checksum")
             record = Record(**(data | {"cell": cell_from_dict(data["cell"])}))
             if (checksum, record.cell.key) == (_hash(data), cell.key):

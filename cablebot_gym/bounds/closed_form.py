@@ -23,7 +23,7 @@ from cablebot_gym.physics.distribution import HELD, SINGULAR, largest_scale
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
-from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.checks import number, numbers
 
 Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
@@ -99,13 +99,14 @@ def exact_payload(
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
     minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
+    line_speed, grid = numbers("line_speed", line_speed, least=0), number("grid", grid, above=0, unit="Hz")
     times, reference = (
         _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )
     if robot.cables > robot.coordinates and robot.kind != "planar":
-        return _redundant(robot, times, reference, minimum_tension, np.asarray(line_speed, float))
+        return _redundant(robot, times, reference, minimum_tension, line_speed)
     masses = _nodes(robot, reference, minimum_tension)
-    margins = _margins(robot, reference, masses, minimum_tension, np.asarray(line_speed, float))
+    margins = _margins(robot, reference, masses, minimum_tension, line_speed)
     starts, ends, indices = _violated(masses, margins)
 
     gaps = _gaps(starts, ends)
@@ -204,8 +205,19 @@ def tension_bounds(
         reference: the reference at K instants.
         minimum: minimum tension [N].
         line_speed: as in :func:`exact_payload`.
+
+    Returns:
+        The tensions; NaN where a cable has no length, and thus no direction.
+
+    Raises:
+        ValueError: if a number is not finite.
     """
-    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    known = np.isfinite(textbook.jacobian(robot, reference.position)).all(axis=(-2, -1))[..., None]
+    pose, velocity, acceleration = (
+        np.where(known, reference.position, robot.home),
+        reference.velocity,
+        reference.acceleration,
+    )
     speed = textbook.pulley_speed(robot, pose, velocity)
     rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
     if robot.flexible:
@@ -213,9 +225,10 @@ def tension_bounds(
     if robot.jointed:
         rest = rest + robot.motor_damping * speed
         rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    limits = textbook.torque_limits(robot, np.asarray(line_speed, float) * speed)
+    limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
     lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
-    return np.maximum(lower, minimum), upper
+    lower = np.maximum(lower, number("minimum", minimum))
+    return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
 
 
 def _redundant(
@@ -225,6 +238,8 @@ def _redundant(
     pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
     lower, highest = tension_bounds(robot, reference, minimum, line_speed=line_speed)
     empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
+    if np.any(np.isnan(lower)):
+        raise ValueError(f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory")
     found = largest_scale(textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest)
     if np.any(found.status == SINGULAR):
         raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")

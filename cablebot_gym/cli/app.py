@@ -19,6 +19,7 @@ from typer.core import TyperGroup
 
 from cablebot_gym.utils.console import notes_console
 from cablebot_gym.utils.streams import output_problem, protect_streams
+from cablebot_gym.utils.user_code import sentence_of_user_code
 
 COMMAND_GROUP = "cablebot_gym.commands"
 """Entry point group of commands. A package adds a command by an entry point that names a function with typer's
@@ -147,7 +148,7 @@ def _run() -> None:
     except KeyboardInterrupt:
         _fail("interrupted. No file was left incomplete.", INTERRUPTED)
     except (ValueError, ImportError) as error:
-        _fail(_with_option_names(str(error)), 2)
+        _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
     except OSError as error:
         _fail(str(error) if error.filename is None else f"cannot write {error.filename!r}: {error.strerror}", 1)
     except PolicyError as error:
@@ -155,6 +156,8 @@ def _run() -> None:
     except Exception as error:
         format_message = getattr(error, "format_message", None)  # an error of the option parser has this method
         if format_message is None:
+            if sentence := sentence_of_user_code(error):
+                _fail(sentence, 1)
             raise
         message = format_message()
         if not message.endswith((".", "?")):

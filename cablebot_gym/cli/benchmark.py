@@ -213,15 +213,16 @@ def read_results(folder: Path) -> Results:
         ValueError: if they cannot be read. The message says how to create results.
     """
     from cablebot_gym.benchmark.leaderboard import Results
+    from cablebot_gym.utils.files import read_text
 
     path = folder / JSON if folder.is_dir() else folder
     advice = "Give a folder that `cablebot benchmark --out FOLDER` wrote."
     try:
-        results = Results.from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"cannot read {str(path)!r} ({getattr(error, 'strerror', None) or error}). {advice}"
-        ) from error
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {str(path)!r} ({error.strerror or error}). {advice}") from error
+    try:
+        results = Results.from_json(text)
     except (json.JSONDecodeError, KeyError, TypeError, IndexError, ValueError) as error:
         raise ValueError(f"{str(path)!r} does not hold benchmark results ({error!r}). {advice}") from error
     if not results.records:

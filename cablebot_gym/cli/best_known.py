@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import BOUNDS, FittingEnvId, Json, episode_options
+from cablebot_gym.cli.options import BOUNDS, FittingEnvId, Json, episode_options, robot_of
 from cablebot_gym.utils.console import activity
 
 
@@ -31,6 +31,7 @@ def best_known(
     """
     from cablebot_gym.bounds.best_known import find_best_known
 
+    robot_of(env_id, episode)
     with activity() as say:
         result = find_best_known(env_id, cache=cache, progress=say, **episode)
     print(result.to_json() if as_json else result)

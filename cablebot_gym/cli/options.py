@@ -14,10 +14,12 @@ import typer
 
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import command_line, notes_console
+from cablebot_gym.utils.files import read_text
 
 if TYPE_CHECKING:
     from cablebot_gym.policies import Policy
     from cablebot_gym.robots import Robot
+    from cablebot_gym.trajectories import Trajectory
 
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all.")
@@ -77,11 +79,13 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         ValueError: if the file cannot be read, or the JSON is invalid.
     """
     option = f"--{parameter.name}"
-    if text is not None and text.endswith(".json"):
+    if text is not None and text.lower().endswith(".json"):
         try:
-            text = Path(text).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"{option}: cannot read {text!r} ({error})") from error
+            text = read_text(Path(text))
+        except OSError as error:
+            raise ValueError(f"{option}: cannot read {text!r} ({error.strerror or error})") from error
+        except ValueError as error:
+            raise ValueError(f"{option}: {error}") from error
         if not text.lstrip().startswith("{"):
             raise ValueError(f"{option}: the file must hold a JSON object, {{…}}")
     if text is None or not text.lstrip().startswith("{"):
@@ -97,7 +101,8 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         str | None,
         None,
         typer.Option(
-            help="Name or TOML file of a robot of the kind of ID, with its default motion, error bounds and payloads."
+            help="Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
+            "payloads."
         ),
     ),
     "trajectory": (
@@ -105,9 +110,9 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         None,
         typer.Option(
             callback=_read_data,
-            help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, or '
-            "file.py:name of a Trajectory or of a function that makes one. `cablebot list` shows names and fields. The "
-            "default is that of the robot.",
+            help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, a '
+            ".csv file of waypoints with the columns t [s], x, y, … [m, rad], or file.py:name of a Trajectory or of a "
+            "function that makes one. `cablebot list` shows names and fields. The default is that of the robot.",
         ),
     ),
     "payload_known": (
@@ -289,8 +294,30 @@ def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
 
     check_robot(env_id, episode.get("robot"))
     robot = find_robot(episode.get("robot") or env_robot(env_id))
-    find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind)
+    note_waypoints(robot, find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind))
     return robot
+
+
+def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
+    """Prints the largest speeds and accelerations of a motion through waypoints, which its file does not show."""
+    import numpy as np
+
+    from cablebot_gym.trajectories import BetweenDwells, Waypoints
+
+    if not isinstance(trajectory, BetweenDwells) or not isinstance(trajectory.motion, Waypoints):
+        return
+    motion, d = trajectory.motion, robot.dimensions
+    reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
+    texts = []
+    for name, rates, unit in (("speed", reference.velocity, "/s"), ("acceleration", reference.acceleration, "/s²")):
+        peaks = [f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"]
+        if robot.coordinates > d:
+            peaks.append(f"{np.abs(rates[:, d:]).max():.3g} rad{unit}")
+        texts.append(f"largest {name} {' and '.join(peaks)}")
+    span = (
+        f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s between dwells of {trajectory.dwell:g} s"
+    )
+    notes_console().print(f"{motion.name}: {span}; {', '.join(texts)}")
 
 
 def loaded_policy(

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.options import Json, Payload, counted, episode_options
+from cablebot_gym.cli.importing import import_file
+from cablebot_gym.cli.options import Json, Payload, counted, episode_options, note_waypoints
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console
 
@@ -21,34 +22,52 @@ if TYPE_CHECKING:
 
 @episode_options("trajectory")
 def robot(
-    task: Annotated[str, typer.Argument(metavar="check", help="The task: check.")],
+    task: Annotated[str, typer.Argument(metavar="TASK", help="The task: check or import.")],
     name: Annotated[
-        str, typer.Argument(metavar="ROBOT", help="TOML file, or name of a robot; `cablebot list` shows the names.")
+        str,
+        typer.Argument(
+            metavar="ROBOT",
+            help="To check: TOML or JSON file, or name of a robot; `cablebot list` shows the names. To import: "
+            "NAME_bodies.xml or NAME_cables.xml of CASPR, or a .wcrfx file of WireX.",
+        ),
     ],
     episode: dict[str, Any],
     payload: Payload = None,
-    out: Annotated[Path | None, typer.Option(help="Drawing to write, ending in .svg, .png or .pdf.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File to write: the drawing of a check (.svg, .png, .pdf), or the imported robot (.toml)."),
+    ] = None,
+    cable_set: Annotated[str | None, typer.Option(help="Cable set of a CASPR file. The default is its own.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Check a robot and its motion: payload, workspace, modes, physics step, sag, and doubtful values.
+    """Check a robot and its motion, or import a robot from a file of CASPR or WireX.
 
-    Nothing is simulated. The exit status is 1 if the robot is refused or does not carry the payload along its motion.
+    The check prints payload, workspace, modes, physics step, sag, and doubtful values. Nothing is simulated. The exit
+    status is 1 if the robot is refused or does not carry the payload along its motion.
 
     Examples:
 
     cablebot robot check my.toml --out my.svg
 
     cablebot robot check cogiro --payload 300
+
+    cablebot robot import SEGESTA_bodies.xml --out segesta.toml
     """
     from cablebot_gym.bounds.robot_check import check_model
 
-    choice("task", task, ["check"])
+    if choice("task", task, ["check", "import"]) == "import":
+        if payload is not None or episode["trajectory"] is not None or as_json:
+            raise ValueError("--payload, --trajectory and --json are for `cablebot robot check`: remove them")
+        return import_file(Path(name), out, cable_set)
+    if cable_set is not None:
+        raise ValueError("--cable-set is for `cablebot robot import`: remove it")
     if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
         raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
     model = _loaded(name)
     if model is None:
         raise typer.Exit(1)
     check = check_model(model, payload=payload, trajectory=episode["trajectory"])
+    note_waypoints(check.robot, check.trajectory)
     if out is not None:
         _draw(check, out)
     if as_json:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -11,16 +10,13 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs.observation import PREVIEWS, observed_reference, preview_name
 from cablebot_gym.kinematics import Array
-from cablebot_gym.trajectories import Reference, Trajectory
+from cablebot_gym.trajectories import ORDERS, Trajectory, sampled
 
 LONGEST_MOTION = 1000.0
 """Longest duration of a motion [s]; also the upper bound of ``time_to_go`` in the observation."""
 
 MOST_STEPS = 1_000_000
 """Largest number of control steps of a motion; longer tables would take gigabytes."""
-
-ORDERS = tuple(field.name for field in fields(Reference))
-"""Orders of a motion: position and its time derivatives."""
 
 CHANGE_ERROR = 0.05
 """Tolerance of the check of derivatives: largest difference between the integral of a derivative over a physics step
@@ -113,17 +109,8 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
     Raises:
         ValueError: if the values are not finite or not of the right shape.
     """
-    label, shape = f"trajectory {trajectory.name!r}", (len(times), trajectory.coordinates)
-    motion = trajectory(times)
-    if not isinstance(motion, Reference):
-        raise ValueError(f"{label} must return a Reference, not {type(motion).__name__}")
-    checked = [np.asarray(getattr(motion, name)) for name in orders]
-    for name, values in zip(orders, checked, strict=True):
-        if values.shape != shape:
-            raise ValueError(f"{label} must return a {name} of shape {shape} for {shape[0]} times, not {values.shape}")
-        if not np.all(np.isfinite(values)):
-            time = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
-            raise ValueError(f"{label} must return finite numbers: its {name} at {time:g} s is not finite")
+    label = f"trajectory {trajectory.name!r}"
+    checked = sampled(trajectory, times, orders)
     for (below, before), (name, values) in pairwise(zip(orders, checked, strict=True)):
         change = np.diff(before, axis=0)
         integral = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2

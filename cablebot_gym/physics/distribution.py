@@ -31,10 +31,10 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.inlining import entry_point, helper
+from cablebot_gym.utils.checks import all_finite
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
-"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n, or a value is not
-finite and the tensions are the lower bounds."""
+"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n."""
 
 SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
@@ -668,9 +668,12 @@ def least_norm(
             length [1/m].
 
     Raises:
-        ValueError: if the shapes do not match.
+        ValueError: if the shapes do not match, or a number is not finite. A bound may be infinite.
     """
-    shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
+    shape, matrices, loads, (low, high) = _arrays(structure, load, (lower, upper))
+    if reference is not None:
+        all_finite("reference", reference)
+    all_finite("weights", weights)
     start = _finite(low) if reference is None else _values(reference, shape, low.shape[1])
     tensions, status = np.empty_like(low), np.empty(len(low), np.int64)
     _least_norm(matrices, loads, low, high, start, _values(weights, shape, loads.shape[1]), tensions, status)
@@ -715,11 +718,14 @@ def least_largest_action(
         weights: as in :func:`least_norm`.
 
     Raises:
-        ValueError: if the shapes do not match or ``smoothing`` is too small.
+        ValueError: if the shapes do not match, a number is not finite, or ``smoothing`` is too small. A bound may be
+            infinite.
     """
-    if not smoothing >= 1e-9:
-        raise ValueError(f"smoothing is {smoothing}; it must be at least 1e-9")
-    shape, matrices, loads, (low, high, slopes, offsets) = _arrays(structure, load, lower, upper, slope, offset)
+    if not 1e-9 <= smoothing < math.inf:
+        raise ValueError(f"smoothing is {smoothing}; it must be finite and at least 1e-9")
+    for name, values in (("slope", slope), ("offset", offset), ("weights", weights)):
+        all_finite(name, values)
+    shape, matrices, loads, (low, high, slopes, offsets) = _arrays(structure, load, (lower, upper), slope, offset)
     tensions, status = np.empty_like(low), np.empty(len(low), np.int64)
     per = _values(weights, shape, loads.shape[1])
     _least_largest(matrices, loads, low, high, slopes, offsets, float(smoothing), per, tensions, status)
@@ -732,9 +738,9 @@ def feasible(structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: Arr
     Bounds may be exceeded by 1e-10 of the largest tension. The arguments are as in :func:`least_norm`.
 
     Raises:
-        ValueError: if the shapes do not match.
+        ValueError: if the shapes do not match, or a number is not finite. A bound may be infinite.
     """
-    shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
+    shape, matrices, loads, (low, high) = _arrays(structure, load, (lower, upper))
     items, m, n = matrices.shape
     status, excess = np.zeros(items, np.int64), np.zeros(items)
     direction, coefficients = np.zeros((items, n)), np.zeros((items, m))
@@ -776,14 +782,17 @@ def largest_scale(
         unit_upper: change of the upper bounds per s, shape (..., m); finite.
 
     Raises:
-        ValueError: if the shapes do not match, or if the search is unbounded or empty.
+        ValueError: if the shapes do not match, a number is not finite, or the search is unbounded or empty. A bound may
+            be infinite.
     """
+    for name, values in (("unit_load", unit_load), ("unit_lower", unit_lower), ("unit_upper", unit_upper)):
+        all_finite(name, values)
     ends = np.stack(np.broadcast_arrays(np.asarray(least, float), np.asarray(largest, float)), axis=-1)
     if not (np.all(np.isfinite(ends)) and np.all(ends[..., 0] <= ends[..., 1])):
         raise ValueError("the search needs finite ends with least <= largest")
     batch = np.shape(unit_load)[:-1], ends.shape[:-1]
     shape, matrices, loads, (low, high, unit_low, unit_high) = _arrays(
-        structure, load, lower, upper, unit_lower, unit_upper, batch=batch
+        structure, load, (lower, upper), unit_lower, unit_upper, batch=batch
     )
     items, m, n = matrices.shape
     found, status, coefficients = np.empty((items, 2)), np.zeros(items, np.int64), np.zeros((items, m))
@@ -810,9 +819,20 @@ def _values(values: ArrayLike, shape: tuple[int, ...], last: int) -> Array:
 
 
 def _arrays(
-    structure: ArrayLike, load: ArrayLike, *cables: ArrayLike, batch: tuple[tuple[int, ...], ...] = ()
+    structure: ArrayLike,
+    load: ArrayLike,
+    bounds: tuple[ArrayLike, ArrayLike],
+    *others: ArrayLike,
+    batch: tuple[tuple[int, ...], ...] = (),
 ) -> tuple[tuple[int, ...], Array, Array, list[Array]]:
-    """Leading shape, then the arrays with one leading axis: S, w and the values of cables."""
+    """Leading shape, then the arrays with one leading axis: S, w and the values of cables, the bounds first."""
+    all_finite("structure (NaN for a cable without length)", structure)
+    all_finite("load", load)
+    lower, upper = bounds
+    # A lower bound of +inf or an upper bound of −inf excludes every tension; comparisons with NaN are false.
+    if not np.all(np.less(lower, np.inf)) or not np.all(np.greater(upper, -np.inf)):
+        raise ValueError("bounds of tensions must be numbers, with lower below inf and upper above -inf")
+    cables = (lower, upper, *others)
     matrices, vectors = np.asarray(structure, float), np.asarray(load, float)
     m, n = matrices.shape[-2:]
     if m < n or vectors.shape[-1:] != (n,):

@@ -13,6 +13,7 @@ from cablebot_gym.physics import kernel
 from cablebot_gym.physics.compiling import load_numba
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.robots import Robot
+from cablebot_gym.utils.checks import all_finite
 
 ITERATIONS = 50
 """Largest number of poses that the iteration tries."""
@@ -68,8 +69,10 @@ def forward_kinematics(
         iterations: largest number of poses that the iteration tries.
 
     Raises:
-        ValueError: if the shapes do not match the robot or each other.
+        ValueError: if the shapes do not match the robot or each other, or a number is not finite.
     """
+    all_finite("lengths", lengths)
+    all_finite("guess", guess)
     lengths, (m, n) = np.asarray(lengths, float), (robot.cables, robot.coordinates)
     shape = lengths.shape[:-1]
     if lengths.shape[-1:] != (m,) or np.shape(guess)[-1:] != (n,):

@@ -12,6 +12,7 @@ from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
+from cablebot_gym.utils.checks import all_finite, number
 
 
 @lru_cache(maxsize=64)
@@ -43,13 +44,16 @@ def inverse_dynamics(
         minimum: minimum tension with more cables than coordinates [N]; has no effect otherwise.
 
     Raises:
-        ValueError: if the shapes do not match the robot or each other.
+        ValueError: if the shapes do not match the robot or each other, or a number is not finite.
     """
+    number("minimum", minimum)
     shape = np.broadcast_shapes(np.shape(pose), np.shape(velocity), np.shape(acceleration))
     if shape[-1:] != (robot.coordinates,):
         raise ValueError(f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}")
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
+    all_finite("pose, velocity and acceleration", motion)
+    all_finite("mass", masses)
     (form, packed), count = _prepared(robot), masses.size
     compiled = kernel.compiled(form, kernel.LANES)
     memory = (

@@ -15,6 +15,7 @@ from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import GRAVITY, Robot
+from cablebot_gym.utils.checks import all_finite
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,6 +38,11 @@ class Sag:
         return factor
 
 
+def _check_finite(**arguments: ArrayLike) -> None:
+    for name, values in arguments.items():
+        all_finite(name, values)
+
+
 def catenary(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike) -> tuple[Array, Array]:
     """Sag below the middle of the chord, perpendicular to it, and extra length [m] of a catenary that does not stretch.
 
@@ -45,7 +51,11 @@ def catenary(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: Arr
         rise: vertical distance of the ends, shape (...) [m].
         tension: T, shape (...) [N]; > 0.
         weight: w, shape (...) [N/m]; ≥ 0.
+
+    Raises:
+        ValueError: if a number is not finite.
     """
+    _check_finite(across=across, rise=rise, tension=tension, weight=weight)
     across, rise, tension, weight = np.broadcast_arrays(
         *(np.asarray(a, float) for a in (across, rise, tension, weight))
     )
@@ -70,6 +80,7 @@ def parabola(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: Arr
 
     The limit of :func:`catenary`, with the same arguments, for ``w L ≪ T``.
     """
+    _check_finite(across=across, rise=rise, tension=tension, weight=weight)
     across, rise, tension = (np.asarray(a, float) for a in (across, rise, tension))
     chord = np.hypot(across, rise)
     normal = np.asarray(weight, float) * across / chord
@@ -78,6 +89,7 @@ def parabola(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: Arr
 
 def sag(robot: Robot, pose: ArrayLike, tensions: ArrayLike) -> Sag:
     """Sag of a robot's cables at poses (..., n) with tensions T (..., m); without the radius of swivel pulleys."""
+    _check_finite(tensions=tensions)
     tensions = np.asarray(tensions, float)
     across, rise = _chords(robot, pose)
     chord, weight = np.hypot(across, rise), _weights(robot)
@@ -130,6 +142,7 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
     Raises:
         ValueError: if no equilibrium is found, because cables hang nearly without tension.
     """
+    _check_finite(mass=mass, pose=pose, tensions=tensions)
     pose, straight = np.asarray(pose, float), np.asarray(tensions, float)
     structure = textbook.jacobian(robot, pose)
     across, rise = _chords(robot, pose)

@@ -522,7 +522,7 @@ def _pulley_motion(
 def motor_torques(robot: RobotArrays, tensions: ArrayLike, speed: Array, acceleration: Array) -> Array:
     """Torques of :func:`required_torques` for pulley speeds and pulley accelerations, each (..., m)."""
     torque: Array = robot.pulley_radius * as_numbers(tensions)
-    torque = torque + robot.pulley_inertia * acceleration + robot.damping * speed
+    torque = torque + robot.pulley_inertia * as_numbers(acceleration) + robot.damping * as_numbers(speed)
     return torque if robot.flexible else torque + coulomb_torque(robot, speed)
 
 
@@ -610,7 +610,7 @@ def forward_dynamics(
     taut cables and all take-up torques of the slack cables are positive. This set is unique. The search is slow but
     exhaustive.
     """
-    pose, velocity, torques = (np.asarray(array, float) for array in (pose, velocity, torques))
+    pose, velocity, torques = (as_numbers(array) for array in (pose, velocity, torques))
     if not robot.flexible:
         torques = torques - coulomb_torque(robot, pulley_speed(robot, pose, velocity))
     structure, inertia = jacobian(robot, pose), robot.pulley_inertia / robot.pulley_radius**2

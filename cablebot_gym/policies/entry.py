@@ -12,6 +12,7 @@ from pathlib import Path
 
 from cablebot_gym.utils.checks import record
 from cablebot_gym.utils.code_hash import module_file
+from cablebot_gym.utils.files import read_text
 
 CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
 """Names in the folder of an entry: the card, the files of the policy, and the packages that it refers to, if they are
@@ -123,7 +124,7 @@ def read_entry(folder: Path) -> Entry:
         ValueError: if it cannot be read, or if a field is missing, unknown or empty.
     """
     try:
-        data = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        data = json.loads(read_text(folder / CARD))
         entry = record("the card", Entry, data)
         if entry.name != folder.absolute().name:
             raise ValueError(f"the folder must have the name of the entry, {entry.name!r}")

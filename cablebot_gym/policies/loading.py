@@ -13,12 +13,14 @@ from typing import Any
 
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.policies.entry import is_entry
-from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, name_of, raised, required
+from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, as_policy, name_of, required
 from cablebot_gym.policies.sb3 import fitted, load_sb3
 from cablebot_gym.policies.wrapped import Wrapper
-from cablebot_gym.robots import ROBOTS, Robot
+from cablebot_gym.robots import Robot, find_robot, robot_names
 from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
+from cablebot_gym.utils.user_code import raised
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -125,8 +127,9 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
         return _load_file(Path(name), robot, wrappers)
     if ":" in name or name.endswith(".py"):
         return fitted(_made(_load_factory(name), robot, name), robot, f"policy {name!r}", wrappers)
-    alternatives = ", a learned bundle or an SB3 file ending in .zip, or package.module:factory"
-    raise unknown_name_error("policy", name, policy_entries(), alternatives)
+    forms = "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
+    check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
+    raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
 
 
 def find_policy(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequence[Wrapper] = ()) -> Policy:
@@ -151,16 +154,17 @@ def find_policy(policy: Any, robot: Robot, *, name: str | None = None, wrappers:
 
 
 def as_robot(robot: Robot | str) -> Robot:
-    """The robot with a name or of an environment id; a robot itself.
+    """The robot of an environment id; otherwise as :func:`~cablebot_gym.robots.find_robot`.
 
     Raises:
         ValueError: if the name is unknown.
     """
     if isinstance(robot, Robot):
         return robot
-    if (name := ENV_ROBOTS.get(robot, robot)) not in ROBOTS:
-        raise unknown_name_error("environment or robot", robot, [*ENV_ROBOTS, *ROBOTS], ", or pass a Robot")
-    return ROBOTS[name]
+    names = [*ENV_ROBOTS, *robot_names()]
+    if robot not in names and not Path(robot).suffix and not Path(robot).exists():
+        raise unknown_name_error("environment or robot", robot, names, ", a robot file, or pass a Robot")
+    return find_robot(ENV_ROBOTS.get(robot, robot))
 
 
 def _made(factory: Callable[..., Any], robot: Robot, name: str) -> Policy:

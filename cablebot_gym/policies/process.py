@@ -31,10 +31,10 @@ from cablebot_gym.policies.protocol import (
     declarations,
     measured_kind,
     predicted,
-    raised,
     reset_policy,
 )
 from cablebot_gym.policies.real_time import RealTime
+from cablebot_gym.utils.user_code import raised
 
 HEADER = struct.Struct("<4sBQ")
 """Header of a reply: :data:`MAGIC`, kind, number of bytes of the body."""

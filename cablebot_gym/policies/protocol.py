@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from traceback import extract_tb
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,17 +15,9 @@ from numpy.typing import NDArray
 from cablebot_gym.measurement import POSE
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.utils.user_code import raised
 
 Array = NDArray[Any]
-
-_OWN_FILES = tuple(
-    str(Path(__file__).with_name(f"{name}.py")) for name in ("protocol", "loading", "process", "stand_in", "wrapped")
-)
-_LIBRARY = str(Path(os.__file__).parent)
-"""Code that messages about errors of a policy do not name, in addition to installed packages."""
-
-LONGEST_MESSAGE = 1000
-"""Number of characters of an error of a policy that messages repeat."""
 
 
 @runtime_checkable
@@ -405,40 +395,6 @@ def to_floats(returned: Any) -> Array:
     if values.dtype.kind not in "biuf":
         raise ValueError(f"{type(returned).__name__} of type {values.dtype} instead of real numbers")
     return values.astype(float)
-
-
-def raised(error: BaseException, verb: str = "it raised", where: str = "") -> str:
-    """An error of the user's code as text with its file and line, such as ``it raised KeyError: 'mass' (mine.py, …)``.
-
-    Args:
-        error: the error.
-        verb: words before the type of the error.
-        where: words after the type of the error.
-    """
-    text = _message(error)
-    return f"{verb} {type(error).__name__}{where}{': ' if text else ''}{text}{_code_line(error)}"
-
-
-def _message(error: BaseException) -> str:
-    """Message of an error in at most :data:`LONGEST_MESSAGE` characters."""
-    try:
-        text = str(error)
-    except KeyboardInterrupt:
-        raise
-    except BaseException:
-        return "its message cannot be shown"
-    return text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…"
-
-
-def _code_line(error: BaseException) -> str:
-    frames = [
-        frame
-        for frame in extract_tb(error.__traceback__)
-        if frame.filename not in _OWN_FILES
-        and not frame.filename.startswith(("<", _LIBRARY))
-        and "site-packages" not in frame.filename
-    ]
-    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 
 
 def name_of(policy: Any) -> str:

@@ -22,8 +22,9 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 from numpy.typing import ArrayLike
 
 from cablebot_gym.envs.observation import ObservationLayout
-from cablebot_gym.policies.protocol import Array, BatchItemError, raised
+from cablebot_gym.policies.protocol import Array, BatchItemError
 from cablebot_gym.task import Task
+from cablebot_gym.utils.user_code import raised
 
 Exchange = Callable[[Any], Any]
 """Hands out a value and waits for the answer."""

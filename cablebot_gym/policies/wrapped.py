@@ -19,11 +19,12 @@ from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv, VectorObservationWrapper
 
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.policies.protocol import Array, BatchItemError, Policy, declarations, raised, reset_policy
+from cablebot_gym.policies.protocol import Array, BatchItemError, Policy, declarations, reset_policy
 from cablebot_gym.policies.stand_in import GROUP, Exchange, Rows, StandIn, Suspended, as_vec_env
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.imports import import_object
+from cablebot_gym.utils.user_code import raised
 
 _LOGGER = logging.getLogger("cablebot_gym")
 

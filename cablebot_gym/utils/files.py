@@ -1,4 +1,4 @@
-"""Result files and cache files: checks before the work starts, atomic writes, and checked reads."""
+"""Files that people bring, result files and cache files: checked reads, checks before the work, and atomic writes."""
 
 from __future__ import annotations
 
@@ -43,6 +43,42 @@ def read_cached(path: Path, decode: Callable[[bytes], Value]) -> Value | None:
     except Exception as error:
         _LOGGER.warning("%s is damaged (%s); it is ignored, and its content is computed again", path, error)
         return None
+
+
+JSON_FORM = "a .json file on the command line, and its data in Python"
+"""Form of files with data of an uncertainty or a measurement, in messages."""
+
+
+def read_text(path: Path) -> str:
+    """The text of a file that a person may have edited: UTF-8, with or without a byte order mark.
+
+    Raises:
+        OSError: if the file cannot be read.
+        ValueError: if it has another encoding.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:  # UTF-16 without a mark decodes, but every other character is a zero
+        raise ValueError(f"{str(path)!r} is not UTF-8 text: save it as UTF-8")
+    return text
+
+
+def check_not_a_file(kind: str, name: object, forms: str) -> None:
+    """Checks that an unknown name is not that of an existing file or folder, which is not unknown but of another form.
+
+    Args:
+        kind: kind of the named thing, such as ``robot``.
+        name: the name that the user gave.
+        forms: valid forms of files, such as ``a .toml file``.
+
+    Raises:
+        ValueError: if there is such a file or folder.
+    """
+    if isinstance(name, (str, Path)) and os.path.exists(name):
+        found = "folder" if os.path.isdir(name) else "file"
+        raise ValueError(f"{found} {str(name)!r} has no form of a {kind}; use {forms}")
 
 
 def check_writable_dir(folder: Path) -> None:

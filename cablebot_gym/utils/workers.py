@@ -20,6 +20,8 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
+from cablebot_gym.utils.user_code import keep_sentence, sentence_of_user_code
+
 Task = TypeVar("Task", bound=Callable[[], Any])
 """A computation. For workers it must be picklable: a module-level function or a ``functools.partial`` of one."""
 
@@ -240,6 +242,7 @@ def _portable(error: Exception) -> Exception:
     except Exception:
         copy = None
     portable = error if type(copy) is type(error) else RuntimeError(f"{type(error).__name__}: {error}")
+    keep_sentence(portable, sentence_of_user_code(error))
     portable.add_note("".join(traceback.format_exception(error)))
     return portable
 

@@ -37,7 +37,7 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import BetweenDwells, Dwell, Trajectory
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import command_line
-from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
+from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, read_text
 
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
 """Folder of the shipped configurations."""
@@ -120,7 +120,7 @@ class TrainingResult:
         if not (out / STATE).is_file():
             raise ValueError(f"there is no run to resume in {str(out)!r}. Omit --resume to start one")
         with checkpoint_errors(out):
-            data = json.loads((out / STATE).read_text(encoding="utf-8"))
+            data = json.loads(read_text(out / STATE))
             data["evaluations"] = [Evaluation(**item) for item in data["evaluations"]]
             return cls(out=out, **data)
 
@@ -202,8 +202,8 @@ def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
     if str(path) in shipped:  # even if a folder of that name exists
         path = HYPERPARAMS / f"{path}.yaml"
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        data = yaml.safe_load(read_text(path))
+    except (OSError, ValueError, yaml.YAMLError) as error:
         text = f"--config: cannot read {str(path)!r} ({' '.join(str(error).split())})"
         raise ValueError(f"{text}; give a YAML file, or one of {', '.join(shipped)}") from error
     if not isinstance(data, dict) or not all(isinstance(value, dict) for value in data.values()):

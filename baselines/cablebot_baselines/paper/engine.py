@@ -23,7 +23,7 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir, read_cached
+from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir, read_cached, read_text
 from cablebot_gym.utils.workers import check_workers
 
 RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
@@ -98,7 +98,7 @@ def reproduce(
 
 def missing(out: Path, names: Sequence[str]) -> list[str]:
     """Parts that the results in a folder do not contain, restricted to ``names`` unless it is empty."""
-    held = json.loads((out / RESULTS).read_text(encoding="utf-8"))["missing"]
+    held = json.loads(read_text(out / RESULTS))["missing"]
     return [name for name in held if not names or name in names]
 
 

@@ -1,0 +1,155 @@
+"""Robots of WireX, ``.wcrfx``: geometry, platform, and the first winch and cable of the file."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from cablebot_gym.importers.source import FRAME, Source
+from cablebot_gym.kinematics import Array
+
+ROOT = "models"
+"""Root element of the files."""
+
+DEFAULTS = {
+    "mass": 25.0,
+    "f_max": 720.0,
+    "r_drum": 0.1,
+    "inertia": 0.001527,
+    "weight": 0.023,
+    "max_velocity": 2.0,
+}
+"""Values that WireX writes into files of robots that it knows nothing about."""
+
+DEFAULT_CENTER = (0.0, 1.0, 0.2)
+"""Centre of gravity that WireX writes if it knows none [m], which is beside most platforms."""
+
+_UP_TO_DOWN = np.array([1.0, -1.0, -1.0])
+
+
+def read(root: Element, path: Path, cable_set: str | None) -> Source:
+    """The robot of a file.
+
+    Raises:
+        ValueError: if an element is missing, or the platform does not move in all six or all three directions.
+    """
+    if cable_set is not None:
+        raise ValueError("a .wcrfx file has no cable sets: remove --cable-set")
+    robot = _child(root, "robot")
+    pattern = robot.get("motionpattern", "")
+    if pattern not in ("3R3T", "3T"):
+        raise ValueError(f"its motion pattern is {pattern!r}. Only 3R3T and 3T are imported")
+    chains = list(_child(robot, "geometry").iter("chain"))
+    base = np.array([_vector(_child(chain, "base")) for chain in chains]).reshape(-1, 3)
+    platform = np.array([_vector(_child(chain, "platform")) for chain in chains]).reshape(-1, 3)
+    body, label = _child(robot, "platform"), f"WireX, {path.name}"
+    turns = pattern == "3R3T"
+    source = Source(
+        name=path.stem,
+        base=base if turns else base - platform,
+        platform=platform if turns else None,
+        mass=_number(body, "mass"),
+        sources={"base_anchors": f"{label}; {FRAME}", "mass": label + _doubt(body, "mass")},
+    )
+    if turns:
+        source.sources["platform_anchors"] = f"{label}; {FRAME}"
+        _add_inertia(source, body, label)
+    radii = sorted({_number(_child(chain, "base"), "radius", 0.0) for chain in chains})
+    if any(radii):
+        text = ", ".join(f"{radius:g} m" for radius in radii)
+        source.notes.append(f"swivel pulleys of {text} are left out, as WireX does by default: see swivel_radius")
+    _add_winch(source, root, label)
+    _add_cable(source, root, label)
+    return source
+
+
+def _child(element: Element, tag: str) -> Element:
+    child = element.find(tag)
+    if child is None:
+        raise ValueError(f"<{element.tag}> has no <{tag}>")
+    return child
+
+
+def _number(element: Element, name: str, default: float | None = None) -> float:
+    text = element.get(name, "" if default is None else str(default))
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"<{element.tag}> needs a number {name}, not {text!r}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"<{element.tag}> has {name} = {text}; it must be finite")
+    return value
+
+
+def _vector(element: Element) -> Array:
+    """A point, z down."""
+    return _UP_TO_DOWN * [_number(element, axis) for axis in "xyz"]
+
+
+def _doubt(element: Element, name: str) -> str:
+    """Remark for a value that many files share."""
+    return "; WireX's default, probably not measured" if _number(element, name) == DEFAULTS[name] else ""
+
+
+def _add_inertia(source: Source, body: Element, label: str) -> None:
+    """Centre of mass and inertia; assumed where the file has what WireX writes for every robot."""
+    center = body.find("centerofgravity")
+    point = None if center is None else _vector(center)
+    if point is None or np.allclose(point, _UP_TO_DOWN * DEFAULT_CENTER):
+        source.sources["center_of_mass"] = "assumed: the origin of the platform frame; the file has WireX's default"
+    else:
+        source.center_of_mass, source.sources["center_of_mass"] = point, f"{label}; {FRAME}"
+    tensor = body.find("inertiatensor")
+    moments = [] if tensor is None else [tensor.get(name) for name in ("Ixx", "Iyy", "Izz")]
+    if tensor is not None and all(moments):
+        source.inertia = np.diag([_number(tensor, name) for name in ("Ixx", "Iyy", "Izz")])
+        for index, name in ((0, 1), "Ixy"), ((0, 2), "Ixz"), ((1, 2), "Iyz"):
+            sign = _UP_TO_DOWN[index[0]] * _UP_TO_DOWN[index[1]]
+            source.inertia[index] = source.inertia[index[::-1]] = sign * _number(tensor, name, 0.0)
+        source.sources["inertia"] = f"{label}; {FRAME}"
+        return
+    anchors = source.platform
+    assert anchors is not None
+    sides = np.maximum(np.ptp(anchors, axis=0), np.ptp(anchors) / 10) ** 2
+    source.inertia = np.diag([float(f"{source.mass * (sides.sum() - side) / 12:.4g}") for side in sides])
+    source.sources["inertia"] = "assumed: a homogeneous box around the platform anchors; the file has only Ixx"
+
+
+def _add_winch(source: Source, root: Element, label: str) -> None:
+    """Force, speed, drum and inertia of the first winch."""
+    winch = root.find("winch")
+    if winch is None:
+        source.notes.append("the file has no winch")
+        return
+    cable, motor, drum = (winch.find(tag) for tag in ("cable", "motor", "drum"))
+    if drum is not None and _number(drum, "r_drum", 0.0) > 0:
+        source.drum_radius = _number(drum, "r_drum")
+        source.sources["transmission.pulley_radius"] = label + _doubt(drum, "r_drum")
+    if cable is not None and _number(cable, "f_max", 0.0) > 0:
+        source.largest_tensions = np.full(len(source.base), _number(cable, "f_max"))
+        source.sources["motors.stall_torque"] = f"{label}: f_max at the drum{_doubt(cable, 'f_max')}"
+    if cable is not None and _number(cable, "max_velocity", 0.0) > 0:
+        source.cable_speed = _number(cable, "max_velocity")
+        source.sources["motors.free_speed"] = f"{label}: max_velocity of the cable{_doubt(cable, 'max_velocity')}"
+    if motor is not None and _number(motor, "inertia", 0.0) > 0:
+        source.winch_inertia = _number(motor, "inertia") * _number(motor, "gear_ratio", 1.0) ** 2
+        text = f"{label}: inertia of the motor × gear_ratio²{_doubt(motor, 'inertia')}"
+        source.sources["transmission.pulley_inertia"] = text
+
+
+def _add_cable(source: Source, root: Element, label: str) -> None:
+    """Mass and stiffness of the first cable."""
+    cable = root.find("cable")
+    if cable is None:
+        source.notes.append("the file has no cable")
+        return
+    if _number(cable, "weight", 0.0) > 0:
+        source.cable_density = _number(cable, "weight")
+        source.sources["cable_density"] = label + _doubt(cable, "weight")
+    stiffness = _number(cable, "elasticity", 0.0) * math.pi * _number(cable, "radius", 0.0) ** 2
+    if stiffness > 0:
+        text = f"elasticity and radius give EA = {stiffness:.4g} N"
+        source.notes.append(f"the cables do not stretch here; {text}, for transmission.axial_stiffness")

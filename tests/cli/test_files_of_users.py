@@ -1,0 +1,174 @@
+"""Files that people bring: encodings, forms, and errors in their code."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from cablebot_gym.benchmark.entries import CLAIMS, read_claims
+from cablebot_gym.cli.benchmark import read_results
+from cablebot_gym.importers import import_robot
+from cablebot_gym.measurement import find_measurement
+from cablebot_gym.policies.entry import read_entry
+from cablebot_gym.policies.loading import load_policy
+from cablebot_gym.robots import PLANAR, find_robot
+from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.uncertainty import find_uncertainty
+from cablebot_gym.utils.workers import _portable
+
+ROOT = Path(__file__).parents[2]
+MOTION = """
+from cablebot_gym.trajectories import Reference
+class Lost:
+    name, duration, coordinates = "lost", 1.0, 2
+    def __call__(self, times):
+        return {"zero": 1 / 0}
+class Odd(Lost):
+    def __call__(self, times):
+        return {}
+def refused():
+    raise ValueError("too round")
+def ends():
+    raise SystemExit(3)
+"""
+
+
+def of_training(path):
+    from cablebot_baselines.learned.runs import read_yaml
+
+    return read_yaml("CableBot-Planar-v0", path)
+
+
+def card(path):
+    return read_entry(path.rename(path.with_name("entry.json")).parent)
+
+
+def claims(path):
+    return read_claims(path.rename(path.with_name(CLAIMS)).parent)
+
+
+SQUARE = (ROOT / "examples" / "square.toml").read_text(encoding="utf-8")
+READERS = {
+    "robot.toml": (find_robot, SQUARE),
+    "robot.TOML": (find_robot, SQUARE),
+    "robot.json": (find_robot, json.dumps(PLANAR.to_dict())),
+    "way.csv": (lambda path: find_trajectory(str(path), "planar"), "t,x,y\n0,0,0\n1,0.1,0\n"),
+    "robot.wcrfx": (import_robot, "<models><robot motionpattern='2T'/></models>"),
+    "train.yaml": (of_training, "default: {n_envs: 3}\n"),
+    "results.json": (read_results, "{}"),
+    "card.json": (card, "{}"),
+    "claim.json": (claims, "{}"),
+}
+
+
+def outcome(read, path):
+    """What a reader returns, or its message."""
+    try:
+        return read(path)
+    except ValueError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
+    read, text = READERS[name]
+    path, results = tmp_path / name, []
+    for encoding in ("utf-8", "utf-8-sig"):
+        path.write_text(text, encoding=encoding)
+        results.append(outcome(read, path))
+    assert results[0] == results[1]
+    for data in (text.encode("utf-16"), text.encode("utf-16-le"), text.encode() + b"\xe9"):
+        path.write_bytes(data)
+        assert "save it as UTF-8" in outcome(read, path)
+
+
+def test_option_reads_json_with_a_byte_order_mark(cablebot, tmp_path):
+    path = tmp_path / "motion.JSON"
+    path.write_text('{"name": "line-planar", "radius": 1}', encoding="utf-8-sig")
+    arguments = ("robot", "check", "planar", "--trajectory", path)
+    assert "unknown key of trajectory 'radius'" in cablebot(*arguments).message(2)
+    path.write_text("{}", encoding="utf-16")
+    assert "--trajectory: " in (message := cablebot(*arguments).message(2))
+    assert message.strip().endswith("is not UTF-8 text: save it as UTF-8")
+
+
+@pytest.mark.parametrize("name", ["thing.txt", "thing.yaml", "folder", "planar.backup"])
+@pytest.mark.parametrize(
+    "find",
+    [
+        find_robot,
+        lambda name: load_policy(name, PLANAR),
+        lambda name: load_policy("fl", name),
+        lambda name: find_trajectory(name, "planar"),
+        lambda name: find_trajectory({"name": name}, "planar"),
+        lambda name: find_uncertainty(name, PLANAR),
+        lambda name: find_measurement(name, PLANAR),
+    ],
+    ids=["robot", "policy", "policy's robot", "trajectory", "trajectory data", "uncertainty", "measurement"],
+)
+def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name):
+    monkeypatch.chdir(tmp_path)
+    if name == "folder":
+        Path(name).mkdir()
+    else:
+        Path(name).write_text("x", encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"^(file|folder) '{name}' has no form of a .*; use ") as caught:
+        find(name)
+    assert "unknown" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "message"),
+    [
+        ("Lost", 1, r"your code raised ZeroDivisionError: division by zero \(motion_of_a_test\.py, line 6\)"),
+        ("Odd", 2, "trajectory 'lost' must return a Reference, not dict"),
+        ("refused", 2, r"your code raised ValueError: too round \(motion_of_a_test\.py, line 11\)"),
+        ("ends", 2, r"trajectory '.*:ends': it raised SystemExit: 3 \(motion_of_a_test\.py, line 13\)"),
+    ],
+)
+@pytest.mark.parametrize("command", ["check", "rollout"])
+def test_error_in_a_motion_file_is_one_sentence(cablebot, tmp_path, monkeypatch, command, name, status, message):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "motion_of_a_test", raising=False)
+    path = tmp_path / "motion_of_a_test.py"
+    path.write_text(MOTION, encoding="utf-8")
+    arguments = ("robot", "check", "planar")
+    if command == "rollout":
+        arguments = ("rollout", "CableBot-Planar-v0", "--policy", "fl", "--out", "run.csv")
+    ended = cablebot(*arguments, "--trajectory", f"{path}:{name}")
+    lines = ended.err.splitlines()
+    assert (ended.status, len(lines)) == (status, 1), ended.err
+    assert re.search(message, lines[0]), ended.err
+
+
+def test_error_of_user_code_in_a_worker_keeps_its_line(monkeypatch):
+    from cablebot_gym.utils.user_code import sentence_of_user_code
+
+    try:
+        raise KeyError("mass")
+    except KeyError as error:
+        portable = _portable(error)
+    portable.__traceback__ = None
+    assert sentence_of_user_code(portable).startswith("your code raised KeyError: 'mass' (test_files_of_users.py, line")
+
+
+def test_error_of_this_package_is_no_error_of_user_code():
+    from cablebot_gym.utils.user_code import sentence_of_user_code
+
+    with pytest.raises(ValueError, match="unknown robot") as caught:
+        find_robot(3.0)
+    caught.value.__traceback__ = caught.tb.tb_next
+    assert sentence_of_user_code(caught.value) == ""
+
+
+def test_command_says_the_largest_speed_of_waypoints(cablebot, tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("t,x,y\n0,0,0\n1,0.1,0\n", encoding="utf-8")
+    ended = cablebot("robot", "check", "planar", "--trajectory", path)
+    assert ended.status == 0
+    pattern = r"way\.csv: 2 waypoints in 1 s between dwells of 0\.3 s; largest speed 0\.2\d* m/s, largest accel.* m/s²"
+    assert re.search(pattern, ended.err), ended.err
