@@ -51,14 +51,15 @@ def find_error_bounds(
 
     Args:
         error_bounds: the bounds; None and omitted keys stand for the defaults.
-        robot: robot to which they apply, whose own defaults come before the usual ones; None if it is not known yet.
+        robot: robot to which they apply, whose data come first; its usual position bound is about 1 % of the width of
+            its base. None if it is not known yet.
 
     Raises:
         ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the diagonal of the
             robot's workspace.
     """
     if not isinstance(error_bounds, ErrorBounds):
-        own = record("error_bounds", ErrorBounds, (robot.defaults.error_bounds if robot else None) or {})
+        own = ErrorBounds() if robot is None else _usual_error_bounds(robot)
         given = mapping("error_bounds", error_bounds or {}, vars(own))
         error_bounds = record("error_bounds", ErrorBounds, vars(own) | given)
     if robot is not None:
@@ -69,6 +70,15 @@ def find_error_bounds(
                 f"{robot.name!r}, not {error_bounds.position:g} m: a bound of 10 mm is 0.01"
             )
     return error_bounds
+
+
+def _usual_error_bounds(robot: Robot) -> ErrorBounds:
+    """Error bounds of a robot's data. The usual position bound is about 1 % of the width of the base: 10 mm of 1 m."""
+    percent = 0.01 * float(np.max(np.ptp(robot.base, axis=0)))
+    power = 10.0 ** math.floor(math.log10(percent))
+    position = min((step * power for step in (1, 2, 5, 10)), key=lambda bound: abs(math.log(bound / percent)))
+    usual = {"position": float(f"{position:.1g}")}
+    return record("error_bounds", ErrorBounds, usual | dict(robot.defaults.error_bounds or {}))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -107,7 +107,8 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
             callback=_read_data,
             help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, or '
             "file.py:name of a Trajectory or of a function that makes one. `cablebot list` shows names and fields. The "
-            "default is that of the robot: the paper's circle between two dwells.",
+            "default is that of the robot: the paper's circle between two dwells for the paper's robots, and a "
+            "lemniscate about the home pose for a robot without a motion.",
         ),
     ),
     "payload_known": (
@@ -123,7 +124,10 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
     "position_bound": (
         float | None,
         None,
-        typer.Option(help="Largest allowed position error [mm]. The default is that of the robot: 10."),
+        typer.Option(
+            help="Largest allowed position error [mm]. The default is that of the robot, or about 1 % of its width: 10 "
+            "for the paper's robots."
+        ),
     ),
     "rotation_bound": (
         float | None,

@@ -217,22 +217,26 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode, in place of `payload` |
     | `payload_known`* | True | whether the payload is known to the controller |
     | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
-    | `trajectory`* | the paper's circle between dwells | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
+    | `trajectory`* | that of the robot | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
     | `initial_error`* | None | start pose minus reference pose, n values; None for the start pose under "Start" |
     | `initial_error_range` | None | n half widths of a uniform error, drawn in each episode, added to the start pose |
     | `uncertainty`* | None | difference between the true and the nominal robot, see below |
-    | `error_bounds`* | 10 mm, 10 mrad | `{"position": …, "rotation": …}`, bounds of the tracking errors |
+    | `error_bounds`* | those of the robot | `{"position": …, "rotation": …}`, bounds of the tracking errors |
     | `robot` | by id | a name, a `.toml` file, `Robot.to_dict()` data or a `Robot` |
     | `measurement` | "pose" | sensors: "pose", "winches", "winches+tensions+imu", or data, see "Observation space" |
     | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
     | `control_frequency` | 500 | actions per second [Hz] |
     | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
-    | `termination_radius` | 0.1 | position error beyond which the episode terminates [m] |
+    | `termination_radius` | 0.1, or 2 × bound | position error beyond which the episode terminates [m] |
     | `slack_time` | 0.1 | longest time for which a cable may be slack [s] |
     | `terminate_on_violation` | False | whether the first violation of a limit terminates the episode |
     | `reward_weights` | see "Reward" | weights by reward term |
     | `normalised_observation` | False | whether the observation is normalised, see "Observation space" |
     | `observation_dtype` | "float64" | number type of the observation and its space; "float32" for learning |
+
+    The defaults of a robot are in its data. Without data, the motion is the paper's circle between dwells for a robot
+    with the paper's geometry, else a lemniscate about the home pose that the motors can follow; the bounds are about
+    1 % of the width of the base and 10 mrad.
 
     ## Payload known or unknown
 
