@@ -564,7 +564,7 @@ def _check_geometry(robot: Robot) -> None:
     if np.any(low >= high):
         raise ValueError("workspace must have low < high; give one if the base anchors lie on a line along an axis")
     if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
-        raise ValueError("workspace: θ [rad] must stay within ± π/2, where the Euler angles are singular")
+        raise ValueError("workspace: θ must stay within ± π/2 rad, where the Euler angles are singular")
     ends = np.concatenate([robot.base, robot.platform], axis=1)
     for i, j in combinations(range(robot.cables), 2):
         if np.allclose(ends[i], ends[j], rtol=0, atol=1e-9):

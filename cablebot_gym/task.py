@@ -51,8 +51,8 @@ def find_error_bounds(
 
     Args:
         error_bounds: the bounds; None and omitted keys stand for the defaults.
-        robot: robot to which they apply, whose data come first; its usual position bound is about 1 % of the width of
-            its base. None if it is not known yet.
+        robot: robot to which they apply, whose data come first. Without data, its position bound is 10 mm, at most 1 %
+            and at least 0.1 % of the width of its base. None if it is not known yet.
 
     Raises:
         ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the diagonal of the
@@ -73,10 +73,15 @@ def find_error_bounds(
 
 
 def _usual_error_bounds(robot: Robot) -> ErrorBounds:
-    """Error bounds of a robot's data. The usual position bound is about 1 % of the width of the base: 10 mm of 1 m."""
-    percent = 0.01 * float(np.max(np.ptp(robot.base, axis=0)))
-    power = 10.0 ** math.floor(math.log10(percent))
-    position = min((step * power for step in (1, 2, 5, 10)), key=lambda bound: abs(math.log(bound / percent)))
+    """Error bounds of a robot's data.
+
+    The usual position bound is the paper's 10 mm, but at most 1 % and at least 0.1 % of the width of the base, rounded
+    to 1, 2 or 5 times a power of ten. Real robots keep about this (``docs/robots.md``).
+    """
+    width = float(np.max(np.ptp(robot.base, axis=0)))
+    bound = min(max(ErrorBounds().position, 0.001 * width), 0.01 * width)
+    power = 10.0 ** math.floor(math.log10(bound))
+    position = min((step * power for step in (1, 2, 5, 10)), key=lambda rounded: abs(math.log(rounded / bound)))
     usual = {"position": float(f"{position:.1g}")}
     return record("error_bounds", ErrorBounds, usual | dict(robot.defaults.error_bounds or {}))
 

@@ -180,14 +180,19 @@ def _springs(robot: Robot) -> Iterator[_Quantity]:
         strain, 1e-7, 0.003, f"the platform alone stretches a cable by {stretch:.3g} mm, or {strain:.2g} of it: {unit}"
     )
     strain = float(np.max(robot.stall_torque / robot.pulley_radius / robot.axial_stiffness))
-    yield _Quantity(strain, 0.0, 0.03, f"the stall torque stretches a cable by {strain:.1%}: {unit}")
+    yield _Quantity(strain, 0.0, 0.025, f"the stall torque stretches a cable by {strain:.1%}: {unit}")
     extra = float(robot.extra_length.max())
     text = f"transmission.extra_length is {extra:.3g} m of a robot of {_size(robot):.3g} m: is it in m?"
     yield _Quantity(extra, 0.0, 10 * _size(robot), text)
 
 
 def _defaults(robot: Robot) -> Iterator[_Quantity]:
-    bounds, size = find_error_bounds(None, robot), _size(robot)
+    size = _size(robot)
+    try:
+        bounds = find_error_bounds(None, robot)
+    except ValueError as error:  # beyond the workspace
+        yield _Quantity(math.inf, 0.0, 0.0, f"defaults: {error}")
+        return
     yield _Quantity(
         bounds.position / size,
         1e-5,

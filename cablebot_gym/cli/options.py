@@ -125,8 +125,8 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
         float | None,
         None,
         typer.Option(
-            help="Largest allowed position error [mm]. The default is that of the robot, or about 1 % of its width: 10 "
-            "for the paper's robots."
+            help="Largest allowed position error [mm]. The default is that of the robot; without one, 10, at most 1 % "
+            "and at least 0.1 % of its width."
         ),
     ),
     "rotation_bound": (

@@ -235,8 +235,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `observation_dtype` | "float64" | number type of the observation and its space; "float32" for learning |
 
     The defaults of a robot are in its data. Without data, the motion is the paper's circle between dwells for a robot
-    with the paper's geometry, else a lemniscate about the home pose that the motors can follow; the bounds are about
-    1 % of the width of the base and 10 mrad.
+    with the paper's geometry, else a lemniscate about the home pose that the motors can follow; the bounds are 10 mm
+    (at most 1 % and at least 0.1 % of the width of the base) and 10 mrad.
 
     ## Payload known or unknown
 
