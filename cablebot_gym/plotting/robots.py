@@ -18,8 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_NUMBER_AT = 0.18
-"""Place of a cable's number, as a fraction of its length from the base anchor."""
+_NUMBER_AT = (0.18, 0.3, 0.42, 0.54, 0.66, 0.78)
+"""Tried places of a cable's number, as fractions of its length from the base anchor."""
+
+_NUMBER_GAP = 0.06
+"""Least distance of two numbers, as a fraction of the width of the view."""
 
 _CELLS = 61
 """Number of positions along each axis of a drawn slice."""
@@ -75,12 +78,19 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
 
 
 def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
-    """Writes the numbers of the cables near their base anchors; cables with one line in this view share a text."""
+    """Writes the numbers of the cables; cables with one line in this view share a text, and no texts overlap."""
     lines: dict[tuple[float, ...], list[int]] = {}
     for index, (start, end) in enumerate(zip(starts, ends, strict=True)):
         lines.setdefault(tuple(np.round([*start, *end], 6)), []).append(index)
+    width = float(np.ptp(np.concatenate([starts, ends]), axis=0).max())
+    places: list[Array] = []
     for group in lines.values():
-        place = starts[group[0]] + _NUMBER_AT * (ends[group[0]] - starts[group[0]])
+        start, end = starts[group[0]], ends[group[0]]
+        along = [start + fraction * (end - start) for fraction in _NUMBER_AT]
+        gaps = [min((float(np.linalg.norm(place - other)) for other in places), default=width) for place in along]
+        free = [index for index, gap in enumerate(gaps) if gap > _NUMBER_GAP * width]
+        place = along[free[0] if free else int(np.argmax(gaps))]
+        places.append(place)
         axes.text(
             *place,
             ", ".join(str(index + 1) for index in group),
