@@ -526,10 +526,10 @@ def _check_fields(robot: Robot) -> None:
         raise ValueError(f"sources must be a table of texts by the name of the field, not {robot.sources!r}")
     fewest = n + robot.weightless
     if m < fewest:
-        remedy = "add cables" if point else "add cables, or remove platform_anchors and inertia for a point mass"
         without = " without gravity" if robot.weightless else ""
         raise ValueError(
-            f"base_anchors: {KIND_TEXTS[robot.kind]}{without} needs at least {fewest} cables, not {m}; {remedy}"
+            f"base_anchors: {KIND_TEXTS[robot.kind]}{without} needs at least {fewest} cables, not {m}. With fewer, "
+            f"the {n} coordinates of the pose are not all held, and the platform swings. Add cables"
         )
 
 
@@ -571,11 +571,13 @@ def _check_geometry(robot: Robot) -> None:
                 f"inertia {robot.inertia}: no principal moment may exceed the sum of the other two; products of "
                 "inertia have the sign of the tensor, I_xy = −∫xy dm"
             )
+    if not robot.weightless and cable_vectors(robot.base, robot.platform, robot.home)[:, -1].max() < 0:
+        raise ValueError(f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}")
     low, high = robot.pose_bounds
     if np.any(low >= high):
         raise ValueError("workspace must have low < high; give one if the base anchors lie on a line along an axis")
     if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
-        raise ValueError("workspace: θ must stay within ± π/2, where the Euler angles are singular")
+        raise ValueError("workspace: θ must stay within ± π/2 rad, where the Euler angles are singular")
     ends = np.concatenate([robot.base, robot.platform], axis=1)
     for i, j in combinations(range(robot.cables), 2):
         if np.allclose(ends[i], ends[j], rtol=0, atol=1e-9):
@@ -597,7 +599,23 @@ def _check_geometry(robot: Robot) -> None:
         problem = (
             "the cables do not surround" if robot.kind == "planar" and robot.weightless else "no positive tensions hold"
         )
-        raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; move the pose or the anchors")
+        remedy = "move the pose or the anchors"
+        if holds_upside_down(robot):
+            remedy = f"upside down they would. {vertical_remedy(robot)}"
+        raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
+
+
+def vertical_remedy(robot: Robot) -> str:
+    """Direction of the vertical axis in words, and how to convert a frame in which it points up."""
+    if robot.planar:
+        return (
+            "y points down here. If it points up in your frame, change the signs of y and of the angle in "
+            "anchors, center_of_mass, home_pose, workspace and motion"
+        )
+    return (
+        "z points down here. If it points up in your frame, turn the frame about x. This changes the signs of y and z "
+        "in anchors, center_of_mass, home_pose, workspace and motion"
+    )
 
 
 COORDINATE_NAMES: dict[Kind, str] = {"planar": "xy", "planar-platform": "xyφ", "point": "xyz", "spatial": "xyzψθφ"}
@@ -610,7 +628,13 @@ def _free_direction(robot: Robot, jacobian: Array) -> str:
     return COORDINATE_NAMES[robot.kind][int(np.argmax(np.abs(direction)))]
 
 
-def _in_equilibrium(robot: Robot, jacobian: Array) -> bool:
+def holds_upside_down(robot: Robot) -> bool:
+    """Whether positive tensions would hold the home pose if gravity acted upwards: a frame may have been turned."""
+    jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
+    return not robot.weightless and _in_equilibrium(robot, jacobian, upside_down=True)
+
+
+def _in_equilibrium(robot: Robot, jacobian: Array, *, upside_down: bool = False) -> bool:
     """Whether positive tensions balance gravity at rest for this S: ``−Sᵀ T = (0, …, −m g, …, 0)``."""
     if robot.kind == "planar" and robot.weightless:  # no open half plane is free of cables
         angles = np.sort(np.arctan2(jacobian[:, 1], jacobian[:, 0]))
@@ -621,6 +645,8 @@ def _in_equilibrium(robot: Robot, jacobian: Array) -> bool:
     above = cable_vectors(np.zeros_like(center), center, robot.home)
     above[:, -1] -= 1.0
     weight = robot.mass * (0.0 if robot.weightless else robot.gravity)
+    if upside_down:
+        weight = -weight
     pulls = weight * structure_jacobian(above, center, robot.home)[0]
     if robot.cables == robot.coordinates:
         return bool(np.linalg.solve(jacobian.T, pulls).min() > 1e-9)
@@ -700,6 +726,27 @@ FLEX_PLANAR = _flexible_paper(PLANAR)
 
 FLEX_SPATIAL = _flexible_paper(SPATIAL)
 """The paper's spatial robot with joint springs (Tables 5 and 9)."""
+
+PAPER_PAYLOAD_MAX = {"planar": 10.0, "spatial": 20.0}
+"""End of the scans for the paper's robots by kind [kg]. :func:`has_paper_capacity` tells for which robots."""
+
+
+def has_paper_geometry(robot: Robot) -> bool:
+    """Whether anchors and home pose are those of the paper's robots, so that the paper's circles fit."""
+    return _is_paper_robot_in(robot, "base", "platform", "home")
+
+
+def has_paper_capacity(robot: Robot) -> bool:
+    """Whether anchors, mass and motors are those of the paper's robots. Springs, inertias and friction may differ."""
+    return _is_paper_robot_in(robot, "base", "platform", "home", "mass", "stall_torque", "speed_slope", "pulley_radius")
+
+
+def _is_paper_robot_in(robot: Robot, *attributes: str) -> bool:
+    return any(
+        all(np.array_equal(getattr(robot, name), getattr(paper, name)) for name in attributes)
+        for paper in (PLANAR, SPATIAL)
+    )
+
 
 ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)}
 """The paper's robots by name."""

@@ -51,14 +51,15 @@ def find_error_bounds(
 
     Args:
         error_bounds: the bounds; None and omitted keys stand for the defaults.
-        robot: robot to which they apply, whose own defaults come before the usual ones; None if it is not known yet.
+        robot: robot to which they apply, whose data come first. Without data, its position bound is 10 mm, at most 1 %
+            and at least 0.1 % of the width of its base. None if it is not known yet.
 
     Raises:
         ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the diagonal of the
             robot's workspace.
     """
     if not isinstance(error_bounds, ErrorBounds):
-        own = record("error_bounds", ErrorBounds, (robot.defaults.error_bounds if robot else None) or {})
+        own = ErrorBounds() if robot is None else _usual_error_bounds(robot)
         given = mapping("error_bounds", error_bounds or {}, vars(own))
         error_bounds = record("error_bounds", ErrorBounds, vars(own) | given)
     if robot is not None:
@@ -69,6 +70,20 @@ def find_error_bounds(
                 f"{robot.name!r}, not {error_bounds.position:g} m: a bound of 10 mm is 0.01"
             )
     return error_bounds
+
+
+def _usual_error_bounds(robot: Robot) -> ErrorBounds:
+    """Error bounds of a robot's data.
+
+    The usual position bound is the paper's 10 mm, but at most 1 % and at least 0.1 % of the width of the base, rounded
+    to 1, 2 or 5 times a power of ten. Real robots keep about this (``docs/robots.md``).
+    """
+    width = float(np.max(np.ptp(robot.base, axis=0)))
+    bound = min(max(ErrorBounds().position, 0.001 * width), 0.01 * width)
+    power = 10.0 ** math.floor(math.log10(bound))
+    position = min((step * power for step in (1, 2, 5, 10)), key=lambda rounded: abs(math.log(rounded / bound)))
+    usual = {"position": float(f"{position:.1g}")}
+    return record("error_bounds", ErrorBounds, usual | dict(robot.defaults.error_bounds or {}))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

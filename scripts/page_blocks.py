@@ -26,9 +26,9 @@ import measure_winches
 from cablebot_gym.benchmark.leaderboard import Results, library_tables
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
 from cablebot_gym.benchmark.tables import motion_title
-from cablebot_gym.bounds.robot_check import RobotCheck, check_model
+from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
 from cablebot_gym.cli.listing import tables
-from cablebot_gym.cli.robot import report
+from cablebot_gym.cli.robot import motion_report, report
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import ELASTIC, find_robot, library
 
@@ -94,24 +94,24 @@ def library_pages() -> str:
     """Drawing, check and sources of each robot of the library, with about half of the payload that it carries."""
     text = ""
     for name, path in library().items():
-        check = shown_check(name)
+        check, motion = shown_checks(name)
         about = re.findall(r"^# (.*)", path.read_text(encoding="utf-8"), re.MULTILINE)
         text += f"## {name}\n\n" + "\n".join(line for line in about) + "\n\n"
         text += f"![{name}: plan, elevations and workspace](figures/robot-{name}.png)\n\n"
         command = f"cablebot robot check {check.robot.name} --payload {check.payload:g}"
-        text += (
-            "```text\n" + "\n".join([f"$ {command}", *report(check)]) + "\n```\n\n| value | source |\n| --- | --- |\n"
-        )
+        lines = [f"$ {command}", *report(check), *motion_report(check, motion, "")]
+        text += "```text\n" + "\n".join(lines) + "\n```\n\n| value | source |\n| --- | --- |\n"
         for field, source in check.robot.sources.items():
             text += f"| `{field}` | {re.sub('^assumed', '**assumed**', source)} |\n"
         text += "\n"
     return "\n" + text
 
 
-def shown_check(name: str) -> RobotCheck:
-    """Check of a robot of the library with elastic cables and half of its payload, rounded to two digits."""
+def shown_checks(name: str) -> tuple[RobotCheck, MotionCheck]:
+    """Checks of a robot of the library with elastic cables and half of its payload, rounded to two digits."""
     robot = find_robot(ELASTIC + name)
-    return check_model(robot, payload=float(f"{check_model(robot).limit.largest / 2:.2g}"))
+    payload = float(f"{check_motion(robot).limit.largest / 2:.2g}")
+    return check_model(robot, payload=payload), check_motion(robot, payload=payload)
 
 
 def block(name: str) -> str:

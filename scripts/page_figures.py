@@ -41,7 +41,7 @@ def write(folder: Path) -> list[Path]:
         "payloads": payloads(),
         "draws": draw_success(evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)),
     }
-    figures |= {f"robot-{name}": draw_robot(page_blocks.shown_check(name)) for name in library()}
+    figures |= {f"robot-{name}": draw_robot(*page_blocks.shown_checks(name)) for name in library()}
     folder.mkdir(parents=True, exist_ok=True)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})

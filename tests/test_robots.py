@@ -93,6 +93,11 @@ WIDE = ((-1.0, 1.0), (-1.0, 1.0))
 UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and platform point in one direction
 
 
+UPSIDE_DOWN = [(x, y, 2 * PLATFORMS["camera"].home[2] - z) for x, y, z in PLATFORMS["camera"].base]
+"""Anchors as in a frame with z up."""
+ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], PLATFORMS["camera"].home[2] - 0.1)]
+
+
 @pytest.mark.parametrize(
     ("robot", "changes", "message"),
     [
@@ -100,7 +105,7 @@ UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and p
         (
             SPATIAL,
             {"base_anchors": SIX[:5], "platform_anchors": PLATFORM[:5]},
-            "needs at least 6 cables, not 5; add cables",
+            r"needs at least 6 cables, not 5\. With fewer, .* Add cables$",  # and not: remove platform_anchors
         ),
         (SPATIAL, {"inertia": (0.3, 0.1, 0.1)}, "no principal moment may exceed the sum"),
         (PLANAR, {"workspace": ((-1.0, 1.0), (1.0, -1.0))}, "workspace must have low < high"),
@@ -119,6 +124,8 @@ UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and p
         (PLANAR, {"swivel_radius": 0.01}, "swivel_radius is for robots in space"),
         (PLANAR, {"center_of_mass": (0.1, 0.0)}, "center_of_mass must be empty for a point mass"),
         (PLATFORMS["camera"], {"home_pose": (9.0, 0.0, 3.0)}, "no positive tensions hold home_pose"),
+        (PLATFORMS["camera"], {"base_anchors": UPSIDE_DOWN}, "anchors are below the platform .* z points down here"),
+        (PLATFORMS["camera"], {"base_anchors": ONE_ABOVE}, r"upside down they would\. z points down here"),
         (PLATFORMS["crane"], {"center_of_mass": (1.0, 0.0, 0.0)}, "no positive tensions hold home_pose"),
         (SPATIAL, {"minimum_tension": -1.0}, "minimum_tension must be a finite number at least 0"),
         (PLANAR, {"home_pose": (0.4, 0.3), "workspace": WIDE}, "do not surround home_pose"),

@@ -9,7 +9,7 @@ from typing import Any
 from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.maps import varied_texts
-from cablebot_gym.bounds.robot_check import check_model
+from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.task import payload_model_text
@@ -153,7 +153,7 @@ def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
     tables: dict[bool, list[list[str]]] = {}
     for (flexible, name), group in groups.items():
         robot, best = group[0].cell.robot, max(group, key=lambda score: score.payload or 0.0)
-        exact = [] if flexible else [_digits(check_model(robot).limit.largest)]
+        exact = [] if flexible else [_digits(check_motion(robot).limit.largest)]
         head = ["robot", "platform", "cables", *([] if flexible else ["exact tracking [kg]"])]
         head += [*(f"{score.cell.policy} [kg]" for score in group), "limiting violation of the best"]
         violation = best.result.get("violation")

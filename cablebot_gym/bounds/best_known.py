@@ -27,9 +27,9 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.statics import HEAVIEST
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.library import fingerprint, load_or_compute
-from cablebot_gym.planning.program import HEAVIEST
 from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.policies.protocol import OpenLoop
 from cablebot_gym.robots import Robot, find_robot
@@ -187,7 +187,7 @@ def find_best_known(
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         robot: robot of the environment's kind, as for ``find_robot``; None for the robot of the environment.
         trajectory: name, name with fields, or object; None for the default of the environment.
-        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad.
+        error_bounds: bounds of the tracking errors; None for those of the robot.
         control_frequency: actions per second [Hz].
         progress: callback with a description of the next step.
         cache: whether to read the result from the disk cache and to store it there.

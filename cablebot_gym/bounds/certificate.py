@@ -59,7 +59,7 @@ from scipy.optimize import brentq, linprog, minimize_scalar
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning.program import hold_payload
+from cablebot_gym.physics.statics import hold_payload
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory

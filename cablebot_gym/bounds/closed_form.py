@@ -21,6 +21,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, largest_scale
 from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics.statics import tension_bounds
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number, numbers
@@ -190,45 +191,6 @@ def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, 
 def _pairs(robot: Robot) -> bool:
     """Whether the tensions are the least ones of a planar point mass with redundant cables."""
     return robot.kind == "planar" and robot.cables > robot.coordinates
-
-
-def tension_bounds(
-    robot: Robot, reference: Reference, minimum: float, *, line_speed: ArrayLike = 1.0
-) -> tuple[Array, Array]:
-    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension and the torque-speed lines.
-
-    Speeds and pulley accelerations, and so the bounds, do not depend on the mass. Joint springs and the stretch of the
-    cables are left out: motor and pulley turn together.
-
-    Args:
-        robot: the robot.
-        reference: the reference at K instants.
-        minimum: minimum tension [N].
-        line_speed: as in :func:`exact_payload`.
-
-    Returns:
-        The tensions; NaN where a cable has no length, and thus no direction.
-
-    Raises:
-        ValueError: if a number is not finite.
-    """
-    known = np.isfinite(textbook.jacobian(robot, reference.position)).all(axis=(-2, -1))[..., None]
-    pose, velocity, acceleration = (
-        np.where(known, reference.position, robot.home),
-        reference.velocity,
-        reference.acceleration,
-    )
-    speed = textbook.pulley_speed(robot, pose, velocity)
-    rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
-    if robot.flexible:
-        rest = rest + textbook.coulomb_torque(robot, speed)
-    if robot.jointed:
-        rest = rest + robot.motor_damping * speed
-        rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
-    lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
-    lower = np.maximum(lower, number("minimum", minimum))
-    return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
 
 
 def _redundant(

@@ -14,15 +14,23 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
-from cablebot_gym.bounds.closed_form import tension_bounds
-from cablebot_gym.envs.settings import default_trajectory, make_settings
+from cablebot_gym.bounds.doubts import doubtful_values
+from cablebot_gym.envs.settings import default_trajectory, fewest_substeps
 from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, SINGULAR, feasible, largest_scale, least_norm
+from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.physics.sag import sag, settle
-from cablebot_gym.planning.program import HEAVIEST
-from cablebot_gym.robots import COORDINATE_NAMES, RPM, Robot, reach_and_gyration
-from cablebot_gym.task import check_workspace, find_error_bounds
+from cablebot_gym.physics.statics import (
+    feasibility,
+    feasible_payloads,
+    holds,
+    payload_ceiling,
+    required_load,
+    resting,
+    tension_bounds,
+)
+from cablebot_gym.robots import COORDINATE_NAMES, Robot
+from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
 
@@ -41,15 +49,19 @@ class PayloadLimit:
     """Payloads with which cables and motors can follow a motion exactly."""
 
     least: float
-    """Least payload [kg]; infinite if there is none."""
+    """Least payload [kg]; infinite if some instant allows none."""
     largest: float
-    """Largest payload [kg]; minus infinite if there is none."""
+    """Largest payload [kg]; minus infinite if some instant allows none."""
     time: float
-    """Time of the instant that limits the largest payload, or at which none can be held [s]."""
+    """Time of the instant that limits the largest payload, or excludes the payload that was asked for [s]."""
     pose: tuple[float, ...]
     """Pose at this instant [m, rad]."""
     reason: str
     """Cables and limits that are active at this instant."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The limit as JSON-able data; None for an infinite number."""
+        return {name: None if value in (math.inf, -math.inf) else value for name, value in vars(self).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,24 +94,52 @@ class CableSag:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotCheck:
-    """Result of :func:`check_model`."""
+    """Result of :func:`check_model`: all that needs no motion."""
 
     robot: Robot
     """The robot."""
-    trajectory: Trajectory
-    """The motion."""
     payload: float
-    """Payload of workspace, motion and sag [kg]."""
-    limit: PayloadLimit
-    """Payloads of the motion."""
+    """Payload of workspace and home pose [kg]."""
+    home: PayloadLimit
+    """Payloads that cables and motors hold at rest at the home pose."""
     workspace: float
     """Fraction of the workspace, at the home orientation, where cables and motors hold the payload at rest."""
     modes: tuple[Mode, ...]
     """Softest and stiffest mode with locked and with free motors; empty for a rigid robot."""
-    substeps: int
-    """Suggested number of physics steps per control period."""
-    physics_step: float
-    """Suggested physics step [s]."""
+    substeps: int | None
+    """Suggested number of physics steps per control period; None if the springs need too many."""
+    questions: tuple[str, ...]
+    """Doubtful values, each with a remedy."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as JSON-able data; None for an infinite number."""
+        return {
+            "robot": self.robot.to_dict(),
+            "kind": self.robot.kind,
+            "payload": self.payload,
+            "home": self.home.to_dict(),
+            "workspace": self.workspace,
+            "modes": [vars(mode) for mode in self.modes],
+            "substeps": self.substeps,
+            "questions": list(self.questions),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionCheck:
+    """Result of :func:`check_motion`."""
+
+    trajectory: Trajectory
+    """The motion."""
+    error_bounds: ErrorBounds
+    """Error bounds of the robot."""
+    payload: float
+    """Payload [kg]."""
+    limit: PayloadLimit
+    """Payloads with which cables and motors follow the motion exactly."""
+    ceiling: float
+    """Payload that no controller can be expected to carry, see
+    :func:`~cablebot_gym.physics.statics.payload_ceiling` [kg]."""
     cables: tuple[CableSag, ...]
     """Sag of each cable; empty if the cables have no mass or the motion cannot be held."""
     settled: tuple[float, ...] | None
@@ -107,27 +147,27 @@ class RobotCheck:
     settled_tension: float | None
     """Largest relative change of a tension at the home pose by sag and weight; None if unknown."""
     questions: tuple[str, ...]
-    """Doubtful values, each with a remedy."""
+    """Pairs of cables that come close, with a remedy."""
 
     @property
     def held(self) -> bool:
-        """Whether the payload can be carried along the motion."""
+        """Whether cables and motors can follow the motion exactly with the payload."""
         return self.limit.least <= self.payload <= self.limit.largest
+
+    @property
+    def possible(self) -> bool:
+        """Whether a controller may carry the payload, exactly or within the error bounds."""
+        return self.limit.least <= self.payload <= max(self.limit.largest, self.ceiling)
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON-able data; None for an infinite number."""
-        limit = {name: value if finite(value) else None for name, value in vars(self.limit).items()}
         return {
-            "robot": self.robot.to_dict(),
-            "kind": self.robot.kind,
             "trajectory": self.trajectory.name,
             "payload": self.payload,
             "held": self.held,
-            "limit": limit,
-            "workspace": self.workspace,
-            "modes": [vars(mode) for mode in self.modes],
-            "substeps": self.substeps,
-            "physics_step": self.physics_step,
+            "possible": self.possible,
+            "limit": self.limit.to_dict(),
+            "ceiling": self.ceiling if math.isfinite(self.ceiling) else None,
             "cables": [vars(cable) for cable in self.cables],
             "settled": self.settled,
             "settled_tension": self.settled_tension,
@@ -135,13 +175,34 @@ class RobotCheck:
         }
 
 
-def finite(value: Any) -> bool:
-    """Whether a value is anything but an infinite number."""
-    return not isinstance(value, float) or math.isfinite(value)
+def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
+    """Checks a robot without a motion.
+
+    Args:
+        robot: the robot.
+        payload: payload [kg]; None for the least one of the robot's payload range, else 0.
+
+    Raises:
+        ValueError: if the payload is invalid.
+    """
+    payload = _payload_of(robot, payload)
+    try:
+        substeps = fewest_substeps(robot)
+    except ValueError:  # of springs that are much too stiff: a question about their unit follows
+        substeps = None
+    return RobotCheck(
+        robot=robot,
+        payload=payload,
+        home=payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload),
+        workspace=float(np.mean(holds(robot, _grid(robot), payload))),
+        modes=tuple(modes(robot)),
+        substeps=substeps,
+        questions=tuple(doubtful_values(robot)),
+    )
 
 
-def check_model(robot: Robot, *, payload: float | None = None, trajectory: Any = None) -> RobotCheck:
-    """Checks a robot and its motion.
+def check_motion(robot: Robot, *, payload: float | None = None, trajectory: Any = None) -> MotionCheck:
+    """Checks whether a robot can follow a motion.
 
     Args:
         robot: the robot.
@@ -149,66 +210,63 @@ def check_model(robot: Robot, *, payload: float | None = None, trajectory: Any =
         trajectory: motion, as for :func:`~cablebot_gym.trajectories.find_trajectory`; None for the robot's default.
 
     Raises:
-        ValueError: if the payload or the motion is invalid.
+        ValueError: if the payload or the motion is invalid, or the motion leaves the workspace.
     """
     motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.kind)
-    payload = number("payload", robot.defaults.payload(0.0) if payload is None else payload, least=0, unit="kg")
-    check_workspace(robot, motion, find_error_bounds(None, robot))
+    payload = _payload_of(robot, payload)
+    bounds = find_error_bounds(None, robot)
+    check_workspace(robot, motion, bounds)
     times = np.linspace(0, motion.duration, SAMPLES)
     reference = motion(times)
-    limit = payload_limit(robot, times, reference)
-    settings = make_settings(robot=robot, count=1, trajectory=motion)
     cables, settled, tension = _sag(robot, reference, payload) if np.any(robot.cable_density) else ((), None, None)
-    return RobotCheck(
-        robot=robot,
+    return MotionCheck(
         trajectory=motion,
+        error_bounds=bounds,
         payload=payload,
-        limit=limit,
-        workspace=float(np.mean(holds(robot, _grid(robot), payload))),
-        modes=tuple(modes(robot)),
-        substeps=settings.substeps,
-        physics_step=settings.physics_step,
+        limit=payload_limit(robot, times, reference, payload),
+        ceiling=payload_ceiling(robot, motion, bounds),
         cables=cables,
         settled=settled,
         settled_tension=tension,
-        questions=tuple([*_doubtful_values(robot, payload), *_close_cables(robot, times, reference)]),
+        questions=tuple(_close_cables(robot, times, reference)),
     )
+
+
+def _payload_of(robot: Robot, payload: float | None) -> float:
+    return number("payload", robot.defaults.payload(0.0) if payload is None else payload, least=0, unit="kg")
 
 
 # --- loads and limits ---------------------------------------------------------------------------------------------
 
 
-def _required(robot: Robot, reference: Reference, payload: float) -> Array:
-    """Required generalised force with a payload, (K, n)."""
-    mass = np.full(len(reference.position), robot.mass + payload)
-    return textbook.load(robot, mass, reference.position, reference.velocity, reference.acceleration)
-
-
-def payload_limit(robot: Robot, times: Array, reference: Reference) -> PayloadLimit:
+def payload_limit(robot: Robot, times: Array, reference: Reference, payload: float) -> PayloadLimit:
     """Interval of the payloads with which cables and motors can follow a reference, and what limits it.
 
     Args:
         robot: the robot; joint springs and stretch of the cables are left out.
         times: times (K,) [s].
         reference: the motion at these times.
+        payload: payload below which the least payload is what limits [kg].
     """
-    empty = _required(robot, reference, 0.0)
-    found = largest_scale(
-        textbook.jacobian(robot, reference.position),
-        empty,
-        _required(robot, reference, 1.0) - empty,
-        *tension_bounds(robot, reference, robot.minimum_tension),
-        HEAVIEST * robot.mass,
-    )
-    failed = np.flatnonzero(found.status != HELD)
-    index = int(failed[0]) if len(failed) else int(np.argmin(found.largest))
-    singular = found.status[index] == SINGULAR
+    payloads = feasible_payloads(robot, reference)
+    failed = np.flatnonzero(payloads.status != HELD)
+    if len(failed):
+        least, largest, index = math.inf, -math.inf, int(failed[0])
+        coefficients = payloads.coefficients[index]
+    else:
+        least, largest = float(payloads.least.max()), float(payloads.largest.min())
+        index = int(np.argmin(payloads.largest))
+        coefficients = payloads.coefficients[index]
+    if payload < least < math.inf:
+        index = int(np.argmax(payloads.least))
+        coefficients = feasibility(robot, reference, payload).coefficients[index]
+    singular = payloads.status[index] == SINGULAR
     return PayloadLimit(
-        least=math.inf if len(failed) else float(found.least.max()),
-        largest=-math.inf if len(failed) else float(found.largest[index]),
+        least=least,
+        largest=largest,
         time=float(times[index]),
         pose=tuple(reference.position[index].tolist()),
-        reason="the cables are singular" if singular else limiting_cables(robot, found.coefficients[index]),
+        reason="the cables are singular" if singular else limiting_cables(robot, coefficients),
     )
 
 
@@ -220,20 +278,6 @@ def limiting_cables(robot: Robot, coefficients: Array) -> str:
         if numbers:
             parts.append(f"cable{'s' if len(numbers) > 1 else ''} {', '.join(numbers)} {text}")
     return " and ".join(parts) or "no limit was reached"
-
-
-def holds(robot: Robot, poses: Array, payload: float) -> Array:
-    """Whether cables and motors hold a payload [kg] at rest at poses (K, n), shape (K,)."""
-    rest = np.zeros_like(poses)
-    still = Reference(position=poses, velocity=rest, acceleration=rest, jerk=rest, snap=rest)
-    with np.errstate(invalid="ignore", divide="ignore"):  # anchors and swivel pulleys
-        structure, load = textbook.jacobian(robot, poses), _required(robot, still, payload)
-        bounds = tension_bounds(robot, still, robot.minimum_tension)
-    known = np.isfinite(structure).all(axis=(1, 2))
-    held = np.zeros(len(poses), bool)
-    found = feasible(structure[known], load[known], *(bound[known] for bound in bounds))
-    held[known] = found.status == HELD
-    return held
 
 
 def _grid(robot: Robot) -> Array:
@@ -283,7 +327,7 @@ def _sag(
     """Sag of each cable, and change of pose and tensions at home; nothing if the motion or the pose is not held."""
     lower, upper = tension_bounds(robot, reference, robot.minimum_tension)
     structure = textbook.jacobian(robot, reference.position)
-    found = least_norm(structure, _required(robot, reference, payload), lower, upper)
+    found = least_norm(structure, required_load(robot, reference, payload), lower, upper)
     if np.any(found.status != HELD):
         return (), None, None
     least, every = found.tensions.argmin(axis=0), np.arange(robot.cables)
@@ -312,51 +356,7 @@ def _sag(
     return cables, tuple(settled.pose_change.tolist()), change
 
 
-# --- doubtful values ----------------------------------------------------------------------------------------------
-
-
-def _doubtful_values(robot: Robot, payload: float) -> Iterator[str]:
-    """Values that are possible but unusual, with the unit that was probably meant."""
-    fastest = float(np.max(robot.per_motor(robot.motors.free_speed) * robot.pulley_radius))
-    if fastest > 60:
-        yield (
-            f"motors.free_speed gives {fastest:.0f} m/s at the cable: is it in rad/s at the pulley? "
-            f"Multiply rpm by {RPM:.4f} and divide by the gear ratio"
-        )
-    strongest = float(np.max(robot.stall_torque / robot.pulley_radius))
-    weight = (robot.mass + payload) * robot.gravity
-    if not robot.weightless and strongest > 100 * weight:
-        yield (
-            f"motors.stall_torque gives {strongest:.3g} N at the cable, over 100 times the weight of {weight:.3g} N: "
-            "is it in N·m, and pulley_radius in m?"
-        )
-    if not robot.weightless and robot.cables * strongest < weight:
-        yield (
-            f"all motors together pull with {robot.cables * strongest:.3g} N and the weight is {weight:.3g} N: is "
-            "motors.stall_torque in N·m at the pulley, and mass in kg?"
-        )
-    if not robot.point_mass:
-        reach, gyration = reach_and_gyration(robot)
-        if gyration > 2 * reach or gyration < 0.1 * reach:
-            yield (
-                f"the radius of gyration is {gyration:.3g} m and the platform anchors reach {reach:.3g} m from the "
-                "centre of mass: is inertia in kg·m², about the centre of mass?"
-            )
-        angles = robot.pose_bounds[:, robot.dimensions :]
-        if np.max(np.abs(angles)) > 2 * math.pi:
-            yield "the angles of workspace exceed 2π: are they in rad?"
-    if robot.elastic:
-        strain = float(np.max(max(robot.minimum_tension, weight / robot.cables) / robot.axial_stiffness))
-        if strain > 0.05:
-            yield (
-                f"the cables stretch by {strain:.0%} under the platform: is transmission.axial_stiffness EA in N? "
-                "Multiply a stiffness in N/m by the length"
-            )
-    low, high = robot.pose_bounds
-    box = robot.base.min(axis=0), robot.base.max(axis=0)
-    sides = robot.dimensions - (not robot.weightless)
-    if np.any(low[:sides] < box[0][:sides] - 1e-9) or np.any(high[:sides] > box[1][:sides] + 1e-9):
-        yield "workspace is wider than the base anchors: give (low, high) within them"
+# --- cables that touch ---------------------------------------------------------------------------------------------
 
 
 def _close_cables(robot: Robot, times: Array, reference: Reference) -> Iterator[str]:

@@ -45,7 +45,10 @@ def dlcc(
     ] = CriterionChoice.both,
     payload_max: Annotated[
         float | None,
-        typer.Option(help="Largest payload of the scan [kg]. The default is 10 for planar and 20 for spatial robots."),
+        typer.Option(
+            help="Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
+            "more than what the motors hold; for the paper's robots 10 (planar) and 20 (spatial)."
+        ),
     ] = None,
     resolution: Annotated[
         float | None,

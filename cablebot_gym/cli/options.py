@@ -112,7 +112,9 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
             callback=_read_data,
             help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, a '
             ".csv file of waypoints with the columns t [s], x, y, … [m, rad], or file.py:name of a Trajectory or of a "
-            "function that makes one. `cablebot list` shows names and fields. The default is that of the robot.",
+            "function that makes one. `cablebot list` shows names and fields. The default is that of the "
+            "robot: for the paper's robots the paper's circle between two dwells, for a robot without a motion a "
+            "lemniscate about the home pose.",
         ),
     ),
     "payload_known": (
@@ -128,7 +130,10 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
     "position_bound": (
         float | None,
         None,
-        typer.Option(help="Largest allowed position error [mm]. The default is that of the robot: 10."),
+        typer.Option(
+            help="Largest allowed position error [mm]. The default is that of the robot; without one, 10, at most 1 % "
+            "and at least 0.1 % of its width."
+        ),
     ),
     "rotation_bound": (
         float | None,

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.cli.importing import import_file
-from cablebot_gym.cli.options import Json, Payload, counted, episode_options, note_waypoints
+from cablebot_gym.cli.options import Json, Payload, command_again, counted, episode_options, note_waypoints
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console
 
 if TYPE_CHECKING:
-    from cablebot_gym.bounds.robot_check import RobotCheck
+    from cablebot_gym.bounds.robot_check import MotionCheck, PayloadLimit, RobotCheck
     from cablebot_gym.robots import Robot
 
 
@@ -42,8 +42,8 @@ def robot(
 ) -> None:
     """Check a robot and its motion, or import a robot from a file of CASPR or WireX.
 
-    The check prints payload, workspace, modes, physics step, sag, and doubtful values. Nothing is simulated. The exit
-    status is 1 if the robot is refused or does not carry the payload along its motion.
+    The check prints payloads, workspace, modes, physics step, sag, and doubtful values. Nothing is simulated. The exit
+    status is 1 if the robot or the motion is refused, or if no controller can be expected to carry the payload.
 
     Examples:
 
@@ -53,7 +53,7 @@ def robot(
 
     cablebot robot import SEGESTA_bodies.xml --out segesta.toml
     """
-    from cablebot_gym.bounds.robot_check import check_model
+    from cablebot_gym.bounds.robot_check import check_model, check_motion
 
     if choice("task", task, ["check", "import"]) == "import":
         if payload is not None or episode["trajectory"] is not None or as_json:
@@ -66,17 +66,29 @@ def robot(
     model = _loaded(name)
     if model is None:
         raise typer.Exit(1)
-    check = check_model(model, payload=payload, trajectory=episode["trajectory"])
-    note_waypoints(check.robot, check.trajectory)
-    if out is not None:
-        _draw(check, out)
+    check = check_model(model, payload=payload)
+    if not as_json:  # before the motion, which may be refused
+        print("\n".join(report(check)), flush=True)
+    motion, refusal = None, ""
+    try:
+        motion = check_motion(model, payload=payload, trajectory=episode["trajectory"])
+        note_waypoints(model, motion.trajectory)
+    except ValueError as error:
+        refusal = str(error)
     if as_json:
-        print(json.dumps(check.to_dict(), indent=2))
-    else:
-        print("\n".join(report(check)))
+        data = {"held": False, "refused": refusal} if motion is None else motion.to_dict()
+        questions = [*check.questions, *(motion.questions if motion else ())]
+        print(json.dumps({**check.to_dict(), **data, "questions": questions}, indent=2))
+    elif motion is not None:
+        law = "composite-tuned" if model.flexible else "fl"
+        evaluation = command_again("dlcc", policy=law, episode=episode | {"robot": name})
+        print("\n".join(motion_report(check, motion, evaluation)))
+    if motion is None:
+        notes_console().print(f"motion refused: {refusal}", style="red")
     if out is not None:
+        _draw(check, motion, out)
         notes_console().print(f"wrote {out}")
-    if not check.held:
+    if motion is None or not motion.possible:
         raise typer.Exit(1)
 
 
@@ -97,64 +109,130 @@ def _loaded(name: str) -> Robot | None:
         return None
 
 
-def _draw(check: RobotCheck, out: Path) -> None:
+def _draw(check: RobotCheck, motion: MotionCheck | None, out: Path) -> None:
     from cablebot_gym.plotting.figures import DPI
     from cablebot_gym.plotting.robots import draw_robot
     from cablebot_gym.utils.files import atomic_write
 
-    atomic_write(out, partial(draw_robot(check).savefig, dpi=DPI, format=out.suffix[1:]))
+    atomic_write(out, partial(draw_robot(check, motion).savefig, dpi=DPI, format=out.suffix[1:]))
 
 
 def report(check: RobotCheck) -> list[str]:
-    """Lines of the result in words."""
+    """Lines of the check without a motion in words."""
+    from cablebot_gym.envs.settings import FREQUENCY
     from cablebot_gym.robots import KIND_TEXTS
 
-    robot, limit = check.robot, check.limit
-    place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
+    robot, home = check.robot, check.home
     lines = [f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}"]
-    if limit.largest < limit.least:
-        lines += [f"motion     {check.trajectory.name}: no payload can be held", f"           {place}:"]
+    lines += [f"mass       {_mass(robot)}", f"anchors    {_anchors(robot)}"]
+    force = float((robot.stall_torque / robot.pulley_radius).min())
+    speed = float((robot.stall_torque / robot.speed_slope * robot.pulley_radius).min())
+    lines.append(f"motors     {force:.4g} N at standstill and {speed:.3g} m/s without load, at the weakest cable")
+    if home.largest < home.least:
+        lines.append(f"home       no payload can be held at rest: {home.reason}")
     else:
-        held = "carries" if check.held else "does not carry"
-        lines.append(
-            f"motion     {check.trajectory.name}, {check.trajectory.duration:g} s: {held} {check.payload:g} kg"
-        )
-        lines.append(f"           exact tracking from {limit.least:.4g} to {limit.largest:.4g} kg")
-        lines.append(f"           limit {place}:")
-    lines.append(f"           {limit.reason}")
+        lines.append(f"home       holds {_interval(home, robot)} at rest: {home.reason}")
     lines.append(f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation")
     for locked, text in ((True, "motors locked"), (False, "motors free")):
-        own = [f"{mode.frequency:.3g} Hz ({mode.direction})" for mode in check.modes if mode.locked == locked]
-        if own:
-            lines.append(f"modes      {text}: softest {own[0]}, stiffest {own[1]}")
+        frequencies = [f"{mode.frequency:.3g} Hz ({mode.direction})" for mode in check.modes if mode.locked == locked]
+        if frequencies:
+            lines.append(f"modes      {text}: softest {frequencies[0]}, stiffest {frequencies[1]}")
     if not check.modes:
         lines.append("modes      none: the transmission is rigid and the cables do not stretch")
-    step = f"{1e3 * check.physics_step:.3g} ms"
-    lines.append(f"step       {counted(check.substeps, 'physics step')} of {step} in a control period")
-    lines += _sag_lines(check)
-    lines += [f"question   {question}" for question in check.questions] or ["questions  none"]
-    return lines
+    if check.substeps is None:
+        lines.append("step       the springs are too stiff for the default physics step")
+    else:
+        step = f"{1e3 / FREQUENCY / check.substeps:.3g} ms"
+        lines.append(f"step       {counted(check.substeps, 'physics step')} of {step} in a control period")
+    return lines + ([f"question   {question}" for question in check.questions] or ["questions  none"])
 
 
-def _sag_lines(check: RobotCheck) -> list[str]:
+def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> list[str]:
+    """Lines of the check of the motion in words. ``evaluation`` is the command that evaluates a controller on it."""
+    robot, limit = check.robot, motion.limit
+    place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
+    name = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
+    if limit.largest < limit.least:
+        lines = [f"{name}: exact tracking carries no payload"]
+    else:
+        lines = [f"{name}: exact tracking carries {_interval(limit, robot)}"]
+    lines += [f"           limit {place}:", f"           {limit.reason}"]
+    if motion.payload > 0 and motion.held:
+        lines.append(f"           {motion.payload:g} kg is carried exactly")
+    elif motion.payload > 0 and motion.possible:
+        bounds = f"{1e3 * motion.error_bounds.position:g} mm"
+        if not robot.point_mass:
+            bounds += f" and {1e3 * motion.error_bounds.rotation:g} mrad"
+        lines.append(f"           {motion.payload:g} kg is beyond exact tracking; controllers may carry it within the")
+        lines.append(f"           error bounds of {bounds}. This command tells for one of them:")
+        lines.append(f"           {evaluation}")
+    elif not motion.possible:
+        lines.append(f"           {motion.payload:g} kg cannot be carried: {_why_impossible(motion)}")
+    return [*lines, *_sag_lines(check, motion), *(f"question   {question}" for question in motion.questions)]
+
+
+def _why_impossible(motion: MotionCheck) -> str:
+    if motion.payload < motion.limit.least:
+        return "see the limit"
+    if math.isfinite(motion.ceiling):
+        return f"at the start pose the motors hold {motion.ceiling:.4g} kg"
+    return "the motors cannot hold the platform at the start pose"
+
+
+def _interval(limit: PayloadLimit, robot: Robot) -> str:
+    """Payloads as text."""
+    from cablebot_gym.physics.statics import HEAVIEST
+
+    if limit.largest >= HEAVIEST * robot.mass:
+        return f"every payload from {limit.least:.4g} kg on"
+    if limit.least > 0:
+        return f"payloads from {limit.least:.4g} to {limit.largest:.4g} kg"
+    return f"up to {limit.largest:.4g} kg"
+
+
+def _mass(robot: Robot) -> str:
+    """Mass, moments of inertia and radii of gyration, in which a wrong unit is seen."""
+    if robot.point_mass:
+        return f"{robot.mass:g} kg"
+    moments = ", ".join(f"{moment:.3g}" for moment in robot.moments)
+    radii = ", ".join(f"{math.sqrt(moment / robot.mass):.3g}" for moment in robot.moments)
+    return f"{robot.mass:g} kg; inertia {moments} kg·m², radius of gyration {radii} m"
+
+
+def _anchors(robot: Robot) -> str:
+    """Size of the base, and which cables leave above and below the platform."""
+    from cablebot_gym.kinematics import cable_vectors
+
+    size = " × ".join(f"{side:.3g}" for side in robot.base.max(axis=0) - robot.base.min(axis=0))
+    text = f"base of {size} m"
+    if robot.weightless:
+        return text
+    axis = "y" if robot.planar else "z"
+    rise = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
+    down = ", ".join(str(index + 1) for index in range(robot.cables) if rise[index] <= 0)
+    pull = f"cables {down} pull down, the others up" if down else "all cables pull up"
+    return f"{text}; {axis} points down: at home, {pull}"
+
+
+def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
     """Lines of the sag at the least tensions of the motion, and of its effect at home."""
-    if not check.cables:
+    if not motion.cables:
         why = "the motion is not held" if any(_densities(check)) else "the cables have no mass; set cable_density"
         return [f"sag        not checked: {why}"]
     lines = []
-    for number, cable in enumerate(check.cables, 1):
+    for number, cable in enumerate(motion.cables, 1):
         factor = "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
         text = f"sag {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
         start = "sag        " if number == 1 else " " * 11
         lines.append(f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}")
-    if check.settled is None or check.settled_tension is None:
+    if motion.settled is None or motion.settled_tension is None:
         return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
     d = check.robot.dimensions
-    moved = [f"{1e3 * math.hypot(*check.settled[:d]):.2f} mm"]
-    if check.settled[d:]:
-        moved.append(f"{1e3 * max(map(abs, check.settled[d:])):.2f} mrad")
+    moved = [f"{1e3 * math.hypot(*motion.settled[:d]):.2f} mm"]
+    if motion.settled[d:]:
+        moved.append(f"{1e3 * max(map(abs, motion.settled[d:])):.2f} mrad")
     text = f"sag and weight move the home pose by {' and '.join(moved)}"
-    return [*lines, f"           {text}, tensions by up to {check.settled_tension:.0%}"]
+    return [*lines, f"           {text}, tensions by up to {motion.settled_tension:.0%}"]
 
 
 def _densities(check: RobotCheck) -> list[float]:

@@ -23,7 +23,8 @@ def rollout(
 
     The file has one row for each control step, in SI units and radians. Each row holds the pose, velocity, reference
     and errors at `time`, the end of the step, and the commanded action, torques [N·m], tensions [N] and motor speeds
-    [rad/s] at `action_time`, the start of the step.
+    [rad/s] at `action_time`, the start of the step. Flexible robots add the motor angles at `time`, and joint springs
+    their deflections.
 
     Example: cablebot rollout CableBot-Planar-v0 --policy fl --payload 1.5 --out run.csv
     """

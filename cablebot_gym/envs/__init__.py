@@ -115,7 +115,8 @@ def check_robot(env_id: str, robot: Any) -> None:
 
 
 class SpecChecked:
-    """Part of both environments. ``gym.make`` sets ``spec``, which checks that the robot is of the kind of the id."""
+    """Part of both environments. ``gym.make`` sets ``spec``, which checks that the robot is of the kind of the id, and
+    warns if its motors cannot hold the start."""
 
     settings: Any
     _spec: EnvSpec | None = None
@@ -133,4 +134,5 @@ class SpecChecked:
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None and spec.id in ENV_ROBOTS:
             check_robot(spec.id, self.settings.robot)
+            self.settings.note_unheld_start()
         self._spec = spec

@@ -5,20 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from numbers import Real
 from typing import Any, cast, get_args
 
 import numpy as np
+from gymnasium import logger
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
+from cablebot_gym.envs.own_motion import own_motion
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement, find_measurement
+from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
-from cablebot_gym.robots import Cable, Robot, find_robot
-from cablebot_gym.task import ErrorBounds, find_error_bounds
+from cablebot_gym.robots import Cable, Robot, find_robot, has_paper_geometry
+from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, find_error_bounds, start_pose
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, whole
@@ -26,6 +30,9 @@ from cablebot_gym.utils.checks import choice, mapping, number, numbers, whole
 LONGEST_PHYSICS_STEP = 1e-3
 """Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at this step. Accuracy
 allows longer steps, but checks of slack and errors every 2 ms find later violations."""
+
+FREQUENCY = 500.0
+"""Default number of actions per second [Hz]."""
 
 MODE_LOSS = {"planar": 1e-6, "spatial": 1e-5}
 """Bound of the fraction of its energy that a flexible robot's fastest mode loses per second to RK4 with the default
@@ -104,6 +111,14 @@ class Settings:
         layout = observation_layout(self.robot, self.measurement)
         return layout.space(normalised=self.normalised_observation, dtype=self.observation_dtype)
 
+    def note_unheld_start(self) -> None:
+        """Warns, once, if the motors cannot hold even the least payload at the start of a motion from rest."""
+        if not at_rest(self.trajectory(0.0)):
+            return
+        payload = float(np.min(self.payload if self.payload_range is None else self.payload_range[0]))
+        pose = start_pose(self.robot, self.trajectory, self.error_bounds)
+        _note_unheld_pose(self.robot, payload, self.trajectory.name, tuple(pose.tolist()))
+
     @property
     def period(self) -> float:
         """Length of a control period [s]."""
@@ -116,8 +131,13 @@ class Settings:
 
 
 def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
-    """Default reference motion of a robot: its own one, or the name of a circle between two dwells, for its kind."""
-    return robot.defaults.trajectory or f"circle-{robot.kind}"
+    """Default reference motion of a robot: that of its data, the circle of a robot with the paper's geometry, or
+    :func:`~cablebot_gym.envs.own_motion.own_motion`."""
+    if robot.defaults.trajectory is not None:
+        return robot.defaults.trajectory
+    if has_paper_geometry(robot):
+        return f"circle-{robot.kind}"
+    return own_motion(robot)
 
 
 def make_settings(
@@ -135,9 +155,9 @@ def make_settings(
     error_bounds: Any = None,
     measurement: Any = None,
     cable: str = "unilateral",
-    control_frequency: float = 500.0,
+    control_frequency: float = FREQUENCY,
     substeps: int | None = None,
-    termination_radius: float = 0.1,
+    termination_radius: float | None = None,
     slack_time: float = 0.1,
     terminate_on_violation: bool = False,
     reward_weights: Mapping[str, float] | None = None,
@@ -148,9 +168,8 @@ def make_settings(
 
     Values are objects or JSON-able data. None stands for the default: no payload, the motion of
     :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, pose and
-    velocity as the measurement, the default error bounds, :data:`DEFAULT_WEIGHTS`, and the fewest ``substeps`` that
-    satisfy :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS` and :data:`STABLE_PHASE`. ``uncertainty`` can be a list
-    with one item per environment.
+    velocity as the measurement, the default error bounds and their termination radius, :data:`DEFAULT_WEIGHTS`, and
+    :func:`fewest_substeps`. ``uncertainty`` can be a list with one item per environment.
 
     Raises:
         ValueError: if a value is invalid; the message names the keyword.
@@ -168,7 +187,7 @@ def make_settings(
     episode = check_options(options, robot, count)
     frequency = number("control_frequency", control_frequency, above=0)
     if substeps is None:
-        substeps = _fewest_substeps(robot, episode["uncertainty"], frequency)
+        substeps = fewest_substeps(robot, episode["uncertainty"], frequency)
     substeps = whole("substeps", substeps, least=1)
     check_stability(robot, episode["uncertainty"], frequency, substeps)
     if payload_range is not None:
@@ -177,6 +196,7 @@ def make_settings(
         ends = numbers("payload_range", payload_range, shapes=[(2,)], form="(low, high)", least=0, unit="kg")
         low, high = ends.tolist()
         payload_range = low, number("payload_range", high, least=low, unit="kg")
+    radius = episode["error_bounds"].termination_radius if termination_radius is None else termination_radius
     if initial_error_range is not None:
         shapes = [(robot.coordinates,)]
         initial_error_range = numbers("initial_error_range", initial_error_range, shapes=shapes, least=0)
@@ -189,7 +209,7 @@ def make_settings(
         cable=cast(Cable, choice("cable", cable, get_args(Cable))),
         control_frequency=frequency,
         substeps=substeps,
-        termination_radius=number("termination_radius", termination_radius, above=0),
+        termination_radius=number("termination_radius", radius, above=0),
         slack_time=number("slack_time", slack_time, least=0),
         terminate_on_violation=_boolean("terminate_on_violation", terminate_on_violation),
         normalised_observation=_boolean("normalised_observation", normalised_observation),
@@ -199,8 +219,29 @@ def make_settings(
     )
 
 
-def _fewest_substeps(robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float) -> int:
-    """Default number of physics steps per control period, see :func:`make_settings`."""
+@cache
+def _note_unheld_pose(robot: Robot, payload: float, motion: str, pose: tuple[float, ...]) -> None:
+    minimum = textbook.allocated_minimum(robot)
+    torque = textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum)
+    excess = np.abs(torque) - robot.stall_torque
+    motor = int(np.argmax(excess))
+    if excess[motor] > 0:
+        logger.warn(
+            f"robot {robot.name!r} with {payload:g} kg cannot be held at the start of {motion!r}: motor "
+            f"{motor + 1} needs {abs(torque[motor]):.3g} N·m and has {robot.stall_torque[motor]:.3g} N·m. All episodes "
+            "fail; `cablebot robot check` shows what the robot holds"
+        )
+
+
+def fewest_substeps(
+    robot: Robot, uncertainties: tuple[Uncertainty, ...] = (Uncertainty(),), control_frequency: float = FREQUENCY
+) -> int:
+    """Default number of physics steps per control period: the fewest that satisfy :data:`LONGEST_PHYSICS_STEP`,
+    :data:`MODE_LOSS` and :data:`STABLE_PHASE`.
+
+    Raises:
+        ValueError: if there would be more than :data:`MOST_SUBSTEPS`.
+    """
     fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in uncertainties)
     longest = min(LONGEST_PHYSICS_STEP, STABLE_PHASE / fastest)
     if robot.flexible:
@@ -263,7 +304,11 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "noise_seed": lambda name, value: _seeds(name, value, count),
     }
     given = mapping("options", {} if options is None else options, [*checks, *FOREIGN_OPTIONS])
-    return {name: checks[name](name, value) for name, value in given.items() if name not in FOREIGN_OPTIONS}
+    checked = {name: checks[name](name, value) for name, value in given.items() if name not in FOREIGN_OPTIONS}
+    if "trajectory" in checked:
+        bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
+        check_workspace(robot, checked["trajectory"], bounds)
+    return checked
 
 
 def _boolean(name: str, value: Any) -> bool:

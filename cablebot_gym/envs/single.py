@@ -229,12 +229,16 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
     | `control_frequency` | 500 | actions per second [Hz] |
     | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
-    | `termination_radius` | 0.1 | position error beyond which the episode terminates [m] |
+    | `termination_radius` | 0.1, or 2 × bound | position error beyond which the episode terminates [m] |
     | `slack_time` | 0.1 | longest time for which a cable may be slack [s] |
     | `terminate_on_violation` | False | whether the first violation of a limit terminates the episode |
     | `reward_weights` | see "Reward" | weights by reward term |
     | `normalised_observation` | False | whether the observation is normalised, see "Observation space" |
     | `observation_dtype` | "float64" | number type of the observation and its space; "float32" for learning |
+
+    The defaults of a robot are in its data. Without data, the motion is the paper's circle between dwells for a robot
+    with the paper's geometry, else a lemniscate about the home pose that the motors can follow; the bounds are 10 mm
+    (at most 1 % and at least 0.1 % of the width of the base) and 10 mrad.
 
     ## Payload known or unknown
 

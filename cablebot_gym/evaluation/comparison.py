@@ -236,7 +236,7 @@ def compare_policies(
         policies: names, objects with ``predict``, or callables. Reductions are relative to the first policy.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
-        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad, or for those of the robot.
+        error_bounds: bounds of the tracking errors; None for those of the robot.
         uncertainty: model errors and disturbances that the policies do not know, see
             :func:`cablebot_gym.uncertainty.find_uncertainty`.
         draws: number of episodes of each policy; None for the default number under a random uncertainty, else 1.

@@ -26,9 +26,12 @@ from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
+from cablebot_gym.physics.statics import payload_ceiling
 from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
 from cablebot_gym.policies.wrapped import Wrapper
+from cablebot_gym.robots import PAPER_PAYLOAD_MAX, Robot, has_paper_capacity
 from cablebot_gym.task import ErrorBounds
+from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.console import chosen_progress
 
@@ -47,8 +50,8 @@ BISECTION_POINTS = 5
 SEARCH_DRAWS = 16
 """Number of draws of each payload of the scan, if there are several. The confirmation has other draws."""
 
-PAYLOAD_MAX = {"planar": 10.0, "spatial": 20.0}
-"""Default end of the scan [kg]."""
+SCAN_MARGIN = 1.25
+"""End of the scan of a robot without a payload range, over the payload that no controller can be expected to carry."""
 
 DEFAULT_RESOLUTION = 1e-3
 """Default resolution for one draw: gap between the DLCC and the least failed payload [kg]."""
@@ -103,8 +106,8 @@ def evaluate_dlcc(
             name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         criterion: ``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position, slack).
-        error_bounds: bounds of the tracking errors; None for 10 mm and 10 mrad, or for those of the robot.
-        payload_max: end of the scan [kg]; None for 20 kg (spatial), 10 kg (planar), or the end of the robot's range.
+        error_bounds: bounds of the tracking errors; None for those of the robot.
+        payload_max: end of the scan [kg]; None for that of :func:`default_payload_max`.
         resolution: largest gap to the least failed payload [kg]; None for :data:`DEFAULT_RESOLUTION`, or
             :data:`DRAWN_RESOLUTION` with several draws.
         uncertainty: model errors and disturbances that the policy does not know, see
@@ -149,8 +152,9 @@ def evaluate_dlcc(
         keywords=keywords,
     )
     robot = batch.task.robot
-    _, usual = robot.defaults.payload_range or (0.0, PAYLOAD_MAX["planar" if robot.planar else "spatial"])
-    top = number("payload_max", usual if payload_max is None else payload_max, above=0, unit="kg")
+    if payload_max is None:
+        payload_max = default_payload_max(robot, batch.task.trajectory, batch.error_bounds)
+    top = number("payload_max", payload_max, above=0, unit="kg")
     several = batch.draws > 1
     ranked = search == SEARCHES[0]
     default = DEFAULT_RESOLUTION if ranked and not several else DRAWN_RESOLUTION
@@ -194,6 +198,21 @@ def evaluate_dlcc(
         wrappers=batch.wrappers,
         **batch.description(),
     )
+
+
+def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
+    """Default end of the scan of a robot [kg]: the end of its payload range, or slightly more than its motors hold.
+
+    For the paper's robots it is :data:`~cablebot_gym.robots.PAPER_PAYLOAD_MAX`.
+    """
+    if robot.defaults.payload_range is not None:
+        return robot.defaults.payload_range[1]
+    if has_paper_capacity(robot):
+        return PAPER_PAYLOAD_MAX[robot.kind]
+    ceiling = payload_ceiling(robot, trajectory, error_bounds)
+    if ceiling <= 0:  # the motors do not even hold the platform
+        ceiling = robot.mass
+    return float(f"{SCAN_MARGIN * ceiling:.2g}")
 
 
 _Verdicts = Sequence[Verdict]

@@ -15,7 +15,7 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.constraints import Verdict
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.task import Task
@@ -42,6 +42,8 @@ class Rollout:
     arrays: Mapping[str, Array]
     """Arrays by name, with the control steps as first axis, in SI units and radians. Pose, velocity, reference and
     errors are those at ``time``, the end of the step. ``pose`` and ``velocity`` are measured, ``true_pose`` is exact.
+    Flexible robots have the measured ``motor_angle``, too, and with joint springs and cables that do not stretch the
+    ``spring_deflection``, the motor angle minus the pulley angle.
     Commanded action, torques, tensions and motor speeds are those at ``action_time``, the start of the step."""
     verdict: Verdict
     """Verdict under the criterion."""
@@ -98,7 +100,8 @@ class Recorder:
     def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Records the state after the reset."""
         self._env, tasks = env, env.tasks
-        self._tasks, self._stall_torque = [tasks[index] for index in self._indices], self._env.truth["motor_strength"]
+        self._tasks, self._truth = [tasks[index] for index in self._indices], self._env.truth
+        self._stall_torque = self._truth["motor_strength"]
         self._record(observation, np.zeros(len(observation)), info)
 
     def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
@@ -115,9 +118,23 @@ class Recorder:
             motion |= {f"measured_{name}": observation[:, slices[name]] for name in measurement.sizes(robot)}
         else:
             motion = {name: observation[:, slices[name]] for name in ("pose", "velocity")} | motion
+            if robot.flexible:
+                motion["motor_angle"] = observation[:, slices["motor_angle"]]
+        if robot.jointed and not robot.elastic:  # the length of an elastic cable does not tell the pulley angle
+            motion["spring_deflection"] = observation[:, slices["motor_angle"]] - self._pulley_angle()
         state = {"time": info["time"], **motion, **info, "reward": reward, "true_pose": self._env.pose}
         names = state.keys() if self._names is None else self._names
         self._states.append({name: values[self._indices] for name, values in state.items() if name in names})
+
+    def _pulley_angle(self) -> Array:
+        """Pulley angles of the true robots, (N, m) [rad]."""
+        robot, pose = self._env.settings.robot, self._env.pose
+        platform = self._truth.get("platform_anchors", robot.platform)
+        lengths = [
+            cable_lengths(self._truth["base_anchors"], platform, at, robot.swivel)
+            for at in (np.broadcast_to(robot.home, pose.shape), pose)
+        ]
+        return np.asarray((lengths[0] - lengths[1]) / robot.pulley_radius)
 
     def rollouts(self, verdicts: Sequence[Verdict]) -> list[Rollout]:
         """The recorded episodes.

@@ -11,7 +11,6 @@ program.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,7 @@ from scipy.sparse import csr_matrix
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, largest_scale
+from cablebot_gym.physics.statics import HEAVIEST, hold_payload
 from cablebot_gym.physics.textbook import cable_equivalent
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
 from cablebot_gym.planning.signals import SolverInterrupt
@@ -37,7 +36,7 @@ from cablebot_gym.planning.stage_functions import (
     start_stage,
 )
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds, at_rest, start_pose
+from cablebot_gym.task import ErrorBounds, start_pose
 from cablebot_gym.trajectories import Trajectory
 
 STAGES_PER_INTERVAL = {"rigid": 2, "flexible": 4}
@@ -52,9 +51,6 @@ _TOLERANCE = 1e-5
 
 _LIGHTEST = -0.95
 """Smallest payload of the program in platform masses. A negative payload tells how much too heavy the platform is."""
-
-HEAVIEST = 1000.0
-"""Largest payload of the program in platform masses. If this payload is feasible, the payload is unlimited."""
 
 _START_MASSES = 65
 """Number of masses in the table of the springs at rest. The tensions of redundant cables are not linear in the mass."""
@@ -456,37 +452,6 @@ class MotionProgram:
         }
         program = {"x": z, "f": -z[int(self._payload_at[0])], "g": constraints}
         return ca.nlpsol("motion", "ipopt", program, options), np.concatenate(lows), np.concatenate(highs)
-
-
-def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
-    """Largest payload with which the motors hold the robot at the start pose [kg], in closed form.
-
-    The static torques are affine in the payload. The result is ``inf`` if the motion does not start at rest or no
-    payload changes the torques (without gravity), and ``-inf`` if the motors hold no payload.
-    """
-    if not at_rest(trajectory(0.0)):
-        return math.inf
-    pose = start_pose(robot, trajectory, error_bounds)
-    if not robot.weightless and robot.cables > robot.coordinates:
-        return _hold_payload_of_redundant_cables(robot, pose)
-    minimum = textbook.allocated_minimum(robot)
-    empty, loaded = (
-        textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum) for payload in (0.0, 1.0)
-    )
-    slope, sign = np.abs(loaded - empty), np.where(loaded < empty, -1.0, 1.0)
-    room = robot.stall_torque - sign * empty
-    with np.errstate(divide="ignore"):
-        payloads = np.where(slope > 0, room / slope, np.where(room < 0, -np.inf, np.inf))
-    return float(payloads.min())
-
-
-def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
-    """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if there is none."""
-    zero, most = np.zeros_like(pose), robot.stall_torque / robot.pulley_radius
-    least, unit = textbook.allocated_minimum(robot), textbook.load(robot, 1.0, pose, zero, zero)
-    heaviest = (1 + HEAVIEST) * robot.mass
-    found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, heaviest)
-    return float(found.largest) - robot.mass if found.status == HELD else -math.inf
 
 
 def greville(knots: Array, degree: int) -> Array:

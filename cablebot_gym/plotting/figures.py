@@ -154,6 +154,38 @@ def _drawn(result: DLCCResult, parts: Mapping[Callable[[FigureBase, DLCCResult],
     return figure
 
 
+def draw_springs(result: DLCCResult) -> Figure:
+    """Draws the deflection of each joint spring over time, and its mean.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+        ValueError: if the robot has no joint springs, or its cables stretch.
+    """
+    deflections = result.rollout.arrays.get("spring_deflection")
+    if deflections is None:
+        raise ValueError(f"robot {result.task.robot.name!r} has no joint springs with cables that do not stretch")
+    cables, columns = deflections.shape[1], min(3, deflections.shape[1])
+    figure = new_figure(torques_height(cables))
+    grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)
+    times = result.rollout.arrays["time"]
+    for axes in grid.flat[cables:]:
+        axes.remove()
+    for spring, axes in enumerate(grid.flat[:cables]):
+        axes.set_title(f"spring {spring + 1}", fontsize=11)
+        axes.axhline(0.0, color="black", linewidth=1.0, label="no torque")
+        axes.axhline(deflections[:, spring].mean(), color=GREY, linewidth=1.0, linestyle="--", label="mean")
+        label = "motor angle minus pulley angle"
+        axes.plot(times, deflections[:, spring], color=BLUE, linewidth=1.4, marker=_marker(times), label=label)
+        below = spring + columns >= cables
+        axes.tick_params(labelbottom=below)
+        axes.set(xlim=_span(times, _end(result)), xlabel="time [s]" if below else "")
+        if spring % columns == 0:
+            axes.set_ylabel("deflection [rad]")
+    add_legend(figure, grid.flat[0])
+    _set_result_title(figure, result)
+    return figure
+
+
 def draw_success(result: DLCCResult) -> Figure:
     """Draws the fraction of the scan's draws that carry each payload, the required probability and the payload.
 
@@ -181,7 +213,9 @@ def draw_success(result: DLCCResult) -> Figure:
 
 
 def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
-    """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``; several draws add ``success-<criterion>.png``.
+    """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``.
+
+    Several draws add ``success-<criterion>.png``, and joint springs ``springs-<criterion>.png``.
 
     An interrupted call leaves no partial file.
 
@@ -198,6 +232,8 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
     figures = {"torques": draw_torques(result), "path": draw_path(result)}
     if result.probability is not None:
         figures["success"] = draw_success(result)
+    if "spring_deflection" in result.rollout.arrays:
+        figures["springs"] = draw_springs(result)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():

@@ -19,9 +19,9 @@ from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, Task, evaluate_dlcc
 from cablebot_gym.evaluation.batch import noise_seed
-from cablebot_gym.evaluation.evaluator import PAYLOAD_MAX, SCAN_POINTS
+from cablebot_gym.evaluation.evaluator import SCAN_POINTS
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.robots import PLANAR, SPATIAL, Motors
+from cablebot_gym.robots import PAPER_PAYLOAD_MAX, PLANAR, SPATIAL, Motors
 from cablebot_gym.trajectories import Dwell, find_trajectory
 
 PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
@@ -265,8 +265,8 @@ def test_tasks_contain_public_knowledge_only(known):
     tasks = spy.tasks[0]
     assert len(tasks) == SCAN_POINTS
     payloads = np.sort([task.model_payload for task in tasks])
-    assert (payloads[0], payloads[-1]) == (0.0, PAYLOAD_MAX["spatial"] * known)
-    assert PAYLOAD_MAX == {"planar": 10.0, "spatial": 20.0}
+    assert (payloads[0], payloads[-1]) == (0.0, PAPER_PAYLOAD_MAX["spatial"] * known)
+    assert PAPER_PAYLOAD_MAX == {"planar": 10.0, "spatial": 20.0}
     names = {field.name for field in dataclasses.fields(Task)}
     assert names == {"robot", "trajectory", "model_payload", "measurement", *public}
     for task in tasks:

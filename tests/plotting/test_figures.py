@@ -8,12 +8,14 @@ import sys
 import numpy as np
 import pytest
 
+from cablebot_gym.bounds.robot_check import check_model
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
-from cablebot_gym.robots import PLANAR
+from cablebot_gym.physics.textbook import pulley_angle
+from cablebot_gym.robots import PLANAR, find_robot
 
 figure_module = pytest.importorskip("matplotlib.figure")
 
-from cablebot_gym.plotting import comparison, figures  # noqa: E402
+from cablebot_gym.plotting import comparison, draw_robot, figures  # noqa: E402
 
 PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 SMALL = {"payload_max": 1.0, "resolution": 0.5}
@@ -27,6 +29,39 @@ def results():
         "spatial": evaluate_dlcc("fl", SPATIAL_ID, payload_max=4.0, resolution=4.0),
         "violent": evaluate_dlcc(lambda _: np.array([-3.0, 2.0, 1.0]), PLANAR_ID, **SMALL),
     }
+
+
+@pytest.fixture(scope="module")
+def springs():
+    """Short dwell with joint springs."""
+    dwell = {"name": "dwell-planar", "duration": 0.05}
+    return evaluate_dlcc("motor-pd", "CableBot-FlexPlanar-v0", trajectory=dwell, search="bisection", **SMALL)
+
+
+def test_springs_have_their_deflections(springs):
+    """At rest the deflection times K is the torque of the motor."""
+    rollout, robot = springs.rollout, springs.task.robot
+    deflection = rollout.start["spring_deflection"]
+    np.testing.assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
+    pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
+    np.testing.assert_allclose(pulley, pulley_angle(robot, rollout.arrays["true_pose"]), atol=1e-12)
+    drawn = figures.draw_springs(springs).axes
+    assert [axes.get_title() for axes in drawn] == ["spring 1", "spring 2", "spring 3"]
+    for spring, axes in enumerate(drawn):
+        np.testing.assert_array_equal(axes.get_lines()[2].get_ydata(), rollout.arrays["spring_deflection"][:, spring])
+
+
+def test_springs_of_a_rigid_robot_raise(results):
+    with pytest.raises(ValueError, match="'planar' has no joint springs"):
+        figures.draw_springs(results["planar"])
+
+
+def test_drawing_of_a_robot_numbers_its_cables():
+    """Cables on one line in a view share a text."""
+    robot = find_robot("cogiro")
+    for axes in draw_robot(check_model(robot)).axes:
+        numbers = ", ".join(text.get_text() for text in axes.texts).split(", ")
+        assert sorted(map(int, numbers)) == list(range(1, robot.cables + 1))
 
 
 @pytest.fixture(params=["planar", "spatial", "violent"])

@@ -32,6 +32,8 @@ class FeedbackLinearization(ClassicalLaw):
         ValueError: if a gain is not positive, or ``minimum_tension`` is negative.
     """
 
+    for_rigid_robots = True
+
     def __init__(
         self,
         robot: Robot,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,15 @@ from cablebot_gym.utils.checks import number
 Array = NDArray[Any]
 
 
+_LOGGER = logging.getLogger("cablebot_gym")
+
+
+def flexible_advice(robot: Robot) -> str:
+    """What a law for rigid robots says about a flexible one: its springs, and the laws that work."""
+    springs = "joint springs" if robot.jointed else "elastic cables"
+    return f"robot {robot.name!r} has {springs}. Use composite-tuned or adaptive-composite."
+
+
 class ClassicalLaw:
     """Control law that computes motor torques from the blocks of the observation and the nominal parameters.
 
@@ -40,6 +50,8 @@ class ClassicalLaw:
     """
 
     unsaturated_actions = True
+    for_rigid_robots = False
+    """Whether the law ignores springs. On a flexible robot it usually fails unloaded, and logs an advice."""
     usual_minimum = MINIMUM_TENSION
     """Usual least tension [N]."""
     tension_reserve = TENSION_RESERVE
@@ -48,6 +60,8 @@ class ClassicalLaw:
     def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
         if minimum_tension is None:
             minimum_tension = allocated_minimum(robot, self.usual_minimum, self.tension_reserve)
+        if self.for_rigid_robots and robot.flexible:
+            _LOGGER.warning("%s is for rigid robots, but %s", type(self).__name__, flexible_advice(robot))
         self.robot, self.minimum_tension = robot, number("minimum_tension", minimum_tension, least=0.0, unit="N")
         self.model = joint_equivalent(robot)
         """Robot of the law's equations: that with joint springs in place of elastic cables."""

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from cablebot_baselines.classical.adaptive import ADAPTIVE_GAINS, Adaptive, EstimatorState
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps, flexible_advice
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.optimal.horizon import HORIZON, HorizonProgram, PlanningError, Tuning
@@ -116,9 +116,7 @@ class NonlinearMPC(ClassicalLaw):
 
     def __init__(self, robot: Robot, *, tuning: Tuning | None = None, gains: tuple[float, float] | None = None) -> None:
         if robot.flexible:
-            raise ValueError(
-                f"nmpc needs a rigid robot, but robot {robot.name!r} has joint springs. Use adaptive-composite."
-            )
+            raise ValueError(f"nmpc needs a rigid robot, but {flexible_advice(robot)}")
         tuning = tuning or by_kind(TUNING, robot)
         self.program = HorizonProgram(robot, tuning)
         super().__init__(robot, minimum_tension=self.program.minimum_tension)

@@ -1,0 +1,155 @@
+"""Tensions and payloads that cables and motors can hold, at rest or along a motion, without a simulation.
+
+The answers are exact for rigid transmissions. Joint springs and the stretch of the cables are left out: motor and
+pulley turn together.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.distribution import HELD, Feasibility, ScaleInterval, feasible, largest_scale
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds, at_rest, start_pose
+from cablebot_gym.trajectories import Reference, Trajectory
+from cablebot_gym.utils.checks import number, numbers
+
+HEAVIEST = 1000.0
+"""Largest payload that is tried, in platform masses. If this payload is feasible, the payload is unlimited."""
+
+_SAMPLES = 201
+"""Number of checked instants of a motion."""
+
+
+def resting(poses: Array) -> Reference:
+    """The reference of a robot that rests at poses (K, n)."""
+    zero = np.zeros_like(poses)
+    return Reference(position=poses, velocity=zero, acceleration=zero, jerk=zero, snap=zero)
+
+
+def tension_bounds(
+    robot: Robot, reference: Reference, minimum: float, *, line_speed: ArrayLike = 1.0
+) -> tuple[Array, Array]:
+    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension and the torque-speed lines.
+
+    Speeds and pulley accelerations, and so the bounds, do not depend on the mass.
+
+    Args:
+        robot: the robot.
+        reference: the reference at K instants.
+        minimum: minimum tension [N].
+        line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor.
+
+    Returns:
+        The tensions; NaN where a cable has no length, and thus no direction.
+
+    Raises:
+        ValueError: if a number is not finite.
+    """
+    known = np.isfinite(textbook.jacobian(robot, reference.position)).all(axis=(-2, -1))[..., None]
+    pose = np.where(known, reference.position, robot.home)
+    velocity, acceleration = reference.velocity, reference.acceleration
+    speed = textbook.pulley_speed(robot, pose, velocity)
+    rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
+    if robot.flexible:
+        rest = rest + textbook.coulomb_torque(robot, speed)
+    if robot.jointed:
+        rest = rest + robot.motor_damping * speed
+        rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
+    lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
+    lower = np.maximum(lower, number("minimum", minimum))
+    return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
+
+
+def required_load(robot: Robot, reference: Reference, payload: float) -> Array:
+    """Generalised force that a reference requires with a payload [kg], (K, n)."""
+    mass = np.full(len(reference.position), robot.mass + payload)
+    return textbook.load(robot, mass, reference.position, reference.velocity, reference.acceleration)
+
+
+def feasible_payloads(robot: Robot, reference: Reference) -> ScaleInterval:
+    """Interval of the payloads with which cables and motors follow a reference, at each of its K instants [kg]."""
+    unloaded = required_load(robot, reference, 0.0)
+    return largest_scale(
+        textbook.jacobian(robot, reference.position),
+        unloaded,
+        required_load(robot, reference, 1.0) - unloaded,
+        *tension_bounds(robot, reference, robot.minimum_tension),
+        HEAVIEST * robot.mass,
+    )
+
+
+def feasibility(robot: Robot, reference: Reference, payload: float) -> Feasibility:
+    """Whether cables and motors follow a reference with a payload [kg], at each of its instants."""
+    return feasible(
+        textbook.jacobian(robot, reference.position),
+        required_load(robot, reference, payload),
+        *tension_bounds(robot, reference, robot.minimum_tension),
+    )
+
+
+def holds(robot: Robot, poses: Array, payload: float) -> Array:
+    """Whether cables and motors hold a payload [kg] at rest at poses (K, n), shape (K,)."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # anchors and swivel pulleys
+        known = np.isfinite(textbook.jacobian(robot, poses)).all(axis=(1, 2))
+    held = np.zeros(len(poses), bool)
+    held[known] = feasibility(robot, resting(poses[known]), payload).status == HELD
+    return held
+
+
+def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
+    """Largest payload with which the motors hold the robot at the start pose [kg], in closed form.
+
+    The static torques are affine in the payload. The result is ``inf`` if the motion does not start at rest or no
+    payload changes the torques (without gravity), and ``-inf`` if the motors hold no payload.
+    """
+    if not at_rest(trajectory(0.0)):
+        return math.inf
+    pose = start_pose(robot, trajectory, error_bounds)
+    if not robot.weightless and robot.cables > robot.coordinates:
+        return _hold_payload_of_redundant_cables(robot, pose)
+    minimum = textbook.allocated_minimum(robot)
+    empty, loaded = (
+        textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum) for payload in (0.0, 1.0)
+    )
+    slope, sign = np.abs(loaded - empty), np.where(loaded < empty, -1.0, 1.0)
+    room = robot.stall_torque - sign * empty
+    with np.errstate(divide="ignore"):
+        payloads = np.where(slope > 0, room / slope, np.where(room < 0, -np.inf, np.inf))
+    return float(payloads.min())
+
+
+def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
+    """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if there is none."""
+    zero, most = np.zeros_like(pose), robot.stall_torque / robot.pulley_radius
+    least, unit = textbook.allocated_minimum(robot), textbook.load(robot, 1.0, pose, zero, zero)
+    heaviest = (1 + HEAVIEST) * robot.mass
+    found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, heaviest)
+    return float(found.largest) - robot.mass if found.status == HELD else -math.inf
+
+
+EXACT_FACTOR = 5.0
+"""Largest ratio of a controller's payload to that of exact tracking on a robot without gravity. It is 2.6 for the best
+known payload of the paper's planar robot."""
+
+
+def payload_ceiling(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
+    """Payload that no controller can be expected to carry [kg]; ``-inf`` if the motors cannot hold the start.
+
+    With gravity it is the payload that the motors hold at the start pose. Without, they hold every payload at rest, and
+    it is a multiple of the payload of exact tracking, at least the mass of the platform.
+    """
+    held = hold_payload(robot, trajectory, error_bounds)
+    if math.isfinite(held):
+        return held
+    if held < 0:
+        return -math.inf
+    payloads = feasible_payloads(robot, trajectory(np.linspace(0.0, trajectory.duration, _SAMPLES)))
+    exact = np.min(payloads.largest, initial=math.inf, where=payloads.status == HELD)
+    return max(EXACT_FACTOR * float(exact), robot.mass) if math.isfinite(exact) else robot.mass
