@@ -121,7 +121,7 @@ def test_wide_table_on_a_phone_shows_that_it_scrolls(browser, style, box, scheme
     left, right = edges()
     assert left < 20 < right
     page.evaluate(f"document.querySelector('.{box}').scrollLeft = 1e6")
-    page.wait_for_timeout(100)
+    page.evaluate("new Promise(painted => requestAnimationFrame(() => requestAnimationFrame(painted)))")
     left, right = edges()
     assert right < 20 < left
     page.close()

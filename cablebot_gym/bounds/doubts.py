@@ -10,7 +10,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import RPM, STANDARD_GRAVITY, Robot, holds_upside_down, reach_and_gyration, vertical_remedy
+from cablebot_gym.robots import RPM, GRAVITY, Robot, holds_upside_down, reach_and_gyration, vertical_remedy
 from cablebot_gym.task import find_error_bounds
 
 
@@ -62,7 +62,7 @@ def _motors(robot: Robot) -> Iterator[_Quantity]:
         f"motors.free_speed gives {speed:.4g} m/s at the cable of a robot of {size:.3g} m: is it in rad/s at the "
         f"pulley? Multiply rpm by {RPM:.4f} and divide by the gear ratio",
     )
-    earth = robot.mass * STANDARD_GRAVITY
+    earth = robot.mass * GRAVITY
     yield _Quantity(
         force,
         0.0,
@@ -140,7 +140,7 @@ def _lengths(robot: Robot) -> Iterator[_Quantity]:
 
 def _platform(robot: Robot) -> Iterator[_Quantity]:
     if not robot.weightless:
-        gravity = f"gravity is {robot.gravity:g} m/s²: is it in m/s²? On Earth it is {STANDARD_GRAVITY}"
+        gravity = f"gravity is {robot.gravity:g} m/s²: is it in m/s²? On Earth it is {GRAVITY}"
         yield _Quantity(robot.gravity, 1.0, 30.0, gravity)
     if robot.point_mass:
         return
@@ -204,7 +204,7 @@ def _defaults(robot: Robot) -> Iterator[_Quantity]:
     if robot.defaults.payload_range is not None:
         most = robot.defaults.payload_range[1]
         heavy = robot.mass + most
-        held = robot.cables * _force(robot) / STANDARD_GRAVITY
+        held = robot.cables * _force(robot) / GRAVITY
         yield _Quantity(
             heavy,
             0.0,

@@ -51,7 +51,7 @@ def tension_bounds(
     Raises:
         ValueError: if a number is not finite.
     """
-    known = np.isfinite(textbook.jacobian(robot, reference.position)).all(axis=(-2, -1))[..., None]
+    known = np.all(np.isfinite(textbook.jacobian(robot, reference.position)), axis=(-2, -1), keepdims=True)[..., 0]
     pose = np.where(known, reference.position, robot.home)
     velocity, acceleration = reference.velocity, reference.acceleration
     speed = textbook.pulley_speed(robot, pose, velocity)

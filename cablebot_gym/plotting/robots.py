@@ -91,7 +91,8 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
         free = [index for index, gap in enumerate(gaps) if gap > _NUMBER_GAP * width]
         place = along[free[0] if free else int(np.argmax(gaps))]
         places.append(place)
-        axes.text(
+        write: Any = axes.text  # its types know no third coordinate
+        write(
             *place,
             ", ".join(str(index + 1) for index in group),
             fontsize=8,

@@ -76,7 +76,7 @@ class PayloadCurriculumVector(BatchWrapper):
         """
         settings = self._plant.settings
         times = np.linspace(0.0, settings.trajectory.duration, SAMPLES)
-        exact = payload_limit(settings.robot, times, settings.trajectory(times)).largest
+        exact = payload_limit(settings.robot, times, settings.trajectory(times), payload=0.0).largest
         if not exact > 0.0:
             raise ValueError(
                 f"heaviest must be given in kg: the motors of robot {settings.robot.name!r} cannot follow the motion "
