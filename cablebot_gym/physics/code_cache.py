@@ -43,7 +43,7 @@ _DIGEST = hashlib.sha256().digest_size
 _LOGGER = logging.getLogger(PACKAGE)
 
 
-class CodeCache(_Cache):  # type: ignore[misc]
+class CodeCache(_Cache):
     """Compiled code of a function, in the interface by which numba's dispatchers use a cache.
 
     Args:
