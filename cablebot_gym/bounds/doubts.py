@@ -10,7 +10,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import RPM, GRAVITY, Robot, holds_upside_down, reach_and_gyration, vertical_remedy
+from cablebot_gym.robots import GRAVITY, RPM, Robot, holds_upside_down, reach_and_gyration, vertical_remedy
 from cablebot_gym.task import find_error_bounds
 
 
