@@ -69,7 +69,8 @@ def test_lengths_and_static_tensions_are_those_of_the_file(write, source):
     anchors = np.array(BODY) + center
     random = np.random.default_rng(0)
     for _ in range(20):
-        position, angles = random.uniform(-0.2, 0.2, 3) + [0, 0, 1], random.uniform(-0.3, 0.3, 3)
+        position = np.array([0.0, 0.0, 1.0]) + random.uniform(-0.2, 0.2, 3)
+        angles = random.uniform(-0.3, 0.3, 3)
         rotation = Rotation.from_euler("XYZ", angles)  # CASPR: intrinsic x, y, z
         arms = rotation.apply(anchors)
         ropes = np.array(BASE) - position - arms
