@@ -31,6 +31,6 @@ def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
             if text.startswith("assumed") == assumed:
                 print(f"{label:<11}{name}: {text.removeprefix('assumed: ')}")
     for note in imported.notes:
-        print(f"left out   {note}")
+        print(f"note       {note}")
     atomic_write_text(out, imported.to_toml())
     notes_console().print(f"wrote {out}. Change what is assumed there, then run: cablebot robot check {out}")

@@ -252,7 +252,7 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
             points[int(_value(attachment, "link"))] = _vector(attachment, "location")
         else:
             raise ValueError(
-                f"{name!r} has <{attachment.tag}>, for which there is no model: choose another --cable-set"
+                f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set"
             )
     if len(attachments) != 2 or sorted(points) != [0, 1]:
         raise ValueError(f"{name!r} does not run from the base straight to the body")

@@ -169,6 +169,5 @@ def test_command_says_the_largest_speed_of_waypoints(cablebot, tmp_path):
     path = tmp_path / "way.csv"
     path.write_text("t,x,y\n0,0,0\n1,0.1,0\n", encoding="utf-8")
     ended = cablebot("robot", "check", "planar", "--trajectory", path)
-    assert ended.status == 0
     pattern = r"way\.csv: 2 waypoints in 1 s between dwells of 0\.3 s; largest speed 0\.2\d* m/s, largest accel.* m/s²"
     assert re.search(pattern, ended.err), ended.err
