@@ -92,7 +92,8 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
         place = along[free[0] if free else int(np.argmax(gaps))]
         places.append(place)
         axes.text(
-            *place,
+            float(place[0]),
+            float(place[1]),
             ", ".join(str(index + 1) for index in group),
             fontsize=8,
             ha="center",
