@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -91,9 +91,9 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
         free = [index for index, gap in enumerate(gaps) if gap > _NUMBER_GAP * width]
         place = along[free[0] if free else int(np.argmax(gaps))]
         places.append(place)
-        write: Any = axes.text  # its types know no third coordinate
-        write(
-            *place,
+        axes.text(
+            float(place[0]),
+            float(place[1]),
             ", ".join(str(index + 1) for index in group),
             fontsize=8,
             ha="center",
