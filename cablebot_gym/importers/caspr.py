@@ -251,9 +251,7 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
         elif attachment.tag == "attachment":
             points[int(_value(attachment, "link"))] = _vector(attachment, "location")
         else:
-            raise ValueError(
-                f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set"
-            )
+            raise ValueError(f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set")
     if len(attachments) != 2 or sorted(points) != [0, 1]:
         raise ValueError(f"{name!r} does not run from the base straight to the body")
     anchor = points[1] + center if cable.get("attachment_reference") == "com" else points[1]

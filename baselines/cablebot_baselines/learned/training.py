@@ -107,13 +107,13 @@ def train(
         network_from_sb3(model)  # fails before the training if the model cannot be exported
         total, evaluation = state.settings["timesteps"], state.settings["evaluation"]
         steered = steered_env(model)
-        plant: Any = steered.unwrapped
+        plain: Any = steered.unwrapped
         run = runs.Run(
             state,
             steered.steering,
             total=total,
             evaluation=evaluation,
-            trained_on=[plant.settings.trajectory],
+            trained_on=[plain.settings.trajectory],
             progress=progress,
             say=say,
         )
