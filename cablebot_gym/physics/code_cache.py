@@ -40,7 +40,7 @@ _DIGEST = hashlib.sha256().digest_size
 _LOGGER = logging.getLogger(PACKAGE)
 
 
-class CodeCache(_Cache):  # type: ignore[misc]
+class CodeCache(_Cache):
     """Compiled code of a function, in the interface by which numba's dispatchers use a cache.
 
     Args:
@@ -62,7 +62,9 @@ class CodeCache(_Cache):  # type: ignore[misc]
         target_context.refresh()
 
         def rebuild(data: bytes) -> Any:
-            return CompileResult._rebuild(target_context, *pickle.loads(_checked(data)))
+            return CompileResult._rebuild(  # type: ignore[no-untyped-call]
+                target_context, *pickle.loads(_checked(data))
+            )
 
         name = self._file_name(sig, target_context.codegen())
         for folder in code_folders() if self._enabled else ():
@@ -74,7 +76,7 @@ class CodeCache(_Cache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Stores the compiled code of a signature, if a folder is writable."""
-        content = dumps(data._reduce())
+        content = dumps(data._reduce())  # type: ignore[no-untyped-call]
         path = code_folders()[-1] / self._file_name(sig, data.codegen)
         try:
             atomic_write(path, lambda temporary: temporary.write_bytes(hashlib.sha256(content).digest() + content))
@@ -104,7 +106,8 @@ class CodeCache(_Cache):  # type: ignore[misc]
 
 def code_folders() -> list[Path]:
     """Folders that compiled code is read from. It is written to the last one."""
-    return list(_folders(str(config.CACHE_DIR), cache_folder()))
+    named = str(config.CACHE_DIR)  # type: ignore[attr-defined]
+    return list(_folders(named, cache_folder()))
 
 
 @cache
