@@ -65,7 +65,9 @@ class CodeCache(_Cache):
         target_context.refresh()
 
         def rebuild(data: bytes) -> Any:
-            return CompileResult._rebuild(target_context, *pickle.loads(_checked(data)))
+            return CompileResult._rebuild(  # type: ignore[no-untyped-call]
+                target_context, *pickle.loads(_checked(data))
+            )
 
         name = self._file_name(sig, target_context.codegen())
         for folder in code_folders() if self._enabled else ():
@@ -77,7 +79,7 @@ class CodeCache(_Cache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Stores the compiled code of a signature, if a folder is writable."""
-        content = dumps(data._reduce())
+        content = dumps(data._reduce())  # type: ignore[no-untyped-call]
         path = code_folders()[-1] / self._file_name(sig, data.codegen)
         try:
             atomic_write(path, lambda temporary: temporary.write_bytes(hashlib.sha256(content).digest() + content))
@@ -107,7 +109,8 @@ class CodeCache(_Cache):
 
 def code_folders() -> list[Path]:
     """Folders that compiled code is read from. It is written to the last one."""
-    return list(_folders(str(config.CACHE_DIR), cache_folder()))
+    named = str(config.CACHE_DIR)  # type: ignore[attr-defined]
+    return list(_folders(named, cache_folder()))
 
 
 @cache
