@@ -80,7 +80,7 @@ def read(path: Path, cable_set: str | None) -> Source:
     source = _body(name, links[0], element, joint)
     chosen = _cable_set(cables, cable_set)
     _add_cables(source, chosen, joint, f"CASPR, {name}_cables.xml, set {chosen.get('id')}", _center(links[0]))
-    source.notes.append("q_min and q_max are left out: without `workspace`, it is the box of the base anchors")
+    source.notes.append("q_min and q_max are not read: without `workspace`, it is the box of the base anchors")
     return source
 
 
@@ -251,9 +251,7 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
         elif attachment.tag == "attachment":
             points[int(_value(attachment, "link"))] = _vector(attachment, "location")
         else:
-            raise ValueError(
-                f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set"
-            )
+            raise ValueError(f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set")
     if len(attachments) != 2 or sorted(points) != [0, 1]:
         raise ValueError(f"{name!r} does not run from the base straight to the body")
     anchor = points[1] + center if cable.get("attachment_reference") == "com" else points[1]
