@@ -17,7 +17,7 @@ CENTER = (0.02, -0.01, 0.03)
 Z_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
-def bodies(joint="SPATIAL_EULER_XYZ", start="0.1 0 1 0.1 -0.2 0.3", ref="com", count=1):
+def bodies(joint="SPATIAL_EULER_XYZ", start="0.1 0 1 0.05 -0.06 0.04", ref="com", count=1):
     names = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
     inertia = "".join(f"<{name}>{value}</{name}>" for name, value in zip(names, (1, 2, 2.5, 0.1, 0.2, 0), strict=True))
     link = f"""<link_rigid num="1" name="x"><joint type="{joint}" q_initial="{start}"/>
@@ -92,7 +92,7 @@ def test_values_of_a_caspr_file_reach_the_robot_and_its_toml_file(write, tmp_pat
     robot = imported.robot
     np.testing.assert_allclose(robot.inertia_tensor, Z_DOWN @ [[1, 0.1, 0.2], [0.1, 2, 0], [0.2, 0, 2.5]] @ Z_DOWN)
     np.testing.assert_allclose(robot.stall_torque / robot.pulley_radius, 100 + np.arange(8), rtol=1e-5)
-    turn = Z_DOWN @ Rotation.from_euler("XYZ", [0.1, -0.2, 0.3]).as_matrix() @ Z_DOWN
+    turn = Z_DOWN @ Rotation.from_euler("XYZ", [0.05, -0.06, 0.04]).as_matrix() @ Z_DOWN
     home = [0.1, 0, -1.1, *Rotation.from_matrix(turn).as_euler("ZYX")[::-1]]
     np.testing.assert_allclose(robot.home, home, atol=1e-5)
     assert (robot.mass, robot.minimum_tension) == (5.0, 2.0)

@@ -80,7 +80,7 @@ def read(path: Path, cable_set: str | None) -> Source:
     source = _body(name, links[0], element, joint)
     chosen = _cable_set(cables, cable_set)
     _add_cables(source, chosen, joint, f"CASPR, {name}_cables.xml, set {chosen.get('id')}", _center(links[0]))
-    source.notes.append("q_min and q_max are left out: without `workspace`, it is the box of the base anchors")
+    source.notes.append("q_min and q_max are not read: without `workspace`, it is the box of the base anchors")
     return source
 
 
