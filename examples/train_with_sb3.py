@@ -8,6 +8,7 @@ Run it: python examples/train_with_sb3.py [FOLDER [TIMESTEPS]]
 import sys
 from pathlib import Path
 
+import torch
 from stable_baselines3 import PPO
 
 from cablebot_baselines.learned.recipe import make_training_envs, ppo_settings, trained_policy
@@ -18,6 +19,7 @@ ENV_ID = "CableBot-Planar-v0"
 if __name__ == "__main__":
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/sb3")
     timesteps = int(sys.argv[2]) if len(sys.argv) > 2 else 400_000
+    torch.set_num_threads(1)  # more threads do not speed up so small a network
     envs = make_training_envs(ENV_ID, 256, seed=0)
     model = PPO("MlpPolicy", envs, seed=0, verbose=1, **ppo_settings(ENV_ID, 256))
     model.learn(timesteps)
