@@ -119,8 +119,8 @@ FUNCTIONS = {
         {"payload": np.zeros(2), "uniform": np.full((2, draw_size(SPATIAL)), 0.5)},
     ),
 }
-VALID = {("lower", -math.inf), ("upper", math.inf)}
-"""Bounds that exclude nothing."""
+VALID = {("lower", -math.inf), ("upper", math.inf), ("times", -math.inf), ("times", math.inf)}
+"""Bounds that exclude nothing, and times before and after a motion."""
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -100,7 +100,7 @@ def exact_payload(
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
     minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
-    line_speed, grid = numbers("line_speed", line_speed, least=0), number("grid", grid, above=0, unit="Hz")
+    line_speed, grid = numbers("line_speed", line_speed), number("grid", grid, above=0, unit="Hz")
     times, reference = (
         _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )

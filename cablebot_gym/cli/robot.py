@@ -14,6 +14,7 @@ from cablebot_gym.cli.importing import import_file
 from cablebot_gym.cli.options import Json, Payload, command_again, counted, episode_options, note_waypoints
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.user_code import sentence_of_user_code
 
 if TYPE_CHECKING:
     from cablebot_gym.bounds.robot_check import MotionCheck, PayloadLimit, RobotCheck
@@ -74,7 +75,7 @@ def robot(
         motion = check_motion(model, payload=payload, trajectory=episode["trajectory"])
         note_waypoints(model, motion.trajectory)
     except ValueError as error:
-        refusal = str(error)
+        refusal = sentence_of_user_code(error) or str(error)
     if as_json:
         data = {"held": False, "refused": refusal} if motion is None else motion.to_dict()
         questions = [*check.questions, *(motion.questions if motion else ())]
@@ -129,9 +130,9 @@ def report(check: RobotCheck) -> list[str]:
     speed = float((robot.stall_torque / robot.speed_slope * robot.pulley_radius).min())
     lines.append(f"motors     {force:.4g} N at standstill and {speed:.3g} m/s without load, at the weakest cable")
     if home.largest < home.least:
-        lines.append(f"home       no payload can be held at rest: {home.reason}")
+        lines += ["home       no payload can be held at rest:", f"           {home.reason}"]
     else:
-        lines.append(f"home       holds {_interval(home, robot)} at rest: {home.reason}")
+        lines += [f"home       holds {_interval(home, robot)} at rest:", f"           {home.reason}"]
     lines.append(f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation")
     for locked, text in ((True, "motors locked"), (False, "motors free")):
         frequencies = [f"{mode.frequency:.3g} Hz ({mode.direction})" for mode in check.modes if mode.locked == locked]

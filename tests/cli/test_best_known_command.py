@@ -29,14 +29,14 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     calls = []
     monkeypatch.setattr(best_known, "find_best_known", lambda *given, **more: calls.append((given, more)) or found)
     options = ("--rotation-bound", "30", "--control-frequency", "250", "--trajectory", "line-spatial", "--no-cache")
-    options += ("--robot", "mine.toml")
+    options += ("--robot", "spatial")
     assert cablebot("best-known", SPATIAL, *options, "--json").data == {"payload": 1.0}
     found.verified = False
     assert cablebot("best-known", SPATIAL).status == 1
     (given, more), _ = calls
     assert (given, more.pop("progress") is not None) == ((SPATIAL,), True)
     expected = {"trajectory": "line-spatial", "error_bounds": {"rotation": 0.03}, "control_frequency": 250.0}
-    assert more == expected | {"robot": "mine.toml", "cache": False}
+    assert more == expected | {"robot": "spatial", "cache": False}
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
 def test_option_reads_json_with_a_byte_order_mark(cablebot, tmp_path):
     path = tmp_path / "motion.JSON"
     path.write_text('{"name": "line-planar", "radius": 1}', encoding="utf-8-sig")
-    arguments = ("robot", "check", "planar", "--trajectory", path)
+    arguments = ("rollout", "CableBot-Planar-v0", "--policy", "fl", "--trajectory", path)
     assert "unknown key of trajectory 'radius'" in cablebot(*arguments).message(2)
     path.write_text("{}", encoding="utf-16")
     assert "--trajectory: " in (message := cablebot(*arguments).message(2))
@@ -137,7 +137,9 @@ def test_error_in_a_motion_file_is_one_sentence(cablebot, tmp_path, monkeypatch,
     path = tmp_path / "motion_of_a_test.py"
     path.write_text(MOTION, encoding="utf-8")
     arguments = ("robot", "check", "planar")
-    if command == "rollout":
+    if command == "check":
+        status = 1  # of a check that found a fault
+    else:
         arguments = ("rollout", "CableBot-Planar-v0", "--policy", "fl", "--out", "run.csv")
     ended = cablebot(*arguments, "--trajectory", f"{path}:{name}")
     lines = ended.err.splitlines()

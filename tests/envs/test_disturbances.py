@@ -118,7 +118,12 @@ def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
     ours, theirs = rollout(uncertain, actions, seed=3), rollout(usual, actions, seed=3)
     truth, nominal = uncertain.truth, usual.truth
     assert [other for other in nominal if not np.array_equal(truth[other], nominal[other])] == [name]
-    known = single(env_id, **keywords | {"payload": float(truth["payload"])}, robot=replaced(ROBOTS[env_id], truth))
+    known = single(
+        env_id,
+        **keywords | {"payload": float(truth["payload"])},
+        robot=replaced(ROBOTS[env_id], truth),
+        trajectory=usual.settings.trajectory,
+    )
     made = rollout(known, actions, seed=3)
     blocks = [part for part in MEASURED if part in uncertain.layout.slices()]
     states = [uncertain.layout.split(one[0]) for one in (ours, theirs, made)]
