@@ -89,7 +89,7 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
 def test_option_reads_json_with_a_byte_order_mark(cablebot, tmp_path):
     path = tmp_path / "motion.JSON"
     path.write_text('{"name": "line-planar", "radius": 1}', encoding="utf-8-sig")
-    arguments = ("rollout", "CableBot-Planar-v0", "--policy", "fl", "--trajectory", path)
+    arguments = ("rollout", "CableBot-Planar-v0", "--policy", "fl", "--out", "run.csv", "--trajectory", path)
     assert "unknown key of trajectory 'radius'" in cablebot(*arguments).message(2)
     path.write_text("{}", encoding="utf-16")
     assert "--trajectory: " in (message := cablebot(*arguments).message(2))
