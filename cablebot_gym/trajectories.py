@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.robots import COORDINATE_NAMES, Kind
-from cablebot_gym.utils.checks import all_finite, mapping, number, numbers, unknown_name_error, whole
+from cablebot_gym.utils.checks import mapping, number, numbers, unknown_name_error, whole
 from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
@@ -74,14 +74,16 @@ class Trajectory(Protocol):
         """
 
 
-def _finite_times(times: ArrayLike) -> Array:
-    """Times as an array.
+def _checked_times(times: ArrayLike) -> Array:
+    """Times as an array. Infinite ones are before or after the motion.
 
     Raises:
-        ValueError: if a time is not finite.
+        ValueError: if a time is NaN.
     """
-    all_finite("times", times)
-    return np.asarray(times, float)
+    checked = np.asarray(times, float)
+    if np.isnan(checked).any():
+        raise ValueError("times must be numbers, without NaN")
+    return checked
 
 
 class _Motion:
@@ -109,7 +111,7 @@ class _Motion:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        times = _finite_times(times)
+        times = _checked_times(times)
         derivatives = self._derivatives(np.clip(times, 0.0, self.duration))
         derivatives[1:, times > self.duration] = 0.0
         position, velocity, acceleration, jerk, snap = derivatives
@@ -383,7 +385,7 @@ class BetweenDwells:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        since = _finite_times(times) - self.dwell
+        since = _checked_times(times) - self.dwell
         reference = self.motion(np.clip(since, 0.0, self.motion.duration))
         moves = ((since >= 0) & (since <= self.motion.duration))[..., None]
         rates = {order: np.where(moves, getattr(reference, order), 0.0) for order in _RATES}
@@ -473,7 +475,7 @@ class Chain:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
-        times = _finite_times(times)
+        times = _checked_times(times)
         index = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, len(self.motions) - 1)
         orders = {order: np.zeros((*times.shape, self.coordinates)) for order in ("position", *_RATES)}
         for number_of, part in enumerate(self.motions):

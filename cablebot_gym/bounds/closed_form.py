@@ -212,7 +212,8 @@ def tension_bounds(
     Raises:
         ValueError: if a number is not finite.
     """
-    known = np.isfinite(textbook.jacobian(robot, reference.position)).all(axis=(-2, -1))[..., None]
+    finite = np.isfinite(textbook.jacobian(robot, reference.position))
+    known = np.all(finite, axis=(-2, -1), keepdims=True)[..., 0]
     pose, velocity, acceleration = (
         np.where(known, reference.position, robot.home),
         reference.velocity,
