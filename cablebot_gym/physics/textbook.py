@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
-from cablebot_gym.physics.distribution import HELD, least_largest_action
+from cablebot_gym.physics.distribution import HELD, unchecked_least_largest_action
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
@@ -467,7 +467,7 @@ def least_action_tensions(
     offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
     slope, span = radius / robot.stall_torque, 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
     weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span)
-    found = least_largest_action(structure, load, minimum, slope, offset, weights=weights)
+    found = unchecked_least_largest_action(structure, as_numbers(load), minimum, slope, offset, weights=weights)
     if strict and np.any(found.status != HELD):
         raise ValueError(f"no cable tensions of at least {minimum:g} N give this wrench")
     return found.tensions
