@@ -252,13 +252,11 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
     failed = np.flatnonzero(payloads.status != HELD)
     if len(failed):
         least, largest, index = math.inf, -math.inf, int(failed[0])
-        coefficients = payloads.coefficients[index]
     else:
         least, largest = float(payloads.least.max()), float(payloads.largest.min())
-        index = int(np.argmin(payloads.largest))
-        coefficients = payloads.coefficients[index]
-    if payload < least < math.inf:
-        index = int(np.argmax(payloads.least))
+        index = int(np.argmax(payloads.least) if payload < least else np.argmin(payloads.largest))
+    coefficients = payloads.coefficients[index]
+    if payload < least:  # what excludes this payload, not a larger one
         coefficients = feasibility(robot, reference, payload).coefficients[index]
     singular = payloads.status[index] == SINGULAR
     return PayloadLimit(
