@@ -250,7 +250,7 @@ def impossible(robot):
 """
 
 
-@pytest.mark.usefixtures("inline")
+@pytest.mark.slow  # a policy that is given as an object counts as declared, so the laws need their processes
 def test_paper_criterion_takes_unsaturated_policies_and_marks_those_that_only_declare(module):
     module("toy_policies.py", TOYS)
     paper = {"criterion": "paper", "trajectory": {"name": "paper-planar"}, "control_frequency": 500.0}
