@@ -211,7 +211,7 @@ def _anchors(robot: Robot) -> str:
     axis = "y" if robot.planar else "z"
     rise = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
     down = ", ".join(str(index + 1) for index in range(robot.cables) if rise[index] <= 0)
-    pull = f"cables {down} pull down, the others up" if down else "all cables pull up"
+    pull = f"cables {down} pull down" if down else "all cables pull up"
     return f"{text}; {axis} points down: at home, {pull}"
 
 

@@ -65,9 +65,7 @@ class CodeCache(_Cache):
         target_context.refresh()
 
         def rebuild(data: bytes) -> Any:
-            return CompileResult._rebuild(  # type: ignore[no-untyped-call]
-                target_context, *pickle.loads(_checked(data))
-            )
+            return CompileResult._rebuild(target_context, *pickle.loads(_checked(data)))
 
         name = self._file_name(sig, target_context.codegen())
         for folder in code_folders() if self._enabled else ():
@@ -79,7 +77,7 @@ class CodeCache(_Cache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Stores the compiled code of a signature, if a folder is writable."""
-        content = dumps(data._reduce())  # type: ignore[no-untyped-call]
+        content = dumps(data._reduce())
         path = code_folders()[-1] / self._file_name(sig, data.codegen)
         try:
             atomic_write(path, lambda temporary: temporary.write_bytes(hashlib.sha256(content).digest() + content))
@@ -109,7 +107,7 @@ class CodeCache(_Cache):
 
 def code_folders() -> list[Path]:
     """Folders that compiled code is read from. It is written to the last one."""
-    named = str(config.CACHE_DIR)  # type: ignore[attr-defined]
+    named = str(config.CACHE_DIR)
     return list(_folders(named, cache_folder()))
 
 
