@@ -146,6 +146,8 @@ def test_planar_joints_keep_lengths(write, joint, axes, about, plane, angle):
     text = bodies(joint, "0.1 0.2 0.1" if turns else "0.1 0.2").replace("0 0 0.1", "0 0 0")
     robot = import_robot(write(cables=cables(base, body, "joint"), bodies=text)).robot
     assert (robot.plane, robot.point_mass) == (plane, not turns)
+    if turns:
+        assert robot.home[2] == {"PLANAR_YZ": -0.1}.get(joint, 0.1)
     position = np.zeros(3)
     position[list(axes)] = 0.3, -0.1
     arms = Rotation.from_rotvec(angle * np.array(about)).apply(body)
