@@ -239,6 +239,9 @@ def _payload_of(robot: Robot, payload: float | None) -> float:
 # --- loads and limits ---------------------------------------------------------------------------------------------
 
 
+_ROUNDING = 1e-8  # least payloads below this fraction of the platform's mass are zero
+
+
 def payload_limit(robot: Robot, times: Array, reference: Reference, payload: float) -> PayloadLimit:
     """Interval of the payloads with which cables and motors can follow a reference, and what limits it.
 
@@ -254,6 +257,8 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
         least, largest, index = math.inf, -math.inf, int(failed[0])
     else:
         least, largest = float(payloads.least.max()), float(payloads.largest.min())
+        if least < _ROUNDING * robot.mass:
+            least = 0.0
         index = int(np.argmax(payloads.least) if payload < least else np.argmin(payloads.largest))
     coefficients = payloads.coefficients[index]
     if payload < least:  # what excludes this payload, not a larger one
