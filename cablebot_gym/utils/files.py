@@ -14,7 +14,7 @@ CACHE_VARIABLE = "CABLEBOT_CACHE"
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
 def cache_folder() -> Path:
@@ -27,7 +27,7 @@ def cache_folder() -> Path:
     return Path(user_cache) / "cablebot_gym"
 
 
-def read_cached(path: Path, decode: Callable[[bytes], Value]) -> Value | None:
+def read_cached(path: Path, decode: Callable[[bytes], _Value]) -> _Value | None:
     """The content of a cache file, decoded; None if it is missing or damaged. A log line reports a damaged file.
 
     Args:
