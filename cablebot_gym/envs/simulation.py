@@ -105,7 +105,7 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
-        bound = ("_records", "_advance", "_judge_step")
+        bound = ("_records", "_advance", "_judge_step", "_whole_step")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -145,6 +145,9 @@ class Simulation:
         self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
         self._judge_step = tuple(
             partial(outcome.outcome, False, self._all_indices[part], *self._records) for part in plant.parts
+        )
+        self._whole_step = tuple(
+            partial(_both, advance, judge) for advance, judge in zip(self._advance, self._judge_step, strict=True)
         )
 
     @property
@@ -360,6 +363,9 @@ class Simulation:
             checked = self._disturbances.delayed(checked)
             self._disturbances.update_wrench(plant)
         plant.set_action(checked)
+        if self._disturbances.quiet and not self.settings.measurement.winches:
+            call_all(self._whole_step)  # nothing to measure between both halves: threads wait for each other once
+            return
         call_all(self._advance)
         self._measure(self._all_indices, fresh=False)
         call_all(self._judge_step)
@@ -370,6 +376,11 @@ class Simulation:
             self._disturbances.measure(env_indices, self._plant.step_index[env_indices])
         if self.settings.measurement.winches:
             self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
+
+
+def _both(first: Callable[[], None], second: Callable[[], None]) -> None:
+    first()
+    second()
 
 
 @lru_cache(maxsize=64)
