@@ -139,9 +139,3 @@ def test_notebook_prints_its_stored_output(tmp_path):
     assert payloads(ran.stdout.splitlines()) == pytest.approx(payloads(stored.splitlines()), abs=2e-3)
     assert len(ran.stdout.splitlines()) == len(stored.splitlines())
     assert sum("image/png" in output.get("data", {}) for output in outputs) == 2
-
-
-def test_own_robot_trajectory_controller_and_reward_take_less_than_30_lines():
-    own = {path.stem: len(path.read_text(encoding="utf-8").splitlines()) for path in EXAMPLES if "your_" in path.name}
-    assert own.keys() >= {"your_robot", "your_trajectory", "your_controller", "your_reward"}
-    assert max(own.values()) < 30, own

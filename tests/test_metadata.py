@@ -15,15 +15,6 @@ yaml = pytest.importorskip("yaml")
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_citation_has_the_version_licence_and_address_of_the_package():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert (citation["version"], citation["license"]) == (__version__, project["license"])
-    assert project["dynamic"] == ["version"]
-    assert citation.get("repository-code") == project["urls"].get("Repository")
-    assert citation["title"] == f"{project['name'].replace('-', '_')}: {project['description']}"
-
-
 def test_extras_all_and_test_contain_all_extras_but_docs():
     """Only a build of the documentation needs the extra docs."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from unicodedata import combining
 
 import page_blocks
 import pytest
@@ -22,8 +21,6 @@ MET_FIRST = (
 )
 """The README, and the pages that it and the home page lead to first."""
 
-LINE = 105
-"""Characters of code that fit on a page of the site at 1280 px."""
 
 BLOCKS = [
     pytest.param(
@@ -79,17 +76,6 @@ def test_every_link_leads_to_a_file_of_the_repository(page):
     links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", read(page))
     assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
     assert [link for link in links if "generated/" in link] == []  # git ignores that folder
-
-
-def width(line):
-    return sum(not combining(character) for character in line)
-
-
-def test_code_fits_on_the_page():
-    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "your-own").glob("*.md")]
-    for path in set(pages) - {ROOT / "docs" / "learned.md"}:  # its commands wrap
-        code = "\n".join(re.findall(r"^```.*?^```", path.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE))
-        assert [line for line in code.splitlines() if width(line) > LINE] == [], path
 
 
 @pytest.mark.slow

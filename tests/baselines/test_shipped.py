@@ -35,24 +35,6 @@ CARDS = {card.stem: card for card in read_cards()}
 """Cards in the repository."""
 
 
-def test_interrupted_shipping_keeps_finished_evaluations(runs, computed, monkeypatch, tmp_path):
-    whole = cablebot_gym.benchmark.engine.compute
-
-    def interrupted(cell):
-        if len(computed) == 5:
-            raise KeyboardInterrupt
-        return whole(cell)
-
-    monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        ship(runs, tmp_path / "weights")
-    assert not list((tmp_path / "weights").glob("*"))
-    monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", whole)
-    card = ship(runs, tmp_path / "weights")
-    assert len({cell.key for cell in computed}) == len(computed) == 7 * 2 + 2 * 4
-    assert ship(runs, tmp_path / "weights") == card
-
-
 def test_failed_evaluation_ships_nothing(runs, monkeypatch, tmp_path):
     def fail(cell):
         return Record(cell=cell, source=cell.source, versions={}, result={"error": "it raised"}, seconds=0.0)

@@ -324,20 +324,3 @@ def test_existing_run_changes_only_if_it_is_resumed_with_its_settings(trained, t
     assert digests(trained) == before
     with pytest.raises(ValueError, match="there is no run to resume"):
         training.train(PLANAR, out=tmp_path / "none", resume=True)
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "message"),
-    [
-        ("--evaluation", "[1]", "--evaluation must be a JSON object"),
-        ("--config", "none.yaml", "--config: cannot read 'none.yaml'"),
-        ("--algo", "dqn", "unknown algorithm 'dqn'; choose one of ppo, sac, tqc, gradient"),
-    ],
-)
-def test_bad_input_of_the_command_leaves_no_file(tmp_path, monkeypatch, capsys, option, value, message):
-    monkeypatch.setattr(sys, "argv", ["cablebot", "train", PLANAR, "--out", str(tmp_path / "run"), option, value])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 2
-    assert message in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "run").exists()

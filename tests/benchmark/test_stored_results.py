@@ -6,21 +6,16 @@ The last line of each page is the command that computes it.
 from __future__ import annotations
 
 import re
-from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, compute
 from cablebot_gym.benchmark.engine import local
-from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
+from cablebot_gym.benchmark.leaderboard import Results, markdown
 from cablebot_gym.benchmark.scores import leaderboards, payload_maps
 from cablebot_gym.benchmark.suites import find_policies, find_suite, suite_cells
 from cablebot_gym.benchmark.verification import confirm
-from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
-from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
-from cablebot_gym.robots import find_robot
-from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 
 ROOT = Path(__file__).parents[2]
 PAGES = {
@@ -96,61 +91,6 @@ def test_best_known_payload_is_reproduced(results):
         if record.cell.env_id == "CableBot-Planar-v0"
     )
     assert compute(record.cell).result["payload"] == pytest.approx(record.result["payload"], rel=2e-3)
-
-
-def parts_of(env_id, name):
-    """A named uncertainty, and the names of its parts; ``without`` leaves parts out."""
-    whole = find_uncertainty(name, find_robot(env_robot(env_id)))
-    others = [one.name for one in fields(whole) if getattr(whole, one.name) != getattr(Uncertainty(), one.name)]
-    return whole, [*whole.parameters, *(one for one in others if one != "parameters")]
-
-
-def without(whole, *parts):
-    kept = {name: value for name, value in whole.parameters.items() if name not in parts}
-    empty = {name: getattr(Uncertainty(), name) for name in parts if name not in whole.parameters}
-    return replace(whole, parameters=kept, **empty)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
-@pytest.mark.parametrize(("name", "payload_known"), [("hardware", False), ("table6", True)])
-def test_no_part_of_hardware_decides_alone_and_one_of_table_6_does(results, env_id, name, payload_known):
-    """Half of the payload that ``table6`` costs an adaptive law returns without one part.
-
-    Two thirds of that of ``hardware`` do not return without any single part.
-    """
-    law = "adaptive-composite" if env_id in FLEXIBLE_ENV_IDS else "adaptive"
-    wanted = (env_id, law, name, payload_known)
-    (payload,) = (
-        record.result["payload"]
-        for record in results["leaderboard"].records
-        if isinstance(record.cell, PolicyCell)
-        if (record.cell.env_id, record.cell.policy, record.cell.uncertainty, record.cell.payload_known) == wanted
-    )
-    lost = evaluate_dlcc(law, env_id, payload_known=payload_known, resolution=0.01).payload - payload
-    whole, parts = parts_of(env_id, name)
-    decides = "stiffness" if env_id == "CableBot-FlexPlanar-v0" else "platform_mass"
-    tried, returned = (parts, 2 / 3) if name == "hardware" else ([decides], 1 / 2)
-    for part in tried:
-        found = compare_policies(
-            [law],
-            env_id,
-            payload=payload + returned * lost,
-            payload_known=payload_known,
-            uncertainty=without(whole, part),
-            draws=128,
-            seed=1,
-        )
-        assert (found.metrics[0].carried.mean() >= 0.95) == (name == "table6"), part
-
-
-def test_terminal_has_every_map(results, capsys):
-    print_page(markdown(results["maps"]))
-    printed = capsys.readouterr().out
-    sections = [text.splitlines()[0] for text in markdown(results["maps"]).split("\n## ")[1:]]
-    maps = [title for title in sections if "payload by" in title]
-    assert len(maps) == 10  # error bound and duration for four ids, stiffness for two
-    assert all(title in printed for title in maps)
 
 
 OTHERS = {"learned.md", "attacks.md", "changelog.md", "errata.md"}

@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
-from cablebot_gym.benchmark.maps import AXES, varied_fields
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
@@ -166,30 +165,3 @@ def test_factory_for_some_robots_is_accepted_and_for_none_rejected(module):
 def test_unknown_or_unsuitable_names_raise(names, ids, message):
     with pytest.raises(ValueError, match=message):
         find_policies(names, find_env_ids(find_suite("smoke"), ids))
-
-
-def test_maps_vary_one_parameter_around_the_cells_of_the_standard_suite():
-    values = {block.axis: set(block.values) for block in find_suite("maps").blocks}
-    for env_id in PAPER_ENV_IDS:
-        own = [cell for cell in policy_cells("maps", ["apg-loops"]) if cell.env_id == env_id]
-        for name, expected in values.items():
-            found = {AXES[name].value(cell) for cell in own if set(varied_fields(cell)) <= set(AXES[name].fields)}
-            assert found == (expected if name != "stiffness" or env_id in FLEXIBLE_ENV_IDS else {None})
-        assert sorted(len(varied_fields(cell)) for cell in own)[:2] == [0, 1]  # the default cell is in all maps
-        assert all(len(varied_fields(cell)) <= 1 for cell in own)
-    shared = {cell.key for cell in cells("maps")} & {cell.key for cell in cells("standard")}
-    assert len([key for key in shared if '"best-known"' in key]) == len(PAPER_ENV_IDS)
-
-
-def test_paper_maps_vary_bounds_and_circle_in_si_units():
-    some = policy_cells("paper-maps")
-    assert {cell.resolution for cell in some} == {0.01}
-    scaled = {cell.error_bounds["position"] for cell in some if cell.error_bounds["rotation"] != 0.01}
-    assert scaled == {0.001, 0.002, 0.003, 0.005, 0.0075, 0.015, 0.02}
-    assert all(cell.error_bounds["rotation"] in (0.01, cell.error_bounds["position"]) for cell in some)
-    deep = [cell for cell in some if "center" in cell.trajectory and cell.policy == "adaptive"]
-    starts = {tuple(find_trajectory(dict(cell.trajectory), 6)(0.0).position) for cell in deep}
-    circles = {(radius, z) for radius in (0.05, 0.1, 0.15, 0.2) for z in (0.08, 0.1, 0.15, 0.25)} - {(0.1, 0.1)}
-    assert starts == {(radius, 0.0, z, 0.1, 0.1, 0.1) for radius, z in circles}
-    limit = [cell for cell in some if cell.robot_changes == {"transmission": {"damping": 0.0}}]
-    assert {(cell.env_id, cell.policy) for cell in limit} == {(SPATIAL, "fl"), (SPATIAL, "adaptive")}

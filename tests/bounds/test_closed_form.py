@@ -118,18 +118,6 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
 # --- independent runs ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("duration", "payload", "motor", "time"), [(2.0, 3.67, 1, 0.798), (1.0, -1.26, 2, 0.524)])
-def test_payload_on_the_smooth_circle_matches_independent_runs(
-    duration: float, payload: float, motor: int, time: float
-) -> None:
-    result = exact_payload(
-        SPATIAL, find_trajectory({"name": "smooth-circle-spatial", "duration": duration, "dwell": 0.0}, 6)
-    )
-    assert result.payload == pytest.approx(payload, abs=0.006)
-    assert (result.motor, result.kind, result.line) == (motor, "torque", "upper")
-    assert result.time == pytest.approx(time, abs=2e-3)
-
-
 @pytest.mark.parametrize(
     ("robot", "minimum", "total"),
     [(SPATIAL, 0.0, 11.80), (with_motors(SPATIAL, free_speed=1e9), 0.0, 12.35), (PLANAR, 5.0, 2.07)],

@@ -56,19 +56,6 @@ def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
     assert cablebot(*options, "--json").out == first.out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((PLANAR, "--position-bound", "0.01"), "position"),
-        ((PLANAR, "--trajectory", "dwell-planar"), "nothing limits the payload"),
-    ],
-)
-def test_bad_input_ends_with_status_2(cablebot, arguments, message):
-    lines = cablebot("best-known", *arguments, "--json")
-    assert (lines.status, lines.out) == (2, "")
-    assert message in lines.err.splitlines()[-1]
-
-
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_ends_the_solver(cablebot, cache, interrupted_solver):
     ended = cablebot("best-known", PLANAR, *LINE)

@@ -288,11 +288,6 @@ def test_reset_starts_a_new_verdict():
     assert (env.verdict.carried, env.verdict.violation, env.verdict.peak_action) == (False, None, (0, 0, 0))
 
 
-def test_monitor_rejects_an_unknown_criterion():
-    with pytest.raises(ValueError, match="choose one of task, paper"):
-        DLCCMonitor(gym.make(IDS["planar"]), criterion="both")
-
-
 @pytest.mark.parametrize(
     ("bounds", "carried"), [(None, False), ({"position": 0.02}, True), ({"position": 5e-4}, False)]
 )
