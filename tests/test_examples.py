@@ -117,7 +117,11 @@ RESULTS: dict[str, Callable[[list[str], Path], bool]] = {
 )
 def test_example_prints_its_result(example, tmp_path):
     ran = subprocess.run(
-        [sys.executable, str(example), str(tmp_path / "out")], capture_output=True, text=True, cwd=tmp_path, check=False
+        [sys.executable, str(example), str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
     )
     assert ran.returncode == 0, ran.stderr
     assert "Traceback" not in ran.stderr

@@ -30,7 +30,12 @@ PROBLEM = {
     "upper": np.full(6, 900.0),
 }
 SIX = {"tensions": np.full(6, 20.0), "speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
-CABLE = {"across": np.array(3.0), "rise": np.array(1.0), "tension": np.array(90.0), "weight": np.array(0.6)}
+CABLE = {
+    "across": np.array(3.0),
+    "rise": np.array(1.0),
+    "tension": np.array(90.0),
+    "weight": np.array(0.6),
+}
 HEAVY = find_robot("flex-cogiro")
 UNIFORM = ParameterDistribution(low=-0.1, high=0.1)
 LINE = find_trajectory("line-spatial", "spatial")
@@ -63,13 +68,22 @@ FUNCTIONS = {
     "pulley_angle": (of_robot(textbook.pulley_angle), {"pose": POSE}),
     "pulley_acceleration": (of_robot(textbook.pulley_acceleration), MOTION),
     "static_torque": (of_robot(textbook.static_torque), {**MASS, "pose": POSE}),
-    "rest_angles": (of_robot(textbook.rest_angles, FLEX_SPATIAL), {"tensions": SIX["tensions"], "pose": POSE}),
+    "rest_angles": (
+        of_robot(textbook.rest_angles, FLEX_SPATIAL),
+        {"tensions": SIX["tensions"], "pose": POSE},
+    ),
     "required_tensions": (of_robot(textbook.required_tensions), {**MASS, **MOTION}),
-    "required_torques": (of_robot(textbook.required_torques), {"tensions": SIX["tensions"], **MOTION}),
+    "required_torques": (
+        of_robot(textbook.required_torques),
+        {"tensions": SIX["tensions"], **MOTION},
+    ),
     "motor_torques": (of_robot(textbook.motor_torques), SIX),
     "coulomb_torque": (of_robot(textbook.coulomb_torque), chosen(SIX, "speed")),
     "torque_limits": (of_robot(textbook.torque_limits), chosen(SIX, "speed")),
-    "normalised_action": (of_robot(textbook.normalised_action), {"torques": SIX["tensions"], "speed": SIX["speed"]}),
+    "normalised_action": (
+        of_robot(textbook.normalised_action),
+        {"torques": SIX["tensions"], "speed": SIX["speed"]},
+    ),
     "textbook.inverse_dynamics": (of_robot(textbook.inverse_dynamics), {**MASS, **MOTION}),
     "forward_dynamics": (
         of_robot(textbook.forward_dynamics),
@@ -80,10 +94,19 @@ FUNCTIONS = {
         of_robot(forward_kinematics),
         {"lengths": textbook.cable_lengths(SPATIAL, POSE), "guess": POSE},
     ),
-    "least_norm": (distribution.least_norm, {**PROBLEM, "reference": np.ones(6), "weights": np.ones(6)}),
+    "least_norm": (
+        distribution.least_norm,
+        {**PROBLEM, "reference": np.ones(6), "weights": np.ones(6)},
+    ),
     "least_largest_action": (
         distribution.least_largest_action,
-        {**PROBLEM, "slope": np.ones(6), "offset": np.zeros(6), "smoothing": 0.01, "weights": np.ones(6)},
+        {
+            **PROBLEM,
+            "slope": np.ones(6),
+            "offset": np.zeros(6),
+            "smoothing": 0.01,
+            "weights": np.ones(6),
+        },
     ),
     "feasible": (distribution.feasible, PROBLEM),
     "largest_scale": (
@@ -100,7 +123,10 @@ FUNCTIONS = {
     "catenary": (sag.catenary, CABLE),
     "parabola": (sag.parabola, CABLE),
     "sag": (of_robot(sag.sag, HEAVY), {"pose": HEAVY.home, "tensions": np.full(8, 900.0)}),
-    "settle": (of_robot(sag.settle, HEAVY), {"mass": 91.0, "pose": HEAVY.home, "tensions": np.full(8, 900.0)}),
+    "settle": (
+        of_robot(sag.settle, HEAVY),
+        {"mass": 91.0, "pose": HEAVY.home, "tensions": np.full(8, 900.0)},
+    ),
     "exact_payload": (
         lambda **given: exact_payload(SPATIAL, LINE, **given),
         {"minimum_tension": 1.0, "frequency": 100.0, "line_speed": np.ones(6), "grid": 100.0},

@@ -16,7 +16,15 @@ MET_FIRST = (
     *("README.md", "LEADERBOARD.md", "CHANGELOG.md", "CONTRIBUTING.md"),
     *(
         f"docs/{name}.md"
-        for name in ("index", "getting-started", "environments", "policies", "dlcc", "leaderboard", "faq")
+        for name in (
+            "index",
+            "getting-started",
+            "environments",
+            "policies",
+            "dlcc",
+            "leaderboard",
+            "faq",
+        )
     ),
 )
 """The README, and the pages that it and the home page lead to first."""
@@ -24,7 +32,10 @@ MET_FIRST = (
 
 BLOCKS = [
     pytest.param(
-        page, name, id=f"{page}: {name}", marks=pytest.mark.slow if "output" in name or name == "library" else []
+        page,
+        name,
+        id=f"{page}: {name}",
+        marks=pytest.mark.slow if "output" in name or name == "library" else [],
     )
     for page in page_blocks.PAGES
     for name in page_blocks.blocks((ROOT / page).read_text(encoding="utf-8"))
@@ -39,7 +50,8 @@ def read(page):
 
 @pytest.mark.parametrize(("page", "name"), BLOCKS)
 def test_block_is_that_of_code_and_results(page, name):
-    stored, anew = page_blocks.blocks(read(page))[name], page_blocks.block(name)
+    stored = page_blocks.blocks(read(page))[name]
+    anew = page_blocks.block(name)
     assert re.sub(_NUMBER, "", stored) == re.sub(_NUMBER, "", anew), AGAIN
     numbers = [list(map(float, re.findall(_NUMBER, text))) for text in (stored, anew)]
     assert numbers[0] == pytest.approx(numbers[1], abs=0.011), AGAIN  # machines round differently

@@ -8,7 +8,18 @@ import sys
 from pathlib import Path
 
 import pytest
-from attacks.suite import ATTACKS, ENV_ID, FOLDER, LESS, SANDBOX, SANDBOXED, SCORED, cheats, page, run
+from attacks.suite import (
+    ATTACKS,
+    ENV_ID,
+    FOLDER,
+    LESS,
+    SANDBOX,
+    SANDBOXED,
+    SCORED,
+    cheats,
+    page,
+    run,
+)
 
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.policies import PolicyError
@@ -60,7 +71,8 @@ def test_attack_on_an_isolated_evaluation(attack):
 def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
     """Without a sandbox it succeeds, so the attack is one."""
     status, _, err = run(attack.name)
-    assert (status, attack.now in err) == (attack.status, True), err
+    assert status == attack.status, err
+    assert attack.now in err, err
     status, out, err = run(attack.name, SANDBOX)
     assert status == 0, err
     assert json.loads(out)[0]["payload"] == pytest.approx(json.loads(run("Law")[1])[0]["payload"], abs=0.02)
@@ -73,7 +85,8 @@ def test_ends_of_processes_are_the_same_in_a_sandbox(name):
     (attack,) = (one for one in ATTACKS if one.name == name)
     before = descendants()
     status, _, err = run(name, SANDBOX)
-    assert (status, attack.status == 0 or attack.now in err) == (attack.status, True), err
+    assert status == attack.status, err
+    assert attack.status == 0 or attack.now in err, err
     assert descendants() <= before
 
 
@@ -88,7 +101,9 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
             evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
         return
     result, honest = (evaluate_dlcc(f"cheats:{name}", ENV_ID, **settings) for name in (attack.name, "Law"))
-    assert (result.payload, result.violation, result.margins) == (honest.payload, honest.violation, honest.margins)
+    assert result.payload == honest.payload
+    assert result.violation == honest.violation
+    assert result.margins == honest.margins
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():

@@ -14,7 +14,9 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
-PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
+FLEX_ID = "CableBot-FlexSpatial-v0"
 LAWS = {
     PLANAR_ID: FeedbackLinearization(PLANAR),
     SPATIAL_ID: FeedbackLinearization(SPATIAL),
@@ -25,8 +27,12 @@ LAWS = {
 def run(law, env, *, steps=None):
     """Whether each episode kept 10 mm, 10 mrad and taut cables, the mass estimates and the last state."""
     observation, _ = env.reset(seed=0)
-    count, column = env.num_envs, observation_layout(law.robot).slices()["model_payload"]
-    state, start, kept, estimates = None, np.ones(count, np.bool_), np.ones(count, np.bool_), []
+    count = env.num_envs
+    column = observation_layout(law.robot).slices()["model_payload"]
+    state = None
+    start = np.ones(count, np.bool_)
+    kept = np.ones(count, np.bool_)
+    estimates = []
     for _ in range(steps or env.unwrapped.tasks[0].steps - 1):
         action, state = law.predict(observation, state=state, episode_start=start)
         estimates.append(law.mass(state, law.robot.mass + observation[:, column][:, 0]))
@@ -42,7 +48,8 @@ def run(law, env, *, steps=None):
 @pytest.mark.parametrize("env_id", LAWS)
 def test_estimate_converges_within_a_tenth_of_a_second_of_motion(env_id):
     """At rest the torques of a planar robot do not depend on its payload."""
-    law, payload = LAWS[env_id], np.array([0.0, 0.4, 1.0])
+    law = LAWS[env_id]
+    payload = np.array([0.0, 0.4, 1.0])
     circle = "paper-planar" if law.robot.planar else "paper-spatial"
     env = gym.make_vec(env_id, num_envs=3, payload=payload, payload_known=False, trajectory=circle)
     _, estimates, _ = run(Adaptive(law, estimator_prior_weight=1e-4), env, steps=50)
@@ -80,7 +87,12 @@ def test_new_episode_starts_with_the_model_mass():
 
 def test_estimate_is_frozen_after_the_end_of_the_reference():
     law = Adaptive(LAWS[SPATIAL_ID])
-    keywords = {"payload": 3.0, "payload_known": False, "trajectory": "paper-spatial", "autoreset_mode": "Disabled"}
+    keywords = {
+        "payload": 3.0,
+        "payload_known": False,
+        "trajectory": "paper-spatial",
+        "autoreset_mode": "Disabled",
+    }
     env = gym.make_vec(SPATIAL_ID, num_envs=1, **keywords)
     _, estimates, _ = run(law, env, steps=520)
     assert estimates[501] == estimates[-1]
@@ -90,7 +102,8 @@ def test_estimate_is_frozen_after_the_end_of_the_reference():
 @pytest.mark.parametrize(("entry", "env_id"), [(ADAPTIVE, SPATIAL_ID), (ADAPTIVE_COMPOSITE, FLEX_ID)])
 def test_estimate_and_limits_hold_with_sensor_noise(entry, env_id):
     """White noise of a realistic size, 16 episodes with and without payload."""
-    law, payload = entry.factory(LAWS[env_id].robot), np.repeat([0.0, 3.0], 8)
+    law = entry.factory(LAWS[env_id].robot)
+    payload = np.repeat([0.0, 3.0], 8)
     noise = {"position": 1e-4, "rotation": 2e-4, "velocity": 2e-3, "rotation_rate": 4e-3}
     noise |= {"motor_angle": 1e-3, "motor_speed": 1e-2} if law.robot.flexible else {}
     env = gym.make_vec(env_id, num_envs=16, payload=payload, payload_known=False, uncertainty={"sensors": noise})
@@ -122,7 +135,8 @@ def test_torque_slope_is_the_derivative_of_the_torques(env_id):
     """Torques are affine in the reference's acceleration."""
     law = LAWS[env_id]
     observation, _ = gym.make(env_id, initial_error=np.array([0.02, 0.01, -0.02, 0.1, 0.1, -0.1])).reset(seed=0)
-    blocks, mass = law.split(observation), np.array(12.0)
+    blocks = law.split(observation)
+    mass = np.array(12.0)
     base = law.torques(blocks, mass)[0]
     columns = [
         law.torques({**blocks, "reference_acceleration": blocks["reference_acceleration"] + unit}, mass)[0] - base
@@ -146,11 +160,16 @@ def test_law_declares_whether_it_saturates_its_actions():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("entry", "env_id", "payload"), [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)]
+    ("entry", "env_id", "payload"),
+    [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
 )
 def test_dlcc_with_unknown_payload(entry, env_id, payload):
     """On the circle as printed, with tensions above 0. Payload known: fl 1.92 and 4.03 kg, fl4 with springs 4.63 kg."""
     robot = LAWS[env_id].robot.replace(minimum_tension=1e-9)
-    keywords = {"trajectory": "paper-planar" if robot.planar else "paper-spatial", "robot": robot, "resolution": 0.02}
+    keywords = {
+        "trajectory": "paper-planar" if robot.planar else "paper-spatial",
+        "robot": robot,
+        "resolution": 0.02,
+    }
     result = evaluate_dlcc(entry.factory(robot), env_id, payload_known=False, **keywords)
     assert result.payload == pytest.approx(payload, abs=0.05)

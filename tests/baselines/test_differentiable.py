@@ -39,7 +39,8 @@ def masses(robot: Robot) -> np.ndarray:
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
 def test_tensions_and_actions_equal_the_compiled_inverse_dynamics(robot: Robot):
-    x, mass = motion(robot), masses(robot)
+    x = motion(robot)
+    mass = masses(robot)
     needed = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
     result = required_actuation(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
     np.testing.assert_allclose(result.tensions.numpy(), needed.tensions, rtol=1e-9, atol=1e-9)
@@ -50,7 +51,8 @@ def test_tensions_and_actions_equal_the_compiled_inverse_dynamics(robot: Robot):
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
 def test_actions_with_springs_equal_difference_quotients_of_the_motor_angle(robot: Robot):
     reference = find_trajectory("loop-planar" if robot.planar else "loop-spatial", robot.coordinates)
-    times, step = np.linspace(0.2, reference.duration - 0.2, COUNT), 1e-3
+    times = np.linspace(0.2, reference.duration - 0.2, COUNT)
+    step = 1e-3
     mass = robot.mass + 2.0
 
     def spring_and_angle(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -86,7 +88,8 @@ def test_gradients_equal_difference_quotients(robot: Robot):
 
 @pytest.mark.slow
 def test_soft_tensions_equal_the_textbook_and_have_gradients():
-    x, mass = motion(FLEX_PLANAR), masses(FLEX_PLANAR)
+    x = motion(FLEX_PLANAR)
+    mass = masses(FLEX_PLANAR)
     soft = required_actuation(FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0)
     needed = inverse_dynamics(FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
     structure = textbook.jacobian(FLEX_PLANAR, x.position)
@@ -95,5 +98,9 @@ def test_soft_tensions_equal_the_textbook_and_have_gradients():
     few = [value[:1].clone().requires_grad_(True) for value in tensors(FLEX_PLANAR, x)]
     keywords = {"mass": torch.tensor(mass[:1]), "minimum": MINIMUM, "softness": 10.0}
     assert torch.autograd.gradcheck(
-        lambda *motion: required_actuation(FLEX_PLANAR, motion, **keywords).action, few, eps=1e-6, atol=1e-3, rtol=1e-4
+        lambda *motion: required_actuation(FLEX_PLANAR, motion, **keywords).action,
+        few,
+        eps=1e-6,
+        atol=1e-3,
+        rtol=1e-4,
     )

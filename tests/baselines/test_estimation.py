@@ -27,12 +27,20 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
     """Errors of pose and velocity (steps, N, 2n) in closed loop, and normalised squared errors of the filter."""
     robot = find_robot(env_robot(env_id))
     env = gym.make_vec(
-        env_id, num_envs=count, payload=1.0, measurement=measurement, uncertainty=uncertainty, max_episode_steps=None
+        env_id,
+        num_envs=count,
+        payload=1.0,
+        measurement=measurement,
+        uncertainty=uncertainty,
+        max_episode_steps=None,
     ).unwrapped
     policy = Estimated(load_policy(law, robot), robot, estimator)
     rows, _ = env.reset(seed=0)
     policy.reset(env.tasks)
-    state, errors, squares, last = None, [], [], env.pose
+    state = None
+    errors = []
+    squares = []
+    last = env.pose
     for _ in range(300):
         actions, state = policy.predict(rows, state)
         estimate = state[0]
@@ -65,7 +73,11 @@ def test_filter_is_consistent_and_better_than_differences_of_forward_kinematics(
 
 
 def test_filter_finds_the_pose_behind_the_springs():
-    errors, _ = run("CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite-tuned")
+    errors, _ = run(
+        "CableBot-FlexPlanar-v0",
+        ExtendedKalmanFilter(find_robot("flex-planar")),
+        law="composite-tuned",
+    )
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
 
@@ -109,7 +121,8 @@ def test_diverged_estimate_stops_the_motors_of_its_own_episode():
 
 def readings(robot, count, *, seed=0):
     """Poses, and offsets of the motor angles."""
-    rng, n = np.random.default_rng(seed), robot.coordinates
+    rng = np.random.default_rng(seed)
+    n = robot.coordinates
     poses = robot.home + 0.08 * rng.uniform(-1, 1, (count, n))
     if n > 2:
         poses[:, 2] += 0.25
@@ -126,7 +139,8 @@ def test_calibration_recovers_offsets_from_redundant_cables():
 @pytest.mark.parametrize("sensor", ["tensions", "orientation"])
 def test_calibration_of_six_cables_needs_and_uses_a_further_sensor(sensor):
     poses, offset = readings(SPATIAL, 10)
-    angles, rest = textbook.pulley_angle(SPATIAL, poses) + offset, np.zeros_like(poses)
+    angles = textbook.pulley_angle(SPATIAL, poses) + offset
+    rest = np.zeros_like(poses)
     with pytest.raises(ValueError, match="do not determine the offsets"):
         calibrate(SPATIAL, angles, poses + 0.005)
     tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, rest, rest)

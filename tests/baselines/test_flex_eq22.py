@@ -29,7 +29,8 @@ def peaks(law, plant_robot, **keywords):
     """Largest position error in each tenth of a second on Table 3's circle [m]; infinite after a termination."""
     env = gym.make(ID, robot=plant_robot, trajectory="paper-spatial", termination_radius=0.2, **keywords)
     observation, _ = env.reset(seed=0)
-    state, record = None, np.full(500, np.inf)
+    state = None
+    record = np.full(500, np.inf)
     for step in range(500):
         action, state = law.predict(observation, state=state, episode_start=np.array(step == 0))
         observation, _, terminated, _, info = env.step(action)
@@ -41,7 +42,8 @@ def peaks(law, plant_robot, **keywords):
 
 def test_errors_grow_at_the_rate_of_the_linearised_loop():
     """Also with saturated motors and slack cables the circle is lost."""
-    nominal, rate = robot(2.0, unsaturated_actions=True), 9.5
+    nominal = robot(2.0, unsaturated_actions=True)
+    rate = 9.5
     assert growth_rate(PaperFlexible(nominal), nominal) == pytest.approx(rate, rel=0.02)
     error = peaks(PaperFlexible(nominal), nominal, cable="bilateral")
     assert np.log(error[3] / error[1]) / 0.2 == pytest.approx(rate, rel=0.1)

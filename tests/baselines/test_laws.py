@@ -69,7 +69,9 @@ def test_single_observation_gives_the_same_action_as_its_row_of_a_batch(started,
     env = gym.make_vec(env_id, num_envs=3, payload=[0.0, 3.0, 8.0], **moving)
     law = entry.factory(robot)
     observation, _ = env.reset(seed=0)
-    together, alone, start = None, [None] * 3, np.ones(3, np.bool_)
+    together = None
+    alone = [None] * 3
+    start = np.ones(3, np.bool_)
     for _ in range(3):
         before = observation.copy()
         action, together = law.predict(observation, state=together, episode_start=start, deterministic=True)

@@ -35,8 +35,24 @@ from cablebot_gym.utils import code_hash
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID, FLEX_SPATIAL_ID = PAPER_ENV_IDS
 DWELL = {"name": "dwell-planar", "duration": 0.05}
 PERIOD = 1 / 500
-FEATURES = ("pose", "shift", "shift_velocity", "actions", "error", "time_since_start", "rbf_progress", "model_payload")
-RESIDUAL_FEATURES = ("pose", "velocity", "actions", "error", "time_since_start", "reference_acceleration")
+FEATURES = (
+    "pose",
+    "shift",
+    "shift_velocity",
+    "actions",
+    "error",
+    "time_since_start",
+    "rbf_progress",
+    "model_payload",
+)
+RESIDUAL_FEATURES = (
+    "pose",
+    "velocity",
+    "actions",
+    "error",
+    "time_since_start",
+    "reference_acceleration",
+)
 
 CASES = {
     "planar shift": (PLANAR_ID, Base(gains=(2000.0, 90.0)), Shift(action_period=0.02), FEATURES),
@@ -47,7 +63,12 @@ CASES = {
         FEATURES,
     ),
     "residual": (SPATIAL_ID, Base(), Residual(action_period=0.006), RESIDUAL_FEATURES),
-    "springs": (FLEX_SPATIAL_ID, Base(law="composite", estimates_payload=True), Residual(), RESIDUAL_FEATURES),
+    "springs": (
+        FLEX_SPATIAL_ID,
+        Base(law="composite", estimates_payload=True),
+        Residual(),
+        RESIDUAL_FEATURES,
+    ),
 }
 """Environment, base law, action mapping and features."""
 
@@ -61,7 +82,8 @@ def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATU
 
 def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
     """A random network; with a scale of 0 its output is zero."""
-    draw, sizes = np.random.default_rng(seed), (steering.inputs, *hidden, steering.actions)
+    draw = np.random.default_rng(seed)
+    sizes = (steering.inputs, *hidden, steering.actions)
     pairs = list(pairwise(sizes))
     return Network(
         mean=draw.normal(size=steering.inputs),
@@ -90,7 +112,8 @@ def observations(env_id, steps, envs=4):
     """Observations (steps, envs, size) of a classical law with different payloads, and the tasks."""
     env = gym.make_vec(env_id, num_envs=envs)
     observation, _ = env.reset(seed=3, options={"payload": np.linspace(0.0, 1.5, envs)})
-    policy, rows = load_policy("motor-pd" if "Flex" in env_id else "fl", find_robot(env_robot(env_id))), []
+    policy = load_policy("motor-pd" if "Flex" in env_id else "fl", find_robot(env_robot(env_id)))
+    rows = []
     for _ in range(steps):
         rows.append(observation.copy())
         observation, *_ = env.step(policy.predict(observation)[0])
@@ -105,7 +128,8 @@ def tasks_of(env_id, **keywords):
 
 def run(policy, rows, starts=None):
     """Actions of a policy for observations (steps, …, size); ``starts`` (steps, …) marks the starts of episodes."""
-    state, actions = None, []
+    state = None
+    actions = []
     for step, observation in enumerate(rows):
         action, state = policy.predict(observation, state, None if starts is None else starts[step])
         actions.append(action)
@@ -126,7 +150,9 @@ def line(robot, start, speed, times):
 
 def steer(steering, rows, actions):
     """Blocks that the base law gets, and observations of a learner, for actions (steps, size)."""
-    given, memory, observed = [], None, []
+    given = []
+    memory = None
+    observed = []
     steering.law.respond = lambda blocks, *rest: given.append(blocks) or (np.zeros(6), None)
     for observation, action in zip(rows, actions, strict=True):
         blocks = steering.split(observation)
@@ -149,8 +175,10 @@ def test_spline_weights_equal_the_closed_form():
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
 def test_spline_is_a_smooth_partition_of_unity(degree):
     """Its derivatives equal difference quotients, and it is continuous at its knots up to order degree − 1."""
-    action_period, step = 0.03, 1e-6
-    shift, times = Shift(degree=degree), np.linspace(0.002, 0.028, 7)
+    action_period = 0.03
+    step = 1e-6
+    shift = Shift(degree=degree)
+    times = np.linspace(0.002, 0.028, 7)
     before, now, after = (shift.weights(times + change, action_period) for change in (-step, 0.0, step))
     np.testing.assert_allclose(now[:, 0].sum(axis=-1), 1.0, atol=1e-14)
     assert now[:, 0].min() >= 0
@@ -185,10 +213,12 @@ def test_shift_stays_within_the_error_bounds(env_id):
 @pytest.mark.parametrize(("degree", "preview"), [(2, 0.02), (4, 0.1), (5, 0.2)])
 def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
     """Σⱼ j B(u − j) = u − (degree + 1)/2: the delay is (degree + 1)/2 action periods minus the preview."""
-    action_period, steps = 0.02, 120
+    action_period = 0.02
+    steps = 120
     action_mapping = Shift(action_period=action_period, degree=degree, preview=preview)
     steering = steering_of(FLEX_SPATIAL_ID, base=Base(law="composite"), action_mapping=action_mapping)
-    start, speed = np.array([0.3, -0.2, 0.1, 0.05, -0.02, 0.01]), np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
+    start = np.array([0.3, -0.2, 0.1, 0.05, -0.02, 0.01])
+    speed = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
     times = np.arange(steps) * PERIOD
     given, _ = steer(steering, line(FLEX_SPATIAL, start, speed, times), np.zeros((steps, 6)))
     inside = slice(round(degree * action_period / PERIOD), None)
@@ -200,7 +230,8 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
 
 
 def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
-    action_mapping, steps = Shift(action_period=0.01, degree=5), 40
+    action_mapping = Shift(action_period=0.01, degree=5)
+    steps = 40
     steering = steering_of(FLEX_PLANAR_ID, base=Base(law="motor-pd"), action_mapping=action_mapping)
     actions = np.random.default_rng(0).uniform(-0.6, 0.6, (steps, 2))
     rows = line(FLEX_PLANAR, np.zeros(2), np.zeros(2), np.arange(steps))
@@ -216,7 +247,11 @@ def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
 
 
 def test_action_period_is_rounded_to_control_periods():
-    for action_period, frequency, periods in ((0.04, 500.0, 20), (0.04, 120.0, 5), (0.001, 500.0, 1)):
+    for action_period, frequency, periods in (
+        (0.04, 500.0, 20),
+        (0.04, 120.0, 5),
+        (0.001, 500.0, 1),
+    ):
         steering = steering_of(action_mapping=Shift(action_period=action_period))
         steering.reset(tasks_of(PLANAR_ID, control_frequency=frequency))
         assert steering.periods == periods
@@ -226,7 +261,8 @@ def test_residual_adds_the_clipped_action_of_the_last_decision():
     action_mapping = Residual(action_period=0.006, fraction=0.25)
     steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=RESIDUAL_FEATURES)
     rows, _ = observations(SPATIAL_ID, 9, envs=1)
-    law, memory = Base().make(SPATIAL), None
+    law = Base().make(SPATIAL)
+    memory = None
     actions = np.random.default_rng(0).uniform(-2, 2, (9, 6))
     for step, observation in enumerate(rows[:, 0]):
         blocks = steering.split(observation)
@@ -239,7 +275,8 @@ def test_residual_adds_the_clipped_action_of_the_last_decision():
 @pytest.mark.parametrize(("degree", "preview"), [(2, 0.0), (5, 0.0), (3, 0.05)])
 def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
     """Rigid robots' laws get the mean acceleration of each control period."""
-    action_mapping, steps = Shift(action_period=0.01, degree=degree, preview=preview), 60
+    action_mapping = Shift(action_period=0.01, degree=degree, preview=preview)
+    steps = 60
     features = ("error", "shift", "actions", "shift_velocity")
     steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=features)
     actions = np.random.default_rng(degree).uniform(-0.5, 0.5, (steps, 6))
@@ -248,7 +285,8 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
     layout.split(rows)["pose"][:] = np.random.default_rng(0).normal(size=(steps, 6))
     given, learner = steer(steering, rows, actions)
     error, shift, past, rate = np.split(learner, [6, 12, 12 + 6 * degree], axis=1)
-    bounds, blocks = action_mapping.bounds(ErrorBounds(), SPATIAL), layout.split(rows)
+    bounds = action_mapping.bounds(ErrorBounds(), SPATIAL)
+    blocks = layout.split(rows)
     expected = given["reference_pose"] - blocks["reference_pose"]
     np.testing.assert_allclose(shift * bounds, expected, atol=1e-13)
     expected = given["reference_velocity"] - blocks["reference_velocity"]
@@ -275,7 +313,8 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
     rows = np.zeros((2, observation_layout(SPATIAL).size))
     blocks = steering.split(rows)
     blocks["reference_pose"][:], blocks["pose"][:] = poses, [one.start_pose for one in tasks]
-    given, memory = [], None
+    given = []
+    memory = None
     steering.law.respond = lambda blocks, *rest: given.append(blocks) or (np.zeros((2, 6)), None)
     for _ in range(2):
         memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
@@ -289,7 +328,8 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
 
 def test_motion_of_a_base_alone_is_the_task_soon():
     bundle = dataclasses.replace(bundle_of("preview"), base=Base())  # an estimator would remember the start
-    alone, robot = LearnedPolicy(bundle.base_alone, SPATIAL), bundle.base.make(SPATIAL)
+    alone = LearnedPolicy(bundle.base_alone, SPATIAL)
+    robot = bundle.base.make(SPATIAL)
     rows, tasks = observations(SPATIAL_ID, 300)
     alone.reset(tasks)
     robot.reset(tasks)
@@ -318,7 +358,9 @@ def test_time_features_start_with_the_episode():
 
 @each_case
 def test_episodes_of_a_batch_are_independent(case):
-    bundle, steps, envs = bundle_of(case), 50, 4
+    bundle = bundle_of(case)
+    steps = 50
+    envs = 4
     rows, tasks = observations(bundle.env_id, steps, envs)
     starts = np.zeros((steps, envs), bool)
     for index, begun in enumerate((0, 7, 23, 38)):
@@ -337,7 +379,8 @@ def test_zero_network_equals_the_base_law(case):
     bundle = bundle_of(case, scale=0.0)
     robot = find_robot(env_robot(bundle.env_id))
     rows, tasks = observations(bundle.env_id, 30)
-    policy, law = LearnedPolicy(bundle, robot), bundle.base.make(robot)
+    policy = LearnedPolicy(bundle, robot)
+    law = bundle.base.make(robot)
     policy.reset(tasks)
     law.reset(tasks)
     np.testing.assert_array_equal(run(policy, rows), run(law, rows))
@@ -353,7 +396,8 @@ def test_tasks_of_a_batch_have_the_same_error_bounds():
 
 @pytest.mark.parametrize("case", ["preview", "springs"])
 def test_saved_bundle_equals_the_bundle(case, tmp_path):
-    bundle, path = bundle_of(case), tmp_path / "made" / "bundle.zip"
+    bundle = bundle_of(case)
+    path = tmp_path / "made" / "bundle.zip"
     bundle.save(path)
     loaded = Bundle.load(path)
     for name in ("env_id", "base", "action_mapping", "features", "card"):
@@ -377,8 +421,14 @@ def test_invalid_bundle_is_rejected(saved):
         arrays = {name: file[name] for name in file.files}
     data = json.loads(str(arrays["bundle"]))
     cases = (
-        ({"bundle": np.array(json.dumps(data | {"format": FORMAT + 1}))}, "is newer than 1: upgrade"),
-        ({"bundle": np.array(json.dumps(data | {"observation": data["observation"][1:]}))}, "but its environment has"),
+        (
+            {"bundle": np.array(json.dumps(data | {"format": FORMAT + 1}))},
+            "is newer than 1: upgrade",
+        ),
+        (
+            {"bundle": np.array(json.dumps(data | {"observation": data["observation"][1:]}))},
+            "but its environment has",
+        ),
         ({"weight0": np.full_like(arrays["weight0"], np.nan)}, "numbers must be finite"),
         ({"mean": np.array([print], object)}, "allow_pickle=False"),
     )
@@ -412,9 +462,17 @@ def test_invalid_parameters_are_rejected(make):
 @pytest.mark.parametrize(
     ("env_id", "first", "second"),
     [
-        (FLEX_PLANAR_ID, Base(law="motor-pd", frequency=50.0), Base(law="motor-pd", frequency=400.0)),
+        (
+            FLEX_PLANAR_ID,
+            Base(law="motor-pd", frequency=50.0),
+            Base(law="motor-pd", frequency=400.0),
+        ),
         (SPATIAL_ID, Base(gains=(7.0, 3.0)), Base()),
-        (SPATIAL_ID, Base(estimates_payload=True), Base(estimates_payload=True, estimator_prior_weight=1e3)),
+        (
+            SPATIAL_ID,
+            Base(estimates_payload=True),
+            Base(estimates_payload=True, estimator_prior_weight=1e3),
+        ),
         (PLANAR_ID, Base(minimum_tension=2.0), Base()),
     ],
 )
@@ -426,14 +484,21 @@ def test_parameters_of_a_base_reach_the_law(env_id, first, second):
 
 def test_inconsistent_network_is_rejected():
     network = Network(mean=np.zeros(2), scale=np.ones(2), weights=(np.zeros((4, 2)),), biases=(np.zeros(4),))
-    for changes in ({"biases": (np.zeros(3),)}, {"mean": np.zeros(3)}, {"scale": np.zeros(2)}, {"squash": "soft"}):
+    for changes in (
+        {"biases": (np.zeros(3),)},
+        {"mean": np.zeros(3)},
+        {"scale": np.zeros(2)},
+        {"squash": "soft"},
+    ):
         with pytest.raises(ValueError, match=r"inconsistent|above 0|unknown squash"):
             dataclasses.replace(network, **changes)
 
 
 def test_network_equals_its_layers():
     draw = np.random.default_rng(0)
-    first, last, x = draw.normal(size=(3, 2)), draw.normal(size=(4, 3)), np.array([3.0, 1.0])
+    first = draw.normal(size=(3, 2))
+    last = draw.normal(size=(4, 3))
+    x = np.array([3.0, 1.0])
     normalisation = {"mean": np.array([1.0, 2.0]), "scale": np.array([2.0, 1e-9])}
     biases = (np.full(3, 0.1), np.full(4, -0.2))
     values = last @ np.tanh(first @ np.array([1.0, -10.0]) + 0.1) - 0.2
@@ -443,7 +508,8 @@ def test_network_equals_its_layers():
 
 
 def test_bundle_is_evaluated_by_name_and_cell(tmp_path, inline):
-    path, bundle = tmp_path / "zero.zip", bundle_of(scale=0.0)
+    path = tmp_path / "zero.zip"
+    bundle = bundle_of(scale=0.0)
     bundle.save(path)
     expected = evaluate_dlcc(bundle.base.make(PLANAR), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload
     assert evaluate_dlcc(str(path), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload == expected > 0
@@ -458,7 +524,8 @@ def test_stored_result_depends_on_the_bundle_and_its_code(saved, monkeypatch):
     bundle_of(seed=2).save(saved)
     code_hash.source_hash.cache_clear()
     assert cell.source != before
-    read, original = set(), code_hash._parsed.__wrapped__
+    read = set()
+    original = code_hash._parsed.__wrapped__
     monkeypatch.setattr(code_hash, "_parsed", lambda path, name: read.add(name) or original(path, name))
     code_hash.source_hash.cache_clear()
     assert cell.source

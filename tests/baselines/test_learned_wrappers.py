@@ -25,10 +25,21 @@ from cablebot_baselines.learned.wrappers import (
 )
 from cablebot_gym.evaluation import DLCCMonitor
 
-PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
+FLEX_ID = "CableBot-FlexSpatial-v0"
 
 OBSERVED = (
-    *("pose", "velocity", "error", "actions", "time_since_start", "rbf_progress", "time_to_go_decays", "model_payload"),
+    *(
+        "pose",
+        "velocity",
+        "error",
+        "actions",
+        "time_since_start",
+        "rbf_progress",
+        "time_to_go_decays",
+        "model_payload",
+    ),
     *("shift", "shift_velocity"),
 )
 
@@ -46,7 +57,13 @@ CASES: dict[str, dict[str, Any]] = {
         "env_id": FLEX_ID,
         "steered": {
             "base": "composite",
-            "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.3, "degree": 5, "preview": 0.05},
+            "steering": {
+                "kind": "shift",
+                "action_period": 0.02,
+                "fraction": 0.3,
+                "degree": 5,
+                "preview": 0.05,
+            },
             "features": OBSERVED,
         },
     },
@@ -76,7 +93,8 @@ def check_same_row(results, env_index, own):
     for value, own_value in zip(results[:-1], own[:-1], strict=True):
         np.testing.assert_array_equal(value[env_index], own_value)
         assert value.dtype == np.asarray(own_value).dtype
-    info, own_info = results[-1], own[-1]
+    info = results[-1]
+    own_info = own[-1]
     assert info.keys() == own_info.keys()
     for key, value in own_info.items():
         assert isinstance(value, (float, bool, int, np.ndarray))
@@ -95,8 +113,11 @@ def test_single_form_passes_the_checkers_of_gymnasium_and_sb3():
 @each_case
 def test_each_row_of_a_batch_equals_the_single_environment_bit_for_bit(case):
     """Over several episodes, with masked resets and ends within an action."""
-    count, seed, limit = 5, 3, {"max_episode_steps": 56}
-    env, singles = batch(case, count, **limit), [single(case, **limit) for _ in range(count)]
+    count = 5
+    seed = 3
+    limit = {"max_episode_steps": 56}
+    env = batch(case, count, **limit)
+    singles = [single(case, **limit) for _ in range(count)]
     started = env.reset(seed=seed)
     for env_index, one in enumerate(singles):
         check_same_row(started, env_index, one.reset(seed=seed + env_index))
@@ -128,19 +149,23 @@ def test_result_of_an_ended_episode_is_that_of_its_last_control_period(monkeypat
     env = make_steered_vec(SPATIAL_ID, 2, wrappers=[(Steered, steered)], terminate_on_violation=True)
     plain = gym.make(SPATIAL_ID, terminate_on_violation=True)
     env.reset(seed=0, options={"payload": [30.0, 0.0]})
-    law, observation = env.steering.law, plain.reset(options={"payload": 30.0})[0]
-    ended, expected = False, 0.0
+    law = env.steering.law
+    observation = plain.reset(options={"payload": 30.0})[0]
+    ended = False
+    expected = 0.0
     while not ended:
         observation, reward, ended, _, last = plain.step(law.predict(observation)[0])
         expected += reward
-    respond, errors = law.respond, []
+    respond = law.respond
+    errors = []
 
     def recorded(blocks, *others):
         errors.append(np.linalg.norm((blocks["pose"] - blocks["reference_pose"])[:, :3], axis=1).max())
         return respond(blocks, *others)
 
     monkeypatch.setattr(law, "respond", recorded)
-    total, terminated = 0.0, np.zeros(2, np.bool_)
+    total = 0.0
+    terminated = np.zeros(2, np.bool_)
     while not terminated.any():
         observed, rewards, terminated, _, info = env.step(np.zeros((2, 6)))
         total += rewards[0]
@@ -162,7 +187,8 @@ def test_info_of_other_wrappers_inside_passes_through():
 def test_payloads_follow_the_power_law():
     """At power 1 they equal the environment's own uniform draws."""
     env = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0, power=1.0)
-    plain, heavy = gym.make(PLANAR_ID, payload_range=(0.0, 3.0)), PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0)
+    plain = gym.make(PLANAR_ID, payload_range=(0.0, 3.0))
+    heavy = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0)
     draws = np.array([[one.reset(seed=seed)[1]["payload"] for one in (env, plain, heavy)] for seed in range(20)])
     np.testing.assert_array_equal(draws[:, 0], draws[:, 1])
     np.testing.assert_allclose(draws[:, 2], 3.0 * (draws[:, 0] / 3.0) ** 0.6, rtol=1e-12)
@@ -234,10 +260,16 @@ class SinglePrecision(Network):
 @each_case
 def test_policy_on_the_plain_environment_repeats_the_training_bit_for_bit(case):
     env = single(case)
-    steering, env_id = env.steering, CASES[case]["env_id"]
+    steering = env.steering
+    env_id = CASES[case]["env_id"]
     network = SinglePrecision(**vars(network_of(steering, scale=0.1)))
-    parts = {"base": steering.base, "action_mapping": steering.action_mapping, "features": steering.features}
-    bundle, plain = Bundle(env_id=env_id, network=network, **parts), gym.make(env_id)
+    parts = {
+        "base": steering.base,
+        "action_mapping": steering.action_mapping,
+        "features": steering.features,
+    }
+    bundle = Bundle(env_id=env_id, network=network, **parts)
+    plain = gym.make(env_id)
     policy = LearnedPolicy(bundle, plain.unwrapped.settings.robot)
     observed, _ = env.reset(seed=0, options={"payload": 0.4})
     observation, _ = plain.reset(seed=0, options={"payload": 0.4})
@@ -267,7 +299,9 @@ def test_action_period_and_shift_follow_the_control_frequency_and_the_error_boun
 
 
 def test_effort_costs_the_mean_square_of_the_clipped_action():
-    arguments, action, rewards = CASES["shift"]["steered"], np.array([[0.5, 7.0], [0.0, 0.0]]), []
+    arguments = CASES["shift"]["steered"]
+    action = np.array([[0.5, 7.0], [0.0, 0.0]])
+    rewards = []
     for effort in (0.0, 0.4):
         env = make_steered_vec(PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3)
         rewards.append(env.step(action)[1])
@@ -298,11 +332,20 @@ STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
     [
         ([], "must be Steered"),
         ([(Steered, STEERED), (PayloadCurriculum, {"heaviest": 1.0})], "Steered must be outermost"),
-        ([(Steered, STEERED | {"action_period": 1})], "Steered: .*unexpected keyword argument 'action_period'"),
+        (
+            [(Steered, STEERED | {"action_period": 1})],
+            "Steered: .*unexpected keyword argument 'action_period'",
+        ),
         ([(DLCCMonitor, {}), (Steered, STEERED)], "DLCCMonitor has no vector form"),
-        ([(PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)], "start must be .*at most 1 kg"),
+        (
+            [(PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)],
+            "start must be .*at most 1 kg",
+        ),
         ([(Steered, STEERED | {"base": "lqr"})], "unknown base law 'lqr'"),
-        ([(Steered, STEERED | {"steering": "residual", "features": ["shift"]})], "requires steering of kind shift"),
+        (
+            [(Steered, STEERED | {"steering": "residual", "features": ["shift"]})],
+            "requires steering of kind shift",
+        ),
     ],
 )
 def test_invalid_wrappers_and_arguments_raise(wrappers, message):

@@ -77,7 +77,9 @@ def test_entry_points_name_the_shipped_policies():
     points = entry_points(group="cablebot_gym.policies")
     for name, shipped in SHIPPED.items():
         entry = points[name].load()
-        assert (entry.name, entry.kind, entry.env_ids) == (name, "learned", shipped.env_ids)
+        assert entry.name == name
+        assert entry.kind == "learned"
+        assert entry.env_ids == shipped.env_ids
 
 
 @pytest.mark.parametrize("robot", [SPATIAL, FLEX_PLANAR], ids=lambda robot: robot.name)
@@ -121,14 +123,18 @@ load_shipped("apg-circle", PLANAR)
 
 @pytest.mark.parametrize("name", CARDS)
 def test_card_belongs_to_its_weights(name):
-    card, path = CARDS[name], WEIGHTS / f"{name}.zip"
-    bundle, shipped = Bundle.load(path), SHIPPED[card.policy]
+    card = CARDS[name]
+    path = WEIGHTS / f"{name}.zip"
+    bundle = Bundle.load(path)
+    shipped = SHIPPED[card.policy]
     assert (WEIGHTS / f"{name}.json").read_text(encoding="utf-8") == card.to_json(), AGAIN
     assert card.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert len(card.seeds) >= LEAST_SEEDS
     assert card.shipped_seed == median_seed({run.seed: run.in_training for run in card.seeds})
-    assert (card.algorithm, card.config) == (shipped.algorithm, shipped.config)
-    assert (bundle.env_id, bundle.card["seed"]) == (card.env_id, card.shipped_seed)
+    assert card.algorithm == shipped.algorithm
+    assert card.config == shipped.config
+    assert bundle.env_id == card.env_id
+    assert bundle.card["seed"] == card.shipped_seed
     assert bundle.card["dwell"] == card.dwell > 0
     assert card.conditions == CONDITIONS[card.policy]
     assert bundle.card["config"] == read_yaml(card.env_id, Path(card.config or card.algorithm))
@@ -139,6 +145,7 @@ def test_card_belongs_to_its_weights(name):
 @pytest.mark.parametrize("name", [name for name in CARDS if name.endswith("-planar")])
 def test_payload_of_a_planar_card_is_reproduced(name):
     card = CARDS[name]
-    policy, known = load_shipped(card.policy, PLANAR), card.conditions[0].payload_known
+    policy = load_shipped(card.policy, PLANAR)
+    known = card.conditions[0].payload_known
     result = evaluate_dlcc(policy, PLANAR_ID, payload_known=known)
     assert result.payload == pytest.approx(card.shipped.payloads[0], abs=2 * result.resolution)

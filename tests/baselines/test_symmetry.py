@@ -39,7 +39,8 @@ def test_transformed_motion_needs_the_same_actions_of_permuted_motors(robot):
         needed = inverse_dynamics(robot, 3.0, *parts, minimum=5.0)
         return normalised_action(robot, needed.torques, needed.speeds)
 
-    permutations, before = set(), actions(np.eye(2))
+    permutations = set()
+    before = actions(np.eye(2))
     for transform in transforms:
         after = actions(transform)
         permutation = [int(np.abs(before - column[:, None]).max(axis=0).argmin()) for column in after.T]
@@ -61,7 +62,8 @@ def test_number_of_symmetries_of_irregular_robots():
 
 
 @pytest.mark.parametrize(
-    ("hidden", "iterations"), [((), 0), ((3, 2, 5), 0), pytest.param((3, 3), 6, marks=pytest.mark.slow)]
+    ("hidden", "iterations"),
+    [((), 0), ((3, 2, 5), 0), pytest.param((3, 3), 6, marks=pytest.mark.slow)],
 )
 def test_network_is_equivariant_before_and_after_training(hidden, iterations):
     made = training(hidden=hidden, iterations=max(iterations, 1))

@@ -14,7 +14,8 @@ from cablebot_baselines.learned.vec_env import CableBotVecEnv, make_sb3_vec_env
 from cablebot_gym.envs import PAPER_ENV_IDS
 
 PLANAR_ID = "CableBot-Planar-v0"
-COUNT, LIMIT = 5, 7
+COUNT = 5
+LIMIT = 7
 
 
 def failing(env_id):
@@ -56,19 +57,22 @@ def check_same_run(env, twin, actions):
     """Compares transitions and infos; returns how many episodes failed, and how many the time limit ended."""
     failed = limited = 0
     for action in actions:
-        one, other = env.step(action), twin.step(action)
+        one = env.step(action)
+        other = twin.step(action)
         for mine, its in zip(one[:3], other[:3], strict=True):
             np.testing.assert_array_equal(mine, its, strict=True)
         for mine, its in zip(one[3] + env.reset_infos, other[3] + twin.reset_infos, strict=True):
             check_same_dict(mine, its)
         limit = np.array([info["TimeLimit.truncated"] for info in other[3]])
-        failed, limited = failed + (other[2] & ~limit).sum(), limited + limit.sum()
+        failed = failed + (other[2] & ~limit).sum()
+        limited = limited + limit.sum()
     return failed, limited
 
 
 @pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 def test_transitions_and_infos_equal_those_of_dummy_vec_env_bit_for_bit(env_id):
-    env, twin = ours(env_id, info_keys=None), dummy(env_id)
+    env = ours(env_id, info_keys=None)
+    twin = dummy(env_id)
     assert env.observation_space == twin.observation_space
     assert env.action_space == twin.action_space
     assert env.seed(7) == twin.seed(7)
@@ -81,7 +85,8 @@ def test_transitions_and_infos_equal_those_of_dummy_vec_env_bit_for_bit(env_id):
 
 def test_info_keys_select_the_info_of_the_episode_that_ended():
     """Ended episodes also have the final keys; the info of the next episode is in ``reset_infos`` only."""
-    env, twin = ours(seed=1, info_keys=("time", "slack")), dummy()
+    env = ours(seed=1, info_keys=("time", "slack"))
+    twin = dummy()
     twin.seed(1)
     env.reset(), twin.reset()
     for action in random_actions(env, 40):
@@ -106,7 +111,8 @@ def test_failure_at_the_last_step_is_not_a_truncation(limit, by_limit):
 
 def test_results_may_be_overwritten_by_the_caller():
     """VecNormalize and callbacks write into what they get."""
-    env, twin = ours(seed=2), ours(seed=2)
+    env = ours(seed=2)
+    twin = ours(seed=2)
     env.reset(), twin.reset()
     np.testing.assert_array_equal(env.action_space.sample(), twin.action_space.sample())
     for action in random_actions(env, 16):
@@ -117,7 +123,8 @@ def test_results_may_be_overwritten_by_the_caller():
 
 
 def test_options_apply_to_one_episode_and_leave_the_draws_unchanged():
-    env, twin = ours(info_keys=None), dummy()
+    env = ours(info_keys=None)
+    twin = dummy()
     for one in (env, twin):
         one.seed(5)
         one.set_options({"payload": 1.5, "payload_known": False})
@@ -162,7 +169,8 @@ def test_attributes_equal_those_of_the_single_environments():
 def test_wrappers_of_the_batch_take_effect():
     """Also the episode statistics of Gymnasium's wrapper, which SB3 reads."""
     halved = TransformAction(RecordEpisodeStatistics(ours().env), lambda actions: 0.5 * actions)
-    plain, wrapped = VecMonitor(ours(seed=0)), CableBotVecEnv(halved)
+    plain = VecMonitor(ours(seed=0))
+    wrapped = CableBotVecEnv(halved)
     wrapped.seed(0)
     np.testing.assert_array_equal(plain.reset(), wrapped.reset())
     ends = 0
@@ -172,7 +180,8 @@ def test_wrappers_of_the_batch_take_effect():
         np.testing.assert_array_equal(given, observation)
         for env_index in np.flatnonzero(dones):
             mine, its = (info[env_index]["episode"] for info in (infos, theirs))
-            assert (mine["l"], mine["r"]) == (its["l"], pytest.approx(its["r"], abs=1e-5))
+            assert mine["l"] == its["l"]
+            assert mine["r"] == pytest.approx(its["r"], abs=1e-5)
             ends += 1
     assert ends > COUNT
     assert wrapped.env_is_wrapped(TransformAction) == wrapped.env_is_wrapped(RecordEpisodeStatistics) == [True] * COUNT

@@ -15,7 +15,8 @@ from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
 from cablebot_gym.benchmark.verification import Confirmation, broken, confirm
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 
 
 @pytest.fixture
@@ -33,7 +34,11 @@ def policy(module):
 def hidden(motions):
     """A suite of hidden motions."""
     return Suite(
-        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=motions),), best_known=False
+        name="s",
+        summary="",
+        env_ids=(PLANAR,),
+        blocks=(Block(motion="hidden", motions=motions),),
+        best_known=False,
     )
 
 
@@ -116,7 +121,10 @@ def test_results_with_other_policies_or_motions_than_those_of_the_board_are_reje
         replace(results, records=[easy, *records[1:]]).check_board()
     with pytest.raises(ValueError, match="are not those of board"):
         replace(results, records=records[:2]).check_board()
-    for folder, committed in (("policy", {PLANAR: ["fl", "robust"]}), ("id", {PLANAR: ["fl"], SPATIAL: ["robust"]})):
+    for folder, committed in (
+        ("policy", {PLANAR: ["fl", "robust"]}),
+        ("id", {PLANAR: ["fl"], SPATIAL: ["robust"]}),
+    ):
         more = boards.commit(tmp_path / folder, "1", committed, 3)
         with pytest.raises(ValueError, match="differ in robust on"):
             replace(results, board=more).check_board()
@@ -131,7 +139,12 @@ def record(cell, payload=1.0, **result):
 
 
 def cell(**more):
-    usual = {"env_id": PLANAR, "trajectory": {"name": "circle-planar"}, "policy": "fl", "uncertainty": "table6"}
+    usual = {
+        "env_id": PLANAR,
+        "trajectory": {"name": "circle-planar"},
+        "policy": "fl",
+        "uncertainty": "table6",
+    }
     return PolicyCell(**(usual | {"draws": 512} | more))
 
 
@@ -146,7 +159,8 @@ def test_promises_hold_for_18_of_20_cells_and_none_far_below():
 
 
 def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
-    kept, too_much = record(cell(), 0.3), record(cell(policy="fl-tuned"), 2.1)
+    kept = record(cell(), 0.3)
+    too_much = record(cell(policy="fl-tuned"), 2.1)
     others = [
         record(cell(uncertainty=None, draws=1), assured=None),
         record(cell(policy="robust"), None),

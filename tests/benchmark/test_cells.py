@@ -14,7 +14,13 @@ from inline import InlinePolicy
 
 from cablebot_gym.benchmark import cells
 from cablebot_gym.benchmark import policy_source as policy_sources
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict, compute
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    PolicyCell,
+    TimingCell,
+    cell_from_dict,
+    compute,
+)
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, PolicyError, load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, find_robot
@@ -25,7 +31,12 @@ CIRCLE = {"name": "circle-planar"}
 SLOW = 125.0
 """Control frequency with a quarter of the usual steps [1/s]."""
 FL = PolicyCell(
-    env_id=PLANAR_ID, trajectory=CIRCLE, policy="fl", resolution=0.02, payload_max=4.0, control_frequency=SLOW
+    env_id=PLANAR_ID,
+    trajectory=CIRCLE,
+    policy="fl",
+    resolution=0.02,
+    payload_max=4.0,
+    control_frequency=SLOW,
 )
 BEST = BestKnownCell(env_id=PLANAR_ID, trajectory=CIRCLE)
 SPRINGS = {"transmission": {"stiffness": 10.0}}
@@ -99,21 +110,34 @@ def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
 
 @pytest.mark.usefixtures("inline")
 def test_robot_name_reaches_plant_and_policy():
-    klaus, kind = find_robot("gch-klaus"), "planar-platform"
-    motion = {"name": f"lemniscate-{kind}", "amplitude": [0.01, 0.01], "center": [0.0, 0.0, 0.0], "duration": 1.0}
+    klaus = find_robot("gch-klaus")
+    kind = "planar-platform"
+    motion = {
+        "name": f"lemniscate-{kind}",
+        "amplitude": [0.01, 0.01],
+        "center": [0.0, 0.0, 0.0],
+        "duration": 1.0,
+    }
     options = {"trajectory": motion, "resolution": 0.5, "payload_max": 5.0}
     cell = PolicyCell(env_id="CableBot-PlanarPlatform-v0", policy="fl", robot_name=klaus.name, **options)
     expected = evaluate_dlcc(
         load_policy("fl", klaus), cell.env_id, robot=klaus, error_bounds=FL.error_bounds, **options
     )
     result = compute(cell).result
-    assert [result["payload"], result["total_mass"]] == [expected.payload, expected.payload + klaus.mass]
+    assert [result["payload"], result["total_mass"]] == [
+        expected.payload,
+        expected.payload + klaus.mass,
+    ]
 
 
 @pytest.mark.slow
 def test_robot_changes_reach_plant_and_policy():
     cell = PolicyCell(
-        env_id="CableBot-FlexPlanar-v0", trajectory=CIRCLE, policy="motor-pd", resolution=0.2, robot_changes=SPRINGS
+        env_id="CableBot-FlexPlanar-v0",
+        trajectory=CIRCLE,
+        policy="motor-pd",
+        resolution=0.2,
+        robot_changes=SPRINGS,
     )
     stiffer = FLEX_PLANAR.replace(transmission=FLEX_PLANAR.transmission.replace(stiffness=10.0))
     expected = evaluate_dlcc(load_policy("motor-pd", stiffer), cell.env_id, robot=stiffer, resolution=0.2)
@@ -129,7 +153,8 @@ def test_draws_and_probability_reach_the_evaluation():
     search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127, "control_frequency": SLOW}
     expected = evaluate_dlcc("fl", PLANAR_ID, uncertainty="table6", draws=60, probability=0.5, **search)
     found = compute(cell).result
-    assert (found["payload"], found["assured"]) == (expected.payload, True)
+    assert found["payload"] == expected.payload
+    assert found["assured"]
     assert cell.success_rate(found["payload"], 60, 2**127) >= 0.5
     assert compute(dataclasses.replace(cell, probability=0.9)).result["payload"] < expected.payload
 
@@ -257,7 +282,8 @@ PAPER = {"criterion": "paper", "trajectory": {"name": "paper-planar"}, "control_
 def test_paper_criterion_takes_unsaturated_policies(module):
     module("toy_policies.py", TOYS)
     result = compute(changed(policy="toy_policies:clips", **PAPER)).result
-    assert (result["applicable"], result["payload"]) == (False, None)
+    assert not result["applicable"]
+    assert result["payload"] is None
     assert compute(changed(policy="toy_policies:claims", **PAPER)).result["payload"] == pytest.approx(1.06, abs=0.03)
 
 
@@ -299,7 +325,11 @@ def sources(module, policy, files):
 
 
 def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
-    for name, text in (("__init__", ""), ("law", "from toy_package.gains import K\n"), ("gains", "K = 1\n")):
+    for name, text in (
+        ("__init__", ""),
+        ("law", "from toy_package.gains import K\n"),
+        ("gains", "K = 1\n"),
+    ):
         module(f"toy_package/{name}.py", text)
     files = (
         ("unused.py", "K = 1\n"),
@@ -315,7 +345,12 @@ def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
 
 
 def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, monkeypatch):
-    for name, text in (("__init__.py", ""), ("law.py", "K = 1\n"), ("own.bin", "1"), ("card.json", "1")):
+    for name, text in (
+        ("__init__.py", ""),
+        ("law.py", "K = 1\n"),
+        ("own.bin", "1"),
+        ("card.json", "1"),
+    ):
         path = module(f"toy_package/{name}", text)
     files = (path.parent / "own.bin",)
     entry = PolicyEntry(name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files)
@@ -328,7 +363,10 @@ def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, 
 
 
 def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(module):
-    module("toy_flat.py", "import numpy\nimport toy_helper\nfrom toy_helpers.deep import K\ndef make(robot): ...\n")
+    module(
+        "toy_flat.py",
+        "import numpy\nimport toy_helper\nfrom toy_helpers.deep import K\ndef make(robot): ...\n",
+    )
     module("toy_helpers/__init__.py", "")
     names = ("toy_helper.py", "toy_helpers/deep.py", "toy_helpers/__init__.py", "toy_other.py")
     seen = sources(module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)])
@@ -349,14 +387,22 @@ def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
     code_hash.source_hash.cache_clear()
     assert changed(policy="adaptive").source
     code_hash.source_hash.cache_clear()
-    names = ("physics.kernel", "envs.vector", "envs.disturbances", "evaluation.constraints", "robots", "uncertainty")
+    names = (
+        "physics.kernel",
+        "envs.vector",
+        "envs.disturbances",
+        "evaluation.constraints",
+        "robots",
+        "uncertainty",
+    )
     assert {f"cablebot_gym.{name}" for name in names} <= set(files)
     assert {"cablebot_baselines.classical.adaptive", "cablebot_baselines.classical.law"} <= set(files)
     assert not [name for name in files if name.startswith(("cablebot_baselines.paper", "cablebot_gym.cli.app"))]
 
 
 def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
-    cells, seen = [changed(robot_name="flex-cogiro"), dataclasses.replace(BEST, robot_name="cogiro"), FL], []
+    cells = [changed(robot_name="flex-cogiro"), dataclasses.replace(BEST, robot_name="cogiro"), FL]
+    seen = []
     monkeypatch.setattr("cablebot_gym.benchmark.cells.library", lambda: {"cogiro": tmp_path / "cogiro.toml"})
     for content in ("mass = 1", "mass = 2"):
         (tmp_path / "cogiro.toml").write_text(content, encoding="utf-8")
@@ -366,7 +412,8 @@ def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
 
 
 def test_hash_of_a_policy_file_is_that_of_its_contents(tmp_path):
-    cell, seen = changed(policy=str(tmp_path / "model.zip")), set()
+    cell = changed(policy=str(tmp_path / "model.zip"))
+    seen = set()
     for content in (b"1", b"2"):
         (tmp_path / "model.zip").write_bytes(content)
         code_hash.source_hash.cache_clear()

@@ -28,7 +28,13 @@ from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import PLANAR
 
 ENV_ID = "CableBot-Planar-v0"
-TEXTS = {"authors": "A. Author", "licence": "MIT", "compute": "none", "data": "none", "seeds": "none"}
+TEXTS = {
+    "authors": "A. Author",
+    "licence": "MIT",
+    "compute": "none",
+    "data": "none",
+    "seeds": "none",
+}
 BLOCKS = (Block(), Block(uncertainty="sensors", draws=64))
 TINY = Suite(name="tiny", summary="circle", env_ids=(ENV_ID,), blocks=BLOCKS)
 LAW = """
@@ -61,7 +67,11 @@ def reruns(folder, exact, drawn, seed=0):
     cells = entry_cells(folder, "tiny", seed=seed, claims_only=True).values()
     made = []
     for cell, payload in zip(cells, (exact, drawn), strict=True):
-        result = {"payload": payload, "resolution": 0.001, "assured": None if cell.uncertainty is None else True}
+        result = {
+            "payload": payload,
+            "resolution": 0.001,
+            "assured": None if cell.uncertainty is None else True,
+        }
         result |= {"total_mass": None if payload is None else 1 + payload} if not isinstance(payload, str) else {}
         result = {"error": payload} if isinstance(payload, str) else result
         made.append(Record(cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0))
@@ -69,7 +79,11 @@ def reruns(folder, exact, drawn, seed=0):
 
 
 def test_entry_has_the_files_of_its_policy_and_is_loaded_in_its_own_process_only(entry):
-    assert sorted(path.name for path in (entry / "policy").iterdir()) == ["gains.txt", "toy_gains.py", "toy_law.py"]
+    assert sorted(path.name for path in (entry / "policy").iterdir()) == [
+        "gains.txt",
+        "toy_gains.py",
+        "toy_law.py",
+    ]
     assert check_entry(entry).env_ids == (ENV_ID,)
     assert find_entries(entry.parent) == {str(entry): check_entry(entry)}
     with pytest.raises(ValueError, match="in a process of its own only"):
@@ -88,17 +102,41 @@ def edit(entry, change):
 
 
 TAMPERING = {
-    "other code": (lambda entry: write(entry / "policy" / "toy_law.py", "make = 1"), "match its card in toy_law.py"),
-    "another file": (lambda entry: write(entry / "policy" / "numpy.py", ""), "match its card in numpy.py"),
-    "compiled code": (lambda entry: write(entry / "policy" / "__pycache__" / "a.pyc", ""), "its card in __pycache__"),
-    "missing weights": (lambda entry: (entry / "policy" / "gains.txt").unlink(), "its card in gains.txt"),
-    "finished cells": (lambda entry: write(entry / "work" / "run.json", "{}"), "unknown or links: work"),
+    "other code": (
+        lambda entry: write(entry / "policy" / "toy_law.py", "make = 1"),
+        "match its card in toy_law.py",
+    ),
+    "another file": (
+        lambda entry: write(entry / "policy" / "numpy.py", ""),
+        "match its card in numpy.py",
+    ),
+    "compiled code": (
+        lambda entry: write(entry / "policy" / "__pycache__" / "a.pyc", ""),
+        "its card in __pycache__",
+    ),
+    "missing weights": (
+        lambda entry: (entry / "policy" / "gains.txt").unlink(),
+        "its card in gains.txt",
+    ),
+    "finished cells": (
+        lambda entry: write(entry / "work" / "run.json", "{}"),
+        "unknown or links: work",
+    ),
     "link": (lambda entry: (entry / "policy" / "a").symlink_to("/etc/passwd"), "is a link"),
-    "linked results": (lambda entry: (entry / "README.md").symlink_to("/etc/passwd"), "links: README.md"),
+    "linked results": (
+        lambda entry: (entry / "README.md").symlink_to("/etc/passwd"),
+        "links: README.md",
+    ),
     "licence": (lambda entry: edit(entry, {"licence": " "}), "licence must be a text"),
     "unknown field": (lambda entry: edit(entry, {"score": 1}), "unknown key of the card 'score'"),
-    "other folder": (lambda entry: edit(entry, {"policy": "../../law:make"}), "policy must be module:factory"),
-    "command": (lambda entry: edit(entry, {"package": "law==1; rm -rf ."}), "package must be name==version"),
+    "other folder": (
+        lambda entry: edit(entry, {"policy": "../../law:make"}),
+        "policy must be module:factory",
+    ),
+    "command": (
+        lambda entry: edit(entry, {"package": "law==1; rm -rf ."}),
+        "package must be name==version",
+    ),
     "name": (lambda entry: edit(entry, {"name": "fl"}), "must have the name of the entry"),
 }
 
@@ -111,8 +149,16 @@ def test_tampered_folder_is_refused(entry, tamper, message):
 
 
 FALSE_CLAIMS = {
-    "wide bounds": ('"position": 0.01', '"position": 1.0', "does not have the cells of suite 'tiny'"),
-    "another suite": ('"suite": "tiny"', '"suite": "smoke"', "does not have the cells of suite 'smoke'"),
+    "wide bounds": (
+        '"position": 0.01',
+        '"position": 1.0',
+        "does not have the cells of suite 'tiny'",
+    ),
+    "another suite": (
+        '"suite": "tiny"',
+        '"suite": "smoke"',
+        "does not have the cells of suite 'smoke'",
+    ),
     "text": ('"payload": 1.0', '"payload": "many"', "payload that is no number"),
     "damaged": ('"cells"', '"sells"', "holds no results"),
 }

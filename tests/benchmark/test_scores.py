@@ -12,7 +12,14 @@ from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.maps import AXES
-from cablebot_gym.benchmark.scores import RANKED_MOTIONS, fraction, leaderboards, overall, payload_maps, scores
+from cablebot_gym.benchmark.scores import (
+    RANKED_MOTIONS,
+    fraction,
+    leaderboards,
+    overall,
+    payload_maps,
+    scores,
+)
 
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
@@ -20,7 +27,14 @@ LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(RA
 
 
 def record(cell, final=True, **result):
-    return Record(cell=cell, source="a" * 16, versions={"python": "3.11"}, result=result, seconds=1.0, final=final)
+    return Record(
+        cell=cell,
+        source="a" * 16,
+        versions={"python": "3.11"},
+        result=result,
+        seconds=1.0,
+        final=final,
+    )
 
 
 def best(payload, motion=CIRCLE, env_id=PLANAR, **more):
@@ -48,7 +62,11 @@ def row(text, policy):
 def test_score_is_the_fraction_of_the_best_known_payload_of_the_same_motion_and_bounds():
     wide = {"position": 0.02, "rotation": 0.01}
     some = [best(2.0), best(8.0, LOOPS[0]), carries("fl", 1.0), carries("fl", 2.0, LOOPS[0])]
-    some += [carries("fl", None, payload_known=False), carries("fl", 3.0, error_bounds=wide), carries("trajopt", 2.5)]
+    some += [
+        carries("fl", None, payload_known=False),
+        carries("fl", 3.0, error_bounds=wide),
+        carries("trajopt", 2.5),
+    ]
     assert [one.score for one in scores(some)] == [0.5, 0.25, 0.0, None, 1.25]
     assert [one.best_known for one in scores(some)] == [2.0, 8.0, 2.0, None, 2.0]
 
@@ -59,20 +77,27 @@ def test_error_of_a_policy_counts_as_zero_and_a_lost_computation_is_left_out():
 
 
 def test_fractions_are_of_the_task_criterion_without_uncertainty():
-    some = [best(2.0), carries("fl", 3.0, criterion="paper"), carries("fl", 1.0, uncertainty="table6", draws=512)]
+    some = [
+        best(2.0),
+        carries("fl", 3.0, criterion="paper"),
+        carries("fl", 1.0, uncertainty="table6", draws=512),
+    ]
     assert [one.score for one in scores(some)] == [None, None]
 
 
 @pytest.mark.parametrize("none", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
 def test_without_best_known_payload_there_is_no_score(none):
     (one,) = scores([record(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), **none), carries("fl", 1.0)])
-    assert (one.best_known, one.score, one.payload) == (None, None, 1.0)
+    assert one.best_known is None
+    assert one.score is None
+    assert one.payload == 1.0
 
 
 def test_end_of_the_scan_is_marked_as_a_lower_bound():
     free = carries("fl", 10.0, more={"violation": None, "scan_ended": True})
     page = page_of([best(20.0), free, carries("trajopt", None)])
-    assert (row(page, "fl"), row(page, "trajopt")) == (["≥ 10.00, 50%"], ["fails unloaded, 0%"])
+    assert row(page, "fl") == ["≥ 10.00, 50%"]
+    assert row(page, "trajopt") == ["fails unloaded, 0%"]
 
 
 # --- several motions --------------------------------------------------------------------------------------------------
@@ -88,7 +113,8 @@ def family(policies, count=RANKED_MOTIONS, env_id=PLANAR):
 
 def test_rank_counts_the_policies_that_are_better_with_confidence_so_that_ties_have_equal_ranks():
     random = np.random.default_rng(0)
-    hard, noise = random.uniform(-0.3, 0.3, RANKED_MOTIONS), random.normal(0, 0.01, RANKED_MOTIONS)
+    hard = random.uniform(-0.3, 0.3, RANKED_MOTIONS)
+    noise = random.normal(0, 0.01, RANKED_MOTIONS)
     some = family({"a": 0.55 + hard, "b": 0.551 + hard + noise, "c": 0.5 + hard, "d": 0.3 + 0 * hard})
     (board,) = leaderboards([*reversed(some)])  # the order of the records does not matter
     assert board.policies == ("b", "a", "c", "d") or board.policies == ("a", "b", "c", "d")
@@ -125,7 +151,12 @@ def test_motion_counts_only_with_a_best_known_payload():
 
 
 def test_columns_with_the_most_motions_order_the_rows_and_circle_and_draws_are_columns():
-    some = [best(2.0), carries("a", 1.9), carries("b", 1.0), carries("b", 0.5, uncertainty="sensors", draws=512)]
+    some = [
+        best(2.0),
+        carries("a", 1.9),
+        carries("b", 1.0),
+        carries("b", 0.5, uncertainty="sensors", draws=512),
+    ]
     some += family({"a": [0.2, 0.3, 0.1], "b": [0.6, 0.5, 0.4]}, 3)
     (board,) = leaderboards(some)
     assert [(column.motion, column.uncertainty) for column in board.columns] == [
@@ -136,13 +167,19 @@ def test_columns_with_the_most_motions_order_the_rows_and_circle_and_draws_are_c
     assert board.policies == ("b", "a")
     page = page_of(some)
     entries = row(page, "b")
-    assert (entries[0][:6], entries[0][-9:], entries[1:]) == ("50.0%,", "worst 40%", ["1.00, 50%", "0.50"])
+    assert entries[0][:6] == "50.0%,"
+    assert entries[0][-9:] == "worst 40%"
+    assert entries[1:] == ["1.00, 50%", "0.50"]
     assert "3 held-out motions: payload known" in page
     assert "circle: payload known, sensors, 512 draws [kg]" in page
 
 
 def test_error_on_one_motion_counts_as_zero_and_is_named():
-    some = [*family({"a": [0.5, 0.5]}, 2), *family({"b": [0.5]}, 0), fails("b", "it hangs", LOOPS[1])]
+    some = [
+        *family({"a": [0.5, 0.5]}, 2),
+        *family({"b": [0.5]}, 0),
+        fails("b", "it hangs", LOOPS[1]),
+    ]
     text = row(page_of(some), "b")[0]
     assert text.startswith("25.0%")
     assert text.endswith("worst 0%; errors: 1")
@@ -150,14 +187,16 @@ def test_error_on_one_motion_counts_as_zero_and_is_named():
 
 def test_interval_of_the_mean_is_that_of_its_normal_approximation():
     values = np.random.default_rng(1).uniform(0.2, 0.8, 40)
-    found, error = fraction([values]), values.std() / np.sqrt(40)
+    found = fraction([values])
+    error = values.std() / np.sqrt(40)
     assert found.mean == pytest.approx(values.mean())
     assert (found.low, found.high) == pytest.approx((found.mean - 1.96 * error, found.mean + 1.96 * error), abs=0.01)
     assert found.worst == values.min()
 
 
 def test_stratified_interval_does_not_contain_the_difference_between_environments():
-    easy, hard = np.full(20, 0.9), np.full(20, 0.1)
+    easy = np.full(20, 0.9)
+    hard = np.full(20, 0.1)
     both = fraction([easy, hard])
     assert (both.mean, both.low, both.high) == pytest.approx((0.5, 0.5, 0.5))
     flexible = "CableBot-FlexPlanar-v0"
@@ -187,9 +226,11 @@ def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
         [*some, *on_axis("bounds", 0.02, 1.75), *on_axis("duration", 2.0, 3.0)]
     )
     assert [one.payload for one in by_bounds.policies["fl"]] == [1.0, 1.75]
-    assert (by_bound.values, by_bound.best_known) == ((0.01, 0.02), (2.0, 3.0))
+    assert by_bound.values == (0.01, 0.02)
+    assert by_bound.best_known == (2.0, 3.0)
     assert {name: [one.payload for one in entry] for name, entry in by_bound.policies.items()} == {"fl": [1.0, 1.5]}
-    assert (by_duration.values, by_duration.best_known) == ((1.0, 2.0), (2.0, 6.0))
+    assert by_duration.values == (1.0, 2.0)
+    assert by_duration.best_known == (2.0, 6.0)
     (leaderboard,) = leaderboards(some)
     assert [one.payload for one in leaderboard.entries["fl", leaderboard.columns[0]]] == [1.0]
     page = page_of(some)
@@ -199,7 +240,14 @@ def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
 
 # --- page, CSV and JSON -----------------------------------------------------------------------------------------------
 
-TIMING = {"median": 1e-4, "p99": 5e-3, "missed": 0.25, "start": 0.25, "period": 2e-3, "exchange": False}
+TIMING = {
+    "median": 1e-4,
+    "p99": 5e-3,
+    "missed": 0.25,
+    "start": 0.25,
+    "period": 2e-3,
+    "exchange": False,
+}
 ALL = [
     best(2.0, upper={"payload": 3.25}),
     carries("fl", 1.0, more={"fallbacks": None, "violation": {"kind": "torque", "index": 2}}),
@@ -211,7 +259,11 @@ ALL = [
     carries("toy", 1.5, {"name": "paper-planar"}, criterion="paper", more={"declared": True}),
     carries("trajopt", None, {"name": "paper-planar"}, criterion="paper", more={"applicable": False}),
     carries("fl", 0.25, payload_known=False, uncertainty="table6", draws=512, more={"assured": True}),
-    record(TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"), **TIMING, processor="some processor"),
+    record(
+        TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"),
+        **TIMING,
+        processor="some processor",
+    ),
 ]
 
 
@@ -236,13 +288,16 @@ def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
     results = Results(suite="smoke", command="a command", records=ALL)
     text = results.to_json()
     again = Results.from_json(text)
-    assert (again.suite, again.command, again.board) == ("smoke", "a command", None)
+    assert again.suite == "smoke"
+    assert again.command == "a command"
+    assert again.board is None
     assert markdown(again) == markdown(results)
     assert again.to_json() == text
     lost = Results(suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)])
     assert scores(Results.from_json(lost.to_json()).records)[0].score is None
     by_policy = {cell["cell"]["policy"]: cell["score"] for cell in json.loads(text)["cells"] if "score" in cell}
-    assert (by_policy["limp"], by_policy["bad"]) == (0.0, 0.0)
+    assert by_policy["limp"] == 0.0
+    assert by_policy["bad"] == 0.0
     print_page(markdown(results))
     printed = capsys.readouterr().out
     for one in ("2.50, 125%", "fails unloaded, 0%", "CableBot-Planar-v0", "some processor"):
@@ -251,7 +306,15 @@ def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
 
 
 def test_page_of_a_board_has_commitment_and_secret():
-    board = Board(version="7", policies={}, entries={}, motions=20, commitment="c" * 64, secret="5ec2e7", salt="5a17")
+    board = Board(
+        version="7",
+        policies={},
+        entries={},
+        motions=20,
+        commitment="c" * 64,
+        secret="5ec2e7",
+        salt="5a17",
+    )
     results = Results(suite="ranked", command="", records=family({"a": np.full(RANKED_MOTIONS, 0.5)}), board=board)
     page = markdown(results)
     for text in ("## Board 7", "The 20 held-out motions", "c" * 64, "5ec2e7", "5a17"):

@@ -35,7 +35,8 @@ def results():
 
 @pytest.mark.parametrize("name", PAGES)
 def test_page_follows_from_the_results(results, name):
-    folder, again = ROOT / "docs" / name, f"run {results[name].command}"
+    folder = ROOT / "docs" / name
+    again = f"run {results[name].command}"
     assert PAGES[name].read_text(encoding="utf-8") == markdown(results[name]), again
     assert (folder / "results.json").read_text(encoding="utf-8") == results[name].to_json(), again
 
@@ -57,7 +58,8 @@ def test_results_have_the_cells_of_their_suite_and_no_error_but_a_missed_deadlin
 def test_leaderboards_and_maps_leave_out_real_robots(results):
     """Cells of one environment id and motion once were motions of one robot."""
     records = results["library"].records
-    assert (leaderboards(records), payload_maps(records)) == ([], [])
+    assert leaderboards(records) == []
+    assert payload_maps(records) == []
 
 
 def test_leaderboard_is_a_board_whose_hidden_motions_follow_from_its_commitment(results):

@@ -10,14 +10,21 @@ import pytest
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.scores import motion_key
-from cablebot_gym.benchmark.suites import SUITES, find_env_ids, find_policies, find_suite, suite_cells
+from cablebot_gym.benchmark.suites import (
+    SUITES,
+    find_env_ids,
+    find_policies,
+    find_suite,
+    suite_cells,
+)
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import find_trajectory, held_out_seeds
 from cablebot_gym.uncertainty import find_uncertainty
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 
 
 class AnyBoard:
@@ -37,7 +44,8 @@ def policy_cells(name, names=()):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("full", "ranked"))) for name in SUITES]
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("full", "ranked"))) for name in SUITES],
 )
 def test_cells_of_a_suite_are_valid_and_have_a_best_known_payload(name):
     some = cells(name)
@@ -158,8 +166,16 @@ def test_factory_for_some_robots_is_accepted_and_for_none_rejected(module):
     ("names", "ids", "message"),
     [
         (["nobody"], [], "unknown policy 'nobody'"),
-        (["fl4"], [PLANAR], "policy 'fl4' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0"),
-        ([], [SPATIAL], "unknown environment of suite 'smoke' 'CableBot-Spatial-v0'; choose one of"),
+        (
+            ["fl4"],
+            [PLANAR],
+            "policy 'fl4' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0",
+        ),
+        (
+            [],
+            [SPATIAL],
+            "unknown environment of suite 'smoke' 'CableBot-Spatial-v0'; choose one of",
+        ),
     ],
 )
 def test_unknown_or_unsuitable_names_raise(names, ids, message):

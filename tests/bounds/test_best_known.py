@@ -27,7 +27,9 @@ from cablebot_gym.trajectories import find_trajectory
 pytest.importorskip("casadi")
 pytestmark = pytest.mark.usefixtures("cache")
 
-PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexPlanar-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
+FLEX_ID = "CableBot-FlexPlanar-v0"
 LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
 
 
@@ -76,7 +78,8 @@ def test_replay_verifies_the_actions(line) -> None:
     verdict = replay(line.payload, line.actions)
     assert verdict.carried
     assert 0.0097 < verdict.position_peak <= 0.01
-    assert (line.actions.shape, np.abs(line.actions).max() <= 1) == ((200, 3), True)
+    assert line.actions.shape == (200, 3)
+    assert np.abs(line.actions).max() <= 1
 
 
 def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
@@ -84,7 +87,8 @@ def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
     assert fine.substeps == 10 * usual.substeps
     for found in line.replays:
         verdict = replay(line.payload, line.actions, substeps=found.substeps)
-        assert (verdict.carried, found.violation) == (True, None)
+        assert verdict.carried
+        assert found.violation is None
         assert f"{found.substeps} physics steps per control period: least tension {found.least_tension:.3f}" in str(
             line
         )
@@ -94,7 +98,8 @@ def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
 
 
 def test_replay_that_fails_at_a_tenth_of_the_step_is_not_verified(monkeypatch: pytest.MonkeyPatch, line) -> None:
-    case, seen = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0), []
+    case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
+    seen = []
     record = best_known._Case._record
 
     def fails(self: Any, policy: Any, payload: float, **keywords: Any) -> Any:
@@ -147,7 +152,8 @@ def test_meshes_are_refined_until_the_payload_is_stable(circle: BestKnownPayload
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_hang_within_narrow_bounds_has_the_static_payload() -> None:
-    hang, bounds = {"name": "dwell-spatial", "duration": 0.1}, {"position": 1e-5, "rotation": 1e-5}
+    hang = {"name": "dwell-spatial", "duration": 0.1}
+    bounds = {"position": 1e-5, "rotation": 1e-5}
     tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
     assert tight.verified
     assert tight.payload == pytest.approx(exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3)
@@ -165,7 +171,11 @@ def test_flexible_joints_reduce_the_payload(line) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_arguments_reach_the_program(line) -> None:
-    options: dict[str, Any] = {"trajectory": LINE, "control_frequency": 200.0, "error_bounds": {"position": 0.12}}
+    options: dict[str, Any] = {
+        "trajectory": LINE,
+        "control_frequency": 200.0,
+        "error_bounds": {"position": 0.12},
+    }
     motors = Motors(stall_torque=5.5, free_speed=PLANAR.motors.free_speed)
     found = find_best_known(PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options)
     assert found.verified
@@ -186,7 +196,9 @@ def test_result_is_reproducible(line) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_unverified_result_says_so_and_a_failed_fine_mesh_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unverified_result_says_so_and_a_failed_fine_mesh_is_skipped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     solve = best_known._solve
 
     def fails_when_fine(program: MotionProgram, start: Any, margins: Any = None) -> Any:
@@ -232,7 +244,8 @@ def test_cached_result_equals_the_computed_one(solved: list[Any], cache: Path, l
     assert find_best_known(PLANAR_ID, cache=False).payload == 1.0
     assert cached_best_known(PLANAR_ID) is None
     assert not cache.exists()
-    first, second = find_best_known(PLANAR_ID), find_best_known(PLANAR_ID)
+    first = find_best_known(PLANAR_ID)
+    second = find_best_known(PLANAR_ID)
     assert len(solved) == 2
     assert first.to_json() == second.to_json() == cached_best_known(PLANAR_ID).to_json()
     assert second.meshes == line.meshes
@@ -252,7 +265,12 @@ def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
     for problem in problems:
         find_best_known(**({"env_id": PLANAR_ID} | problem))
     assert len(solved) == len(problems) == len(list(cache.iterdir()))
-    defaults = {"robot": PLANAR, "trajectory": "circle-planar", "error_bounds": ErrorBounds(), "control_frequency": 500}
+    defaults = {
+        "robot": PLANAR,
+        "trajectory": "circle-planar",
+        "error_bounds": ErrorBounds(),
+        "control_frequency": 500,
+    }
     find_best_known(PLANAR_ID, **defaults)
     assert len(solved) == len(problems)
 
@@ -266,8 +284,14 @@ def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
         ({"error_bounds": {"position": 0.0}}, "position must be a finite number greater than 0"),
         ({"env_id": "CableBot-Planar-v1"}, "CableBot-Planar-v0"),
         ({"robot": SPATIAL}, "does not fit CableBot-Planar-v0: use CableBot-Spatial-v0"),
-        ({"trajectory": {"name": "circle-planar", "radius": 0.7}}, r"leaves the workspace of 'planar' at t = .*: x = "),
-        ({"control_frequency": 0.3}, "control_frequency must be a finite number greater than 0.3125 Hz"),
+        (
+            {"trajectory": {"name": "circle-planar", "radius": 0.7}},
+            r"leaves the workspace of 'planar' at t = .*: x = ",
+        ),
+        (
+            {"control_frequency": 0.3},
+            "control_frequency must be a finite number greater than 0.3125 Hz",
+        ),
     ],
 )
 def test_bad_argument_is_rejected(arguments: dict[str, Any], message: str, cache: Path) -> None:
@@ -281,9 +305,15 @@ def test_bad_argument_is_rejected(arguments: dict[str, Any], message: str, cache
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"robot": PLANAR.replace(mass=5.0)}, "infeasible even unloaded: at most .* kg of the platform's 5 kg"),
+        (
+            {"robot": PLANAR.replace(mass=5.0)},
+            "infeasible even unloaded: at most .* kg of the platform's 5 kg",
+        ),
         ({"trajectory": "dwell-planar"}, "nothing limits the payload on 'dwell-planar'"),
-        ({"error_bounds": {"position": 1e-6}}, "no motion along 'circle-planar' .*limiting: the error bounds"),
+        (
+            {"error_bounds": {"position": 1e-6}},
+            "no motion along 'circle-planar' .*limiting: the error bounds",
+        ),
     ],
 )
 def test_infeasible_problem_names_the_limit(

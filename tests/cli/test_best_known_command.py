@@ -12,7 +12,8 @@ from cablebot_gym.bounds import best_known
 
 pytest.importorskip("casadi")
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 LINE = ("--trajectory", '{"name": "line-planar", "duration": 0.4, "dwell": 0.0}')
 
 
@@ -28,14 +29,27 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     found = SimpleNamespace(verified=True, to_json=lambda: '{"payload": 1.0}')
     calls = []
     monkeypatch.setattr(best_known, "find_best_known", lambda *given, **more: calls.append((given, more)) or found)
-    options = ("--rotation-bound", "30", "--control-frequency", "250", "--trajectory", "line-spatial", "--no-cache")
+    options = (
+        "--rotation-bound",
+        "30",
+        "--control-frequency",
+        "250",
+        "--trajectory",
+        "line-spatial",
+        "--no-cache",
+    )
     options += ("--robot", "spatial")
     assert cablebot("best-known", SPATIAL, *options, "--json").data == {"payload": 1.0}
     found.verified = False
     assert cablebot("best-known", SPATIAL).status == 1
     (given, more), _ = calls
-    assert (given, more.pop("progress") is not None) == ((SPATIAL,), True)
-    expected = {"trajectory": "line-spatial", "error_bounds": {"rotation": 0.03}, "control_frequency": 250.0}
+    assert given == (SPATIAL,)
+    assert more.pop("progress") is not None
+    expected = {
+        "trajectory": "line-spatial",
+        "error_bounds": {"rotation": 0.03},
+        "control_frequency": 250.0,
+    }
     assert more == expected | {"robot": "spatial", "cache": False}
 
 
@@ -43,7 +57,14 @@ def test_options_reach_the_search(cablebot, monkeypatch):
 def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
     options = ("best-known", PLANAR, *LINE, "--position-bound", "20", "--control-frequency", "250")
     text = cablebot(*options, "--no-cache").out
-    for words in ("best known payload", "kg", "20 mm", "verified by replays", "least tension", "98.500 kg"):
+    for words in (
+        "best known payload",
+        "kg",
+        "20 mm",
+        "verified by replays",
+        "least tension",
+        "98.500 kg",
+    ):
         assert words in text
     assert not cache.exists()
     first = cablebot(*options, "--json")

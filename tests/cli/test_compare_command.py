@@ -12,23 +12,39 @@ from scipy.stats import binomtest
 from cablebot_gym.cli.compare import payload_grid, print_comparison
 from cablebot_gym.evaluation import compare_policies
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 MOTION = {"name": "dwell-spatial", "duration": 0.05}
 HANG = '{"name": "dwell-spatial", "duration": 0.05}'
-PAIR = ("compare", SPATIAL, "--trajectory", HANG, "--uncertainty", "table6", "--draws", "3", "--policies")
+PAIR = (
+    "compare",
+    SPATIAL,
+    "--trajectory",
+    HANG,
+    "--uncertainty",
+    "table6",
+    "--draws",
+    "3",
+    "--policies",
+)
 """Arguments of a comparison that takes no time, but for the policies."""
 
 
 def test_json_has_every_policy(cablebot, toys):
     data = cablebot(*PAIR, f" fl , {toys('limp')},", "--json").data
     assert [policy["policy"] for policy in data["policies"]] == ["fl", "cli_toys:limp"]
-    assert (data["draws"], data["uncertainty"], data["env_id"], data["payload"]) == (3, "table6", SPATIAL, 0)
+    assert data["draws"] == 3
+    assert data["uncertainty"] == "table6"
+    assert data["env_id"] == SPATIAL
+    assert data["payload"] == 0
 
 
 def test_options_reach_the_comparison(cablebot):
     before = cablebot(*PAIR, "fl", "--json").data
     after = cablebot(*PAIR, "fl", "--payload", "2.5", "--draws", "2", "--position-bound", "20", "--json").data
-    assert (after["payload"], after["draws"], after["error_bounds"]["position"]) == (2.5, 2, 0.02)
+    assert after["payload"] == 2.5
+    assert after["draws"] == 2
+    assert after["error_bounds"]["position"] == 0.02
     assert before["policies"] != after["policies"]
 
 
@@ -50,7 +66,13 @@ def weak(observation):
 
 @pytest.fixture(scope="module")
 def comparison():
-    options = {"payload": 1.25, "payload_known": False, "uncertainty": "table6", "draws": 3, "trajectory": MOTION}
+    options = {
+        "payload": 1.25,
+        "payload_known": False,
+        "uncertainty": "table6",
+        "draws": 3,
+        "trajectory": MOTION,
+    }
     return compare_policies(["fl", weak], SPATIAL, **options)
 
 
@@ -60,11 +82,20 @@ def test_table_has_the_numbers_of_the_comparison(comparison, capsys, monkeypatch
     text = capsys.readouterr().out
     assert text.startswith(f"{SPATIAL}, payload 1.25 kg, payload unknown, 3 draws of table6\n")
     rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if line[0] == "│"]
-    scales = {"mean_error": 1e3, "rms_error": 1e3, "max_error": 1e3, "max_rotation": 1e3, "rms_torque": 1}
+    scales = {
+        "mean_error": 1e3,
+        "rms_error": 1e3,
+        "max_error": 1e3,
+        "max_rotation": 1e3,
+        "rms_torque": 1,
+    }
     scales |= {"peak_torque": 1, "torque_margin": 100, "least_tension": 1}
     for row, metrics in zip(rows, comparison.metrics, strict=True):
         exact = binomtest(int(metrics.carried.sum()), 3).proportion_ci(0.95, method="exact")
-        assert row[:2] == [metrics.policy, f"{metrics.carried.mean():.0%} [{exact.low:.0%}, {exact.high:.0%}]"]
+        assert row[:2] == [
+            metrics.policy,
+            f"{metrics.carried.mean():.0%} [{exact.low:.0%}, {exact.high:.0%}]",
+        ]
         for cell, (name, scale) in zip(row[2:], scales.items(), strict=True):
             estimate = metrics.estimate(name)
             mean, width = (float(number) for number in cell.split(" ± "))
@@ -84,10 +115,26 @@ def test_one_planar_draw_has_no_interval_and_no_rotation(capsys):
 
 
 def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
-    typed = ("compare", PLANAR, "--policies", "fl,robust", "--payloads", "0:3:1.5", "--out", tmp_path)
+    typed = (
+        "compare",
+        PLANAR,
+        "--policies",
+        "fl,robust",
+        "--payloads",
+        "0:3:1.5",
+        "--out",
+        tmp_path,
+    )
     rows = [line.split("│") for line in cablebot(*typed).out.splitlines() if "│" in line]
     labels = [(row[1].strip(), row[2].strip()) for row in rows]
-    assert labels == [("0", "fl"), ("", "robust"), ("1.5", "fl"), ("", "robust"), ("3", "fl"), ("", "robust")]
+    assert labels == [
+        ("0", "fl"),
+        ("", "robust"),
+        ("1.5", "fl"),
+        ("", "robust"),
+        ("3", "fl"),
+        ("", "robust"),
+    ]
     data = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
     alone = cablebot("compare", PLANAR, "--policies", "fl,robust", "--payload", "1.5", "--json").data
     assert data["payloads"] == [0.0, 1.5, 3.0]

@@ -13,10 +13,22 @@ from cli.conftest import LOST, names
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.robots import PLANAR as PLANAR_ROBOT
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 PARTS = ("motors", "transmission")
 HANG = '{"name": "dwell-spatial", "duration": 0.05}'
-QUICK = ("dlcc", SPATIAL, "--policy", "fl", "--trajectory", HANG, "--payload-max", "16", "--resolution", "0.5")
+QUICK = (
+    "dlcc",
+    SPATIAL,
+    "--policy",
+    "fl",
+    "--trajectory",
+    HANG,
+    "--payload-max",
+    "16",
+    "--resolution",
+    "0.5",
+)
 """An evaluation that takes no time."""
 ONE = (*QUICK, "--criterion", "task", "--json")
 DRAWN = (*ONE, "--uncertainty", "table6", "--draws", "4", "--probability", "0.5")
@@ -24,7 +36,8 @@ DRAWN = (*ONE, "--uncertainty", "table6", "--draws", "4", "--probability", "0.5"
 
 def test_table_has_payloads_violations_and_bounds(cablebot):
     ended = cablebot("dlcc", SPATIAL, "--policy", "fl", "--trajectory", "paper-spatial")
-    assert (ended.status, ended.err) == (0, "")
+    assert ended.status == 0
+    assert ended.err == ""
     lines = ended.out.splitlines()
     task = next(line for line in lines if " task " in line)
     paper = next(line for line in lines if " paper " in line)
@@ -37,11 +50,16 @@ def test_table_has_payloads_violations_and_bounds(cablebot):
 
 def test_json_has_one_result_per_criterion(cablebot):
     task, paper = cablebot(*QUICK, "--json").data
-    assert (task["criterion"], paper["criterion"]) == ("task", "paper")
+    assert task["criterion"] == "task"
+    assert paper["criterion"] == "paper"
     # By the task criterion the motors may saturate: they hold 16 kg at the start.
-    assert (task["payload"], task["total_mass"], task["violation"], task["scan_ended"]) == (16, 26, None, True)
+    assert task["payload"] == 16
+    assert task["total_mass"] == 26
+    assert task["violation"] is None
+    assert task["scan_ended"]
     assert 15 < paper["payload"] < 16
-    assert (paper["violation"]["kind"], paper["violation"]["time"]) == ("torque", 0.0)
+    assert paper["violation"]["kind"] == "torque"
+    assert paper["violation"]["time"] == 0.0
     assert 0 < paper["resolution"] <= 0.5
 
 
@@ -53,7 +71,10 @@ OPTIONS = {
     ("--payload-max", "3.5"): ("payload_max", 3.5),
     ("--control-frequency", "400"): ("environment.control_frequency", 400),
     ("--seed", "7"): ("seed", 7),
-    ("--trajectory", '{"name": "line-spatial", "duration": 0.25}'): ("environment.trajectory.duration", 0.25),
+    ("--trajectory", '{"name": "line-spatial", "duration": 0.25}'): (
+        "environment.trajectory.duration",
+        0.25,
+    ),
     ("--criterion", "paper"): ("criterion", "paper"),
     ("--draws", "3"): ("draws", 3),
     ("--probability", "0.7"): ("probability", 0.7),
@@ -131,7 +152,8 @@ def test_policy_that_fails_unloaded_has_no_payload(cablebot, toys):
     limp = ("dlcc", SPATIAL, "--policy", toys("limp"), "--trajectory", motion)
     assert "fails unloaded" in cablebot(*limp).out
     result = cablebot(*limp, "--json").data[0]
-    assert (result["payload"], result["feasible"]) == (None, [])
+    assert result["payload"] is None
+    assert result["feasible"] == []
 
 
 def test_out_has_json_and_figures(cablebot, tmp_path):
@@ -159,7 +181,13 @@ def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monk
 
 
 def test_isolated_policy_gives_the_same_result(cablebot):
-    same = (*ONE, "--policy", "adaptive", "--seed", "3")  # a law with a state, which stays in its process
+    same = (
+        *ONE,
+        "--policy",
+        "adaptive",
+        "--seed",
+        "3",
+    )  # a law with a state, which stays in its process
     assert cablebot(*same, "--isolate", "--deadline", "30").data == cablebot(*same).data
 
 
@@ -174,8 +202,27 @@ def test_isolated_evaluation_has_a_secret_seed(cablebot):
 def test_printed_command_repeats_the_failure(cablebot, tmp_path):
     """With every option that is not the default, quoted for a shell."""
     line = '{"name": "line-planar", "duration": 0.25}'
-    options = ("--trajectory", line, "--position-bound", "4", "--uncertainty", "table6", "--payload-unknown")
-    evaluation = ("dlcc", PLANAR, "--policy", "fl", *options, "--draws", "4", "--resolution", "0.5", "--json")
+    options = (
+        "--trajectory",
+        line,
+        "--position-bound",
+        "4",
+        "--uncertainty",
+        "table6",
+        "--payload-unknown",
+    )
+    evaluation = (
+        "dlcc",
+        PLANAR,
+        "--policy",
+        "fl",
+        *options,
+        "--draws",
+        "4",
+        "--resolution",
+        "0.5",
+        "--json",
+    )
     violation = cablebot(*evaluation, "--criterion", "paper").data[0]["violation"]
     shown = cablebot(*evaluation[:-1], "--criterion", "paper").out
     typed = next(text for text in shown.splitlines() if text.startswith("  cablebot rollout"))
@@ -187,7 +234,8 @@ def test_printed_command_repeats_the_failure(cablebot, tmp_path):
 def test_bisection_finds_the_payload_with_few_episodes_and_is_unranked(cablebot):
     scan = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05").data[0]
     found = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection").data[0]
-    assert (scan["ranked"], found["ranked"]) == (True, False)
+    assert scan["ranked"]
+    assert not found["ranked"]
     assert found["payload"] == pytest.approx(scan["payload"], abs=0.1)
     assert "unranked: a bisection" in cablebot(*ONE[:-1], "--search", "bisection").out
 
@@ -215,10 +263,22 @@ def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, 
     )
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     (tmp_path / "own_motion_of_dlcc.py").write_text(OWN_MOTION, encoding="utf-8")
-    typed = ("dlcc", PLANAR, "--policy", "fl", "--robot", tmp_path / "mine.toml", "--criterion", "task", "--isolate")
+    typed = (
+        "dlcc",
+        PLANAR,
+        "--policy",
+        "fl",
+        "--robot",
+        tmp_path / "mine.toml",
+        "--criterion",
+        "task",
+        "--isolate",
+    )
     result = cablebot(*typed, "--json").data[0]
-    assert (result["environment"]["robot"]["name"], result["environment"]["trajectory"]["name"]) == ("mine", "own")
-    assert (result["payload"], result["scan_ended"]) == (0.2, True)
+    assert result["environment"]["robot"]["name"] == "mine"
+    assert result["environment"]["trajectory"]["name"] == "own"
+    assert result["payload"] == 0.2
+    assert result["scan_ended"]
 
 
 WRAPPERS = """
@@ -231,7 +291,13 @@ class Weak(gym.ActionWrapper):
 
 
 def test_several_policies_are_evaluated_by_one_command(cablebot, tmp_path):
-    several = [*ONE[: ONE.index("fl")], "fl,robust,adaptive", *ONE[ONE.index("fl") + 1 :], "--out", str(tmp_path)]
+    several = [
+        *ONE[: ONE.index("fl")],
+        "fl,robust,adaptive",
+        *ONE[ONE.index("fl") + 1 :],
+        "--out",
+        str(tmp_path),
+    ]
     ended = cablebot(*several)
     assert [result["policy"] for result in json.loads(ended.out)] == ["fl", "robust", "adaptive"]
     alone = json.loads((tmp_path / "robust" / "result.json").read_text())

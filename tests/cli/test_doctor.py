@@ -100,7 +100,8 @@ def test_damaged_compiled_file_is_a_fault(monkeypatch, tmp_path, damage):
     (tmp_path / "damaged.nbc").write_bytes(content[:-1] if damage == "truncated" else b"")
     monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])
     good, bad = doctor._compiled_code()
-    assert (good.ok, good.text) == (True, f"{tmp_path}: 2 compiled files")
+    assert good.ok
+    assert good.text == f"{tmp_path}: 2 compiled files"
     assert not bad.ok
     assert str(tmp_path / "damaged.nbc") in bad.text
     assert "good.nbc" not in bad.text
@@ -125,7 +126,10 @@ def test_unknown_id_to_compile_is_refused(cablebot):
 
 @pytest.mark.slow
 def test_compiled_id_needs_no_compilation_afterwards(tmp_path):
-    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "compiled"), "CABLEBOT_CACHE": str(tmp_path / "plans")}
+    env = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path / "compiled"),
+        "CABLEBOT_CACHE": str(tmp_path / "plans"),
+    }
     command = [sys.executable, "-m", "cablebot_gym.cli.app"]
 
     def run(*arguments):

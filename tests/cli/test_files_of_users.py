@@ -74,7 +74,8 @@ def outcome(read, path):
 @pytest.mark.parametrize("name", READERS)
 def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
     read, text = READERS[name]
-    path, results = tmp_path / name, []
+    path = tmp_path / name
+    results = []
     for encoding in ("utf-8", "utf-8-sig"):
         path.write_text(text, encoding=encoding)
         results.append(outcome(read, path))
@@ -96,7 +97,15 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
         lambda name: find_uncertainty(name, PLANAR),
         lambda name: find_measurement(name, PLANAR),
     ],
-    ids=["robot", "policy", "policy's robot", "trajectory", "trajectory data", "uncertainty", "measurement"],
+    ids=[
+        "robot",
+        "policy",
+        "policy's robot",
+        "trajectory",
+        "trajectory data",
+        "uncertainty",
+        "measurement",
+    ],
 )
 def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name):
     monkeypatch.chdir(tmp_path)
@@ -112,9 +121,17 @@ def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name)
 @pytest.mark.parametrize(
     ("name", "status", "message"),
     [
-        ("Lost", 1, r"your code raised ZeroDivisionError: division by zero \(motion_of_a_test\.py, line 6\)"),
+        (
+            "Lost",
+            1,
+            r"your code raised ZeroDivisionError: division by zero \(motion_of_a_test\.py, line 6\)",
+        ),
         ("Odd", 2, "trajectory 'lost' must return a Reference, not dict"),
-        ("ends", 2, r"trajectory '.*:ends': it raised SystemExit: 3 \(motion_of_a_test\.py, line 11\)"),
+        (
+            "ends",
+            2,
+            r"trajectory '.*:ends': it raised SystemExit: 3 \(motion_of_a_test\.py, line 11\)",
+        ),
     ],
 )
 @pytest.mark.parametrize("command", ["check", "rollout"])
@@ -130,7 +147,8 @@ def test_error_in_a_motion_file_is_one_sentence(cablebot, tmp_path, monkeypatch,
         arguments = ("rollout", "CableBot-Planar-v0", "--policy", "fl", "--out", "run.csv")
     ended = cablebot(*arguments, "--trajectory", f"{path}:{name}")
     lines = ended.err.splitlines()
-    assert (ended.status, len(lines)) == (status, 1), ended.err
+    assert ended.status == status, ended.err
+    assert len(lines) == 1, ended.err
     assert re.search(message, lines[0]), ended.err
 
 

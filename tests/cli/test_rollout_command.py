@@ -5,12 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 
 
 def test_rollout_records_the_payload_motion_and_frequency(cablebot, tmp_path):
     motion = '{"name": "circle-spatial", "duration": 1.5}'
-    options = ("--policy", "fl", "--payload", "0.5", "--control-frequency", "400", "--trajectory", motion)
+    options = (
+        "--policy",
+        "fl",
+        "--payload",
+        "0.5",
+        "--control-frequency",
+        "400",
+        "--trajectory",
+        motion,
+    )
     ended = cablebot("rollout", SPATIAL, *options, "--out", tmp_path / "run.npz")
     assert "0.5 kg, task criterion: carried; recorded in" in ended.out
     with np.load(tmp_path / "run.npz") as file:

@@ -18,7 +18,8 @@ from cablebot_gym.evaluation.batch import draw_seeds, noise_seed
 from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES
 from cablebot_gym.robots import SPATIAL
 
-SPATIAL_ID, PLANAR_ID = "CableBot-Spatial-v0", "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
 HANG = {"name": "dwell-spatial", "duration": 0.06}
 MOVE = {"name": "line-spatial", "duration": 0.4, "dwell": 0.0}
 UNKNOWN = {
@@ -73,10 +74,16 @@ def compared():
 
 def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, position=0.005):
     """One episode in a single environment, summed up by hand."""
-    keywords = {"trajectory": trajectory, "uncertainty": uncertainty, "error_bounds": {"position": position}}
+    keywords = {
+        "trajectory": trajectory,
+        "uncertainty": uncertainty,
+        "error_bounds": {"position": position},
+    }
     env = DLCCMonitor(gym.make(SPATIAL_ID, payload=payload, **keywords))
     observation, start = env.reset(seed=seed, options={"noise_seed": noise_seed(seed, payload)})
-    infos, state, terminated = [], None, False
+    infos = []
+    state = None
+    terminated = False
     while len(infos) < round(500 * trajectory["duration"]) and not terminated:
         action, state = policy.predict(observation[None], state=state)
         observation, _, terminated, _, info = env.step(action[0])
@@ -84,9 +91,11 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
     series = {name: np.array([info[name] for info in infos]) for name in infos[0]}
     carried = env.verdict.carried
     env.close()
-    error, steps = series["tracking_error"], round(500 * trajectory["duration"])
+    error = series["tracking_error"]
+    steps = round(500 * trajectory["duration"])
     lost = max(error[-1], 0.1)  # after an early end
-    rest, peak = steps - len(error), max(start["tracking_error_peak"], series["tracking_error_peak"].max())
+    rest = steps - len(error)
+    peak = max(start["tracking_error_peak"], series["tracking_error_peak"].max())
     return {
         "mean_error": (error.sum() + rest * lost) / steps,
         "rms_error": math.sqrt(((error**2).sum() + rest * lost**2) / steps),
@@ -121,7 +130,13 @@ def test_metrics_equal_those_of_single_episodes_with_the_same_seeds(index, facto
 
 def test_one_draw_is_the_episode_of_its_seed_and_has_no_interval():
     comparison = compare_policies(
-        [Scaled(1.0), Scaled(0.9)], SPATIAL_ID, names="ab", uncertainty=UNKNOWN, draws=1, seed=7, trajectory=HANG
+        [Scaled(1.0), Scaled(0.9)],
+        SPATIAL_ID,
+        names="ab",
+        uncertainty=UNKNOWN,
+        draws=1,
+        seed=7,
+        trajectory=HANG,
     )
     by_hand = episode(Scaled(1.0), 7, payload=0.0, trajectory=HANG, position=0.01)
     for name in QUANTITIES:
@@ -158,13 +173,15 @@ def test_comparison_ends_when_all_episodes_of_a_policy_have_ended():
         progress=lambda done, expected: progress.append((done, expected)),
     )
     fallen, kept = comparison.metrics
-    assert (fallen.ended.tolist(), kept.ended.tolist()) == ([True], [False])
+    assert fallen.ended.tolist() == [True]
+    assert kept.ended.tolist() == [False]
     assert len(fallen.error) < 150 == len(kept.error)
     assert fallen.max_error[0] > 0.1
     assert np.nanmax(fallen.error) < 0.11, "not the next episode, which starts where this one did"
     done, expected = zip(*progress, strict=True)
     assert list(done) == sorted(done)
-    assert (set(expected), done[-1]) == ({300}, 300)
+    assert set(expected) == {300}
+    assert done[-1] == 300
     assert 150 in done, "skipped steps of the first policy count"
 
 
@@ -237,7 +254,9 @@ def test_interval_of_a_reduction_is_scipys_bootstrap():
 def test_json_has_conditions_estimates_and_values_per_draw():
     comparison = compared()
     data = json.loads(comparison.to_json(), parse_constant=pytest.fail)
-    assert (data["uncertainty"], data["draws"], data["seed"]) == ("custom", 5, 3)
+    assert data["uncertainty"] == "custom"
+    assert data["draws"] == 5
+    assert data["seed"] == 3
     assert data["draw_seeds"] == draw_seeds(3, 5)
     assert data["error_bounds"] == {"position": 0.005, "rotation": 0.01}
     for policy, measured in zip(data["policies"], comparison.metrics, strict=True):
@@ -245,7 +264,8 @@ def test_json_has_conditions_estimates_and_values_per_draw():
         for name in (*QUANTITIES, "carried", "ended"):
             assert policy["per_draw"][name] == getattr(measured, name).tolist()
     plain, weak = data["policies"]
-    assert (plain["policy"], weak["policy"]) == ("plain", "weak")
+    assert plain["policy"] == "plain"
+    assert weak["policy"] == "weak"
     assert plain["reductions"] == {}
     assert set(weak["reductions"]) == set(REDUCTION_QUANTITIES)
     assert weak["reductions"]["rms_error"] == vars(comparison.reduction(1, "rms_error"))
@@ -256,7 +276,13 @@ def test_figure_shows_draws_that_end_early_and_bounds(tmp_path):
     from cablebot_gym.plotting.comparison import draw_comparison, save_comparison
 
     motion = {"name": "dwell-spatial", "duration": 0.3}
-    keywords = {"names": "ab", "uncertainty": "sensors", "draws": 6, "seed": 2, "trajectory": motion}
+    keywords = {
+        "names": "ab",
+        "uncertainty": "sensors",
+        "draws": 6,
+        "seed": 2,
+        "trajectory": motion,
+    }
     comparison = compare_policies([LetsGo(1.0), limp], SPATIAL_ID, error_bounds={"position": 0.005}, **keywords)
     assert save_comparison(comparison, tmp_path).read_bytes().endswith(b"IEND\xaeB`\x82")
     drawn = draw_comparison(comparison).axes[0].get_lines()

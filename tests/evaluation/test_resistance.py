@@ -43,7 +43,9 @@ def evaluated(policy, **keywords):
 
 def test_declared_stochastic_policy_is_scored_over_repeats():
     result = evaluated(cheats.declared_noise(SPATIAL), draws=60)
-    assert (result.stochastic, result.draws, result.assured) == (True, 60, True)
+    assert result.stochastic
+    assert result.draws == 60
+    assert result.assured
     assert "stochastic policy" in str(result)
     assert str(result).endswith("(95/95 lower tolerance bound, 60 draws)")
 
@@ -66,7 +68,8 @@ def test_payload_that_needs_other_episodes_is_refused_although_actions_are_rando
 @pytest.fixture
 def batches(monkeypatch):
     """Seeds of the rows of each batch without an observer."""
-    found, honest = [], Batch.run
+    found = []
+    honest = Batch.run
 
     def run(self, rows, **keywords):
         if "observer" not in keywords:
@@ -121,9 +124,13 @@ def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(unc
     evaluated(Dropping(spy), **uncertainty)
     grid = scanned[0]
     widest = 2 + int(np.diff(grid[2:9]).argmax())
-    low, high = grid[widest] + 1e-3, grid[widest + 1] - 1e-3
+    low = grid[widest] + 1e-3
+    high = grid[widest + 1] - 1e-3
     assert high - low > 0.25
-    result = evaluated(Dropping(lambda payload: ((payload > low) & (payload < high)) | (payload > 3)), **uncertainty)
+    result = evaluated(
+        Dropping(lambda payload: ((payload > low) & (payload < high)) | (payload > 3)),
+        **uncertainty,
+    )
     assert low - 0.011 <= result.payload <= low
     assert result.feasible[0] == (0.0, result.payload)
 
@@ -136,7 +143,8 @@ def test_seed_moves_the_payloads_of_the_scan():
         grids.append(np.sort(seen[0]))
     np.testing.assert_array_equal(grids[0], grids[1])
     assert np.all(grids[0][1:-1] != grids[2][1:-1])
-    assert (grids[2][0], grids[2][-1]) == (0, 20)
+    assert grids[2][0] == 0
+    assert grids[2][-1] == 20
     assert np.diff(grids[2]).max() <= 1.5 * 20 / (SCAN_POINTS - 1)
 
 
@@ -152,7 +160,8 @@ def test_rows_have_a_secret_order():
 
 def test_scan_of_several_draws_has_other_draws_than_the_confirmation(batches):
     result = evaluated(Dropping(lambda payload: payload > 9), uncertainty="table6", draws=60)
-    assert (len(batches[0]), len({*batches[0]})) == (SCAN_POINTS * SEARCH_DRAWS, SEARCH_DRAWS)
+    assert len(batches[0]) == SCAN_POINTS * SEARCH_DRAWS
+    assert len({*batches[0]}) == SEARCH_DRAWS
     assert len({*result.draw_seeds}) == 60
     assert not {*batches[0]} & {*result.draw_seeds}
     assert {*batches[2]} <= {*result.draw_seeds}
@@ -192,7 +201,8 @@ class Slow(Law):
 
     def __init__(self, clock):
         super().__init__()
-        self.clock, self.calls = clock, 0
+        self.clock = clock
+        self.calls = 0
 
     def reset(self, tasks):
         self.clock.sleep(1.0)

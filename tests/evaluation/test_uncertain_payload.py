@@ -62,7 +62,12 @@ class Constant:
 def pulled(uncertainty, **keywords):
     """The evaluation of the constant pull."""
     motion = {"name": "dwell-spatial", "duration": LONG}
-    defaults = {"trajectory": motion, "error_bounds": BOUNDS, "resolution": 1e-4, "initial_error": 0.0}
+    defaults = {
+        "trajectory": motion,
+        "error_bounds": BOUNDS,
+        "resolution": 1e-4,
+        "initial_error": 0.0,
+    }
     return evaluate_dlcc(Constant(), SPATIAL_ID, uncertainty=uncertainty, **defaults | keywords)
 
 
@@ -99,7 +104,8 @@ def test_payload_is_the_order_statistic_of_the_draws_capacities(draws, probabili
     assert max(capacities) - min(capacities) > 1.0
     assert result.payload - 1e-6 <= expected <= result.failed_payload + 1e-6
     assert 0 < result.resolution <= 1e-4
-    assert (result.draws, result.assured) == (draws, draws == 80)
+    assert result.draws == draws
+    assert result.assured == (draws == 80)
     assert sum(result.failures.values()) == draws - required + 1
     for payload, fraction in result.success:
         assert 0 <= payload <= 20
@@ -111,7 +117,13 @@ def test_fresh_draws_carry_the_payload_with_the_required_probability():
     result = pulled(unknown, seed=1, resolution=1e-2)
     motion = {"trajectory": {"name": "dwell-spatial", "duration": LONG}, "initial_error": 0.0}
     fresh = Batch(
-        Constant(), SPATIAL_ID, error_bounds=BOUNDS, uncertainty=unknown, draws=2000, seed=99, keywords=motion
+        Constant(),
+        SPATIAL_ID,
+        error_bounds=BOUNDS,
+        uncertainty=unknown,
+        draws=2000,
+        seed=99,
+        keywords=motion,
     )
     assert not {*fresh.seeds} & {*result.draw_seeds}
     carried = np.mean([one.carried for one in fresh.run([(result.payload, seed) for seed in fresh.seeds])])
@@ -128,7 +140,10 @@ def test_required_number_agrees_with_scipys_exact_interval(draws, probability, c
     ]
     enough = [carried for carried, low in enumerate(lows) if low >= probability]
     usual = math.ceil(draws * probability - 1e-9)
-    assert required_successes(draws, probability, confidence) == (enough[0] if enough else usual, bool(enough))
+    assert required_successes(draws, probability, confidence) == (
+        enough[0] if enough else usual,
+        bool(enough),
+    )
     assert bool(enough) == (draws >= fewest_draws(probability, confidence))
 
 
@@ -151,7 +166,10 @@ def test_required_fraction_of_too_few_draws_is_rounded_up():
 SHORT = {"name": "dwell-spatial", "duration": 0.25}
 BOUND = 0.004
 UNKNOWN = {
-    "parameters": {"payload": {"low": -0.2, "high": 0.2}, "motor_strength": {"low": -0.03, "high": 0.03}},
+    "parameters": {
+        "payload": {"low": -0.2, "high": 0.2},
+        "motor_strength": {"low": -0.03, "high": 0.03},
+    },
     "wrench": {"force_mean": 0.5, "force_std": 0.5},
     "sensors": {"position": 1e-4},
     "delay": 1,
@@ -178,7 +196,8 @@ def searched():
 
 def verdicts(payload):
     """Verdicts of the six draws, each in its own single environment."""
-    policy, found = FeedbackLinearization(SPATIAL), []
+    policy = FeedbackLinearization(SPATIAL)
+    found = []
     keywords = {"trajectory": SHORT, "uncertainty": UNKNOWN, "error_bounds": {"position": BOUND}}
     for seed in draw_seeds(5, 6):
         env = DLCCMonitor(gym.make(SPATIAL_ID, payload=payload, **keywords))
@@ -191,7 +210,8 @@ def test_draws_agree_with_single_episodes():
     result = searched()
     required, _ = required_successes(6, 0.6, 0.6)
     assert 0 < result.payload < 8
-    below, above = verdicts(result.payload), verdicts(result.failed_payload)
+    below = verdicts(result.payload)
+    above = verdicts(result.failed_payload)
     carried = [sum(verdict.carried for verdict in some) for some in (below, above)]
     assert carried[0] >= required > carried[1]
     violations = [verdict.violation for verdict in above if verdict.violation]
@@ -200,12 +220,15 @@ def test_draws_agree_with_single_episodes():
     assert next(iter(result.failures.values())) == max(result.failures.values())
     assert result.violation.time == min(one.time for one in violations if one.kind == result.violation.kind)
     payloads = [payload for payload, _ in result.success]
-    assert (len(payloads), payloads) == (SCAN_POINTS, sorted(payloads))
-    assert (payloads[0], payloads[-1]) == (0, 8)
+    assert len(payloads) == SCAN_POINTS
+    assert payloads == sorted(payloads)
+    assert payloads[0] == 0
+    assert payloads[-1] == 8
     # The recording is the first draw that carries, and the margins are those of the tightest one.
     first = next(verdict for verdict in below if verdict.carried)
     action = result.rollout.arrays["commanded_action"]
-    assert (len(action), np.abs(action).max()) == (125, pytest.approx(max(first.peak_action), abs=1e-9))
+    assert len(action) == 125
+    assert np.abs(action).max() == pytest.approx(max(first.peak_action), abs=1e-9)
     tight = [verdict for verdict in below if verdict.carried]
     assert result.margins["position"] == pytest.approx(1 - max(v.position_peak for v in tight) / BOUND, abs=1e-9)
     assert result.margins["rotation"] == pytest.approx(1 - max(v.rotation_peak for v in tight) / 0.01, abs=1e-9)
@@ -214,7 +237,8 @@ def test_draws_agree_with_single_episodes():
 
 
 def test_violation_seed_repeats_the_violation():
-    law, motion = FeedbackLinearization(SPATIAL), {"name": "dwell-spatial", "duration": 0.5}
+    law = FeedbackLinearization(SPATIAL)
+    motion = {"name": "dwell-spatial", "duration": 0.5}
     options = {"trajectory": motion, "uncertainty": "table6+sensors", "payload_known": False}
     result = evaluate_dlcc(law, SPATIAL_ID, draws=5, probability=0.5, payload_max=8.0, resolution=0.1, **options)
     assert result.violation_seed in result.draw_seeds
@@ -229,17 +253,30 @@ def test_violation_seed_repeats_the_violation():
 def verdict(kind, time):
     """Verdict of an episode with a violation of a kind; None for none."""
     violation = None if kind is None else Violation(kind=kind, index=None, time=time, excess=None)
-    peaks = {"peak_action": (0.5,), "position_peak": 0.0, "rotation_peak": 0.0, "least_tension": 1.0}
+    peaks = {
+        "peak_action": (0.5,),
+        "position_peak": 0.0,
+        "rotation_peak": 0.0,
+        "least_tension": 1.0,
+    }
     return Verdict(carried=kind is None, violation=violation, payload=1.0, **peaks)
 
 
 def test_limiting_violation_is_the_earliest_of_the_most_frequent_kind():
-    failed = [("slack", 0.1), ("position", 0.4), (None, None), ("position", 0.3), ("position", 0.5), ("rotation", 0.2)]
+    failed = [
+        ("slack", 0.1),
+        ("position", 0.4),
+        (None, None),
+        ("position", 0.3),
+        ("position", 0.5),
+        ("rotation", 0.2),
+    ]
     trial = Trial(payload=1.0, verdicts=tuple(verdict(*one) for one in failed), seeds=tuple(range(6)))
     assert trial.carried == 1
     assert next(iter(trial.failures.items())) == ("position", 3)
     assert trial.failures == {"position": 3, "slack": 1, "rotation": 1}
-    assert (trial.violation.kind, trial.violation.time) == ("position", 0.3)
+    assert trial.violation.kind == "position"
+    assert trial.violation.time == 0.3
     assert Trial(payload=1.0, verdicts=(verdict(None, None),) * 2, seeds=(0, 1)).violation is None
 
 
@@ -261,7 +298,10 @@ class Starts:
 
 
 def test_payloads_share_the_parameters_of_a_draw_and_have_their_own_noise():
-    uncertainty = {"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}, "sensors": {"position": 1e-4}}
+    uncertainty = {
+        "parameters": {"platform_mass": {"low": -0.1, "high": 0.1}},
+        "sensors": {"position": 1e-4},
+    }
     batch = Batch("fl", SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, keywords={"trajectory": HANG})
     assert batch.seeds == draw_seeds(11, 3)
     seen = [Starts(), Starts()]
@@ -292,7 +332,13 @@ def test_default_number_of_draws_depends_on_randomness(monkeypatch):
     keywords = {"trajectory": {"name": "dwell-spatial", "duration": 0.002}, "payload_max": 0.1}
     assert DEFAULT_DRAWS == 512
     monkeypatch.setattr(batch_module, "DEFAULT_DRAWS", 7)
-    for unknown, draws in ((None, 1), ("none", 1), ({"delay": 2}, 1), ("table6", 7), ("sensors", 7)):
+    for unknown, draws in (
+        (None, 1),
+        ("none", 1),
+        ({"delay": 2}, 1),
+        ("table6", 7),
+        ("sensors", 7),
+    ):
         result = evaluate_dlcc("fl", SPATIAL_ID, uncertainty=unknown, **keywords)
         assert result.draws == draws
         assert (result.probability is None) == (result.confidence is None) == (draws == 1)
@@ -305,11 +351,17 @@ def test_default_number_of_draws_depends_on_randomness(monkeypatch):
 def test_progress_is_monotonic_and_complete():
     seen = []
     keywords = {"draws": 12, "probability": 0.6, "confidence": 0.9, "resolution": 1e-4}
-    pulled(spread(platform_mass=0.1), progress=lambda done, expected: seen.append((done, expected)), **keywords)
-    done, fractions = [step for step, _ in seen], [step / expected for step, expected in seen]
+    pulled(
+        spread(platform_mass=0.1),
+        progress=lambda done, expected: seen.append((done, expected)),
+        **keywords,
+    )
+    done = [step for step, _ in seen]
+    fractions = [step / expected for step, expected in seen]
     assert done == sorted(done)
     assert fractions == sorted(fractions)
-    assert (done[0], fractions[-1]) == (1, 1.0)
+    assert done[0] == 1
+    assert fractions[-1] == 1.0
 
 
 def test_policy_that_fails_unloaded_in_too_many_draws_has_no_payload():
@@ -317,8 +369,13 @@ def test_policy_that_fails_unloaded_in_too_many_draws_has_no_payload():
     unknown = {"parameters": {"platform_mass": {"low": -0.35, "high": 0.0}}}
     result = pulled(unknown, draws=8, probability=0.9, payload_max=1.0, resolution=0.1)
     assert 0 < result.success[0][1] < 1
-    assert (result.payload, result.total_mass, result.score, result.resolution) == (None, None, 0.0, 0.0)
-    assert (result.margins, result.feasible, result.failed_payload) == ({}, (), 0.0)
+    assert result.payload is None
+    assert result.total_mass is None
+    assert result.score == 0.0
+    assert result.resolution == 0.0
+    assert result.margins == {}
+    assert result.feasible == ()
+    assert result.failed_payload == 0.0
     assert 0 < result.failures["position"] < 8
     assert json.loads(result.to_json(), parse_constant=pytest.fail)["failures"] == result.failures
     arrays = result.rollout.arrays

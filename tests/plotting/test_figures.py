@@ -17,7 +17,8 @@ figure_module = pytest.importorskip("matplotlib.figure")
 
 from cablebot_gym.plotting import comparison, draw_robot, figures  # noqa: E402
 
-PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
 SMALL = {"payload_max": 1.0, "resolution": 0.5}
 
 
@@ -40,7 +41,8 @@ def springs():
 
 def test_springs_have_their_deflections(springs):
     """At rest the deflection times K is the torque of the motor."""
-    rollout, robot = springs.rollout, springs.task.robot
+    rollout = springs.rollout
+    robot = springs.task.robot
     deflection = rollout.start["spring_deflection"]
     np.testing.assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
     pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
@@ -74,7 +76,8 @@ def panels(figure):
 
 
 def test_each_motor_has_its_torques_and_limits(result):
-    robot, arrays = result.task.robot, result.rollout.arrays
+    robot = result.task.robot
+    arrays = result.rollout.arrays
     drawn = panels(figures.draw_torques(result))
     assert [axes.get_title() for axes in drawn] == [f"motor {motor + 1}" for motor in range(robot.cables)]
     for motor, axes in enumerate(drawn):
@@ -90,7 +93,8 @@ def test_each_motor_has_its_torques_and_limits(result):
 
 
 def test_mark_is_at_the_least_torque_margin(result):
-    arrays, axes = result.rollout.arrays, panels(figures.draw_torques(result))
+    arrays = result.rollout.arrays
+    axes = panels(figures.draw_torques(result))
     ((motor, dot),) = [(motor, dot) for motor, one in enumerate(axes) for dot in one.get_lines()[4:]]
     margins = 1 - np.abs(arrays["commanded_action"])
     step = int(np.argmin(margins.min(axis=1)))
@@ -103,7 +107,8 @@ def test_mark_is_at_the_least_torque_margin(result):
 
 def test_path_is_drawn_with_its_tube_errors_and_bounds(result):
     plane, *errors = figures.draw_path(result).axes
-    true_pose, planar = result.rollout.arrays["true_pose"], result.task.robot.planar
+    true_pose = result.rollout.arrays["true_pose"]
+    planar = result.task.robot.planar
     travelled, reference = plane.get_lines()
     np.testing.assert_array_equal(travelled.get_xydata(), true_pose[:, :2])
     times, millimetres = errors[0].get_lines()[0].get_data()
@@ -127,7 +132,13 @@ def test_limits_are_those_of_the_true_motors():
 
 def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
     motion = {"name": "dwell-spatial", "duration": 0.05}
-    options = {"uncertainty": "table6", "draws": 60, "probability": 0.3, "trajectory": motion, **SMALL}
+    options = {
+        "uncertainty": "table6",
+        "draws": 60,
+        "probability": 0.3,
+        "trajectory": motion,
+        **SMALL,
+    }
     drawn = evaluate_dlcc("fl", SPATIAL_ID, **options)
     lines = {line.get_label(): line for line in figures.draw_success(drawn).axes[0].get_lines()}
     np.testing.assert_array_equal(lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.success)

@@ -15,7 +15,8 @@ from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.trajectories import find_trajectory
 
 ROBOTS = {kind: find_robot(env_robot(f"CableBot-{kind.title()}-v0")) for kind in ("planar", "spatial")}
-VERMILLION, BLUE = (0xD5, 0x5E, 0x00), (0x00, 0x72, 0xB2)
+VERMILLION = (0xD5, 0x5E, 0x00)
+BLUE = (0x00, 0x72, 0xB2)
 
 
 def painter_of(kind):
@@ -62,7 +63,8 @@ def count(picture, colour):
 def changed(kind, **changes):
     """Bounding box (left, top, right, bottom) of the pixels that differ from the calm picture, as fractions."""
     painter = painter_of(kind)
-    calm, other = painter.array(moment_of(kind)), painter.array(moment_of(kind, **changes))
+    calm = painter.array(moment_of(kind))
+    other = painter.array(moment_of(kind, **changes))
     rows, columns = np.nonzero(np.any(calm != other, axis=-1))
     assert len(rows)
     return columns.min() / 640, rows.min() / 480, columns.max() / 640, rows.max() / 480
@@ -71,11 +73,15 @@ def changed(kind, **changes):
 def test_picture_depends_on_its_moment_only(kind):
     painter = painter_of(kind)
     first = painter.array(moment_of(kind))
-    painter.array(moment_of(kind, position_error=1.0, slack=np.ones(ROBOTS[kind].cables, np.bool_)), note="ended")
+    painter.array(
+        moment_of(kind, position_error=1.0, slack=np.ones(ROBOTS[kind].cables, np.bool_)),
+        note="ended",
+    )
     assert np.array_equal(painter.array(moment_of(kind)), first)
     assert np.array_equal(painter_of(kind).array(moment_of(kind)), first)
     lost = moment_of(kind, pose=np.full(ROBOTS[kind].coordinates, np.nan), position_error=1e6)
-    assert (painter.array(lost).shape, first.dtype) == ((480, 640, 3), np.uint8)
+    assert painter.array(lost).shape == (480, 640, 3)
+    assert first.dtype == np.uint8
 
 
 def test_saturated_motor_is_marked(kind):
@@ -92,13 +98,16 @@ def test_saturated_motor_is_marked(kind):
 
 
 def test_bar_of_a_motor_is_proportional_to_its_torque():
-    painter, stall = painter_of("planar"), ROBOTS["planar"].stall_torque
+    painter = painter_of("planar")
+    stall = ROBOTS["planar"].stall_torque
 
     def blue_rows(fraction):
         panel = painter.array(moment_of("planar", torques=fraction * stall))[:360, 510:]
         return np.nonzero(np.any(np.all(panel == BLUE, axis=-1), axis=1))[0]
 
-    small, large, negative = blue_rows(0.2), blue_rows(0.6), blue_rows(-0.6)
+    small = blue_rows(0.2)
+    large = blue_rows(0.6)
+    negative = blue_rows(-0.6)
     assert len(large) == pytest.approx(3 * len(small), abs=6)
     assert large.max() == pytest.approx(negative.min(), abs=5)
 
@@ -125,7 +134,8 @@ def test_slack_cable_is_marked(kind):
 
 
 def test_cables_have_the_colour_of_their_tension(kind):
-    painter, robot = painter_of(kind), ROBOTS[kind]
+    painter = painter_of(kind)
+    robot = ROBOTS[kind]
     full = np.full(robot.cables, np.max(robot.stall_torque / robot.pulley_radius))
     loose, tight = (painter.array(moment_of(kind, tensions=fraction * full))[:, :450] for fraction in (0.0, 1.0))
     assert count(tight, tension_colour(1.0)) > 400 > 100 > count(loose, tension_colour(1.0))
@@ -148,7 +158,8 @@ def test_ball_has_the_volume_of_the_payload(kind):
 
 
 def test_robot_is_at_its_pose(kind):
-    painter, moment = painter_of(kind), moment_of(kind)
+    painter = painter_of(kind)
+    moment = moment_of(kind)
     far = moment.pose + 0.1 * np.eye(len(moment.pose))[0]
     columns = [steel(painter.array(replace(moment, pose=pose)))[1].mean() for pose in (moment.pose, far)]
     assert columns[1] - columns[0] == pytest.approx(painter._camera.pixels(0.1, np.zeros(3)) / 2, rel=0.25)

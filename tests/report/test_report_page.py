@@ -62,7 +62,9 @@ def results(tmp_path):
 def test_page_opens_on_the_largest_payload_of_the_first_table():
     data = page_data([RESULTS], {})
     start = data["rows"][data["start"]]
-    assert (start["policy"], start["payload"], start["condition"]) == ("fl", 1.9, "payload known")
+    assert start["policy"] == "fl"
+    assert start["payload"] == 1.9
+    assert start["condition"] == "payload known"
 
 
 def test_limiting_violation_is_a_sentence_with_the_bound_of_the_cell():
@@ -118,13 +120,17 @@ def written(tmp_path_factory):
 @pytest.fixture
 def opened(browser, request):
     """The page in a window. A complaint of the browser or a network request is an error at the end."""
-    complaints, contexts = [], []
+    complaints = []
+    contexts = []
 
     def load(width=1200, height=900, scheme="light", at="", file=None):
         file = file or request.getfixturevalue("written")
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme))
         page = contexts[-1].new_page()
-        page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
+        page.on(
+            "console",
+            lambda message: complaints.append(message.text) if message.type != "log" else None,
+        )
         page.on("pageerror", lambda error: complaints.append(str(error)))
         local = ("file:", "data:", "blob:")
         page.on("request", lambda asked: asked.url.startswith(local) or complaints.append(asked.url))
@@ -148,7 +154,12 @@ def test_table_sorts_and_filters(opened):
     assert policies(page) == ["best known payload", "fl", "adaptive", "nobody</script>"]
     fraction = page.locator("#leaderboard-table th", has_text="fraction")
     fraction.locator("button").click()
-    assert policies(page) == ["nobody</script>", "adaptive", "fl", "best known payload"]  # an error counts as zero
+    assert policies(page) == [
+        "nobody</script>",
+        "adaptive",
+        "fl",
+        "best known payload",
+    ]  # an error counts as zero
     assert fraction.get_attribute("aria-sort") == "ascending"
     page.select_option("#filter-condition", "payload known, table6, 512 draws")
     assert policies(page) == ["fl"]
@@ -168,7 +179,8 @@ def test_episode_plays_and_moves_with_the_slider(opened):
     assert page.inner_text("#verdict").endswith(" kg: carried")
     assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2  # actions, error, tensions, the map
     picture = "document.getElementById('scene').toDataURL()"
-    before, cursor = page.evaluate(picture), page.locator("#chart-action .cursor").get_attribute("x1")
+    before = page.evaluate(picture)
+    cursor = page.locator("#chart-action .cursor").get_attribute("x1")
     page.focus("#time")
     page.keyboard.press("End")
     assert page.inner_text("#clock") == "1.60 s"
@@ -237,7 +249,8 @@ def test_map_has_its_numbers(opened, tmp_path):
     file = tmp_path / "maps.html"
     records = [carried(cell, 1.0) for cell in cells]
     file.write_text(
-        html("maps", [Results(suite="maps", command="cablebot benchmark", records=records)], {}), encoding="utf-8"
+        html("maps", [Results(suite="maps", command="cablebot benchmark", records=records)], {}),
+        encoding="utf-8",
     )
     page = opened(file=file)
     page.click("#maps summary >> nth=0")

@@ -21,9 +21,23 @@ pytestmark = [
 ]
 
 PAGES = (
-    *("index", "getting-started", "environments", "policies", "dlcc", "leaderboard", "learned", "errata", "commands"),
+    *(
+        "index",
+        "getting-started",
+        "environments",
+        "policies",
+        "dlcc",
+        "leaderboard",
+        "learned",
+        "errata",
+        "commands",
+    ),
     *("faq", "uncertainty", "training", "your-own/policy", "reproduction/reproduction"),
-    *("generated/environments/CableBot-Spatial-v0", "generated/policies/fl", "generated/api/gym/cablebot_gym.robots"),
+    *(
+        "generated/environments/CableBot-Spatial-v0",
+        "generated/policies/fl",
+        "generated/api/gym/cablebot_gym.robots",
+    ),
 )
 """One page of every kind, and those with much code."""
 

@@ -135,7 +135,9 @@ def test_interrupt_ends_all_processes(tmp_path):
 
 def test_interrupt_of_another_thread_is_deferred_while_a_process_starts(monkeypatch):
     """Python raises it in the main thread, which would lose the process between its start and its registration."""
-    go, gone, processes = threading.Event(), threading.Event(), []
+    go = threading.Event()
+    gone = threading.Event()
+    processes = []
 
     def interrupt():
         go.wait()
@@ -163,7 +165,14 @@ def test_interrupt_of_another_thread_is_deferred_while_a_process_starts(monkeypa
 def test_one_computation_of_each_kind_starts_first():
     tasks = {f"{kind}{number}": partial(square, number) for kind in "ab" for number in range(3)}
     kinds = {id(task): key[0] for key, task in tasks.items()}
-    assert leaders_first(tasks, lambda task: kinds[id(task)]) == ["a0", "b0", "a1", "a2", "b1", "b2"]
+    assert leaders_first(tasks, lambda task: kinds[id(task)]) == [
+        "a0",
+        "b0",
+        "a1",
+        "a2",
+        "b1",
+        "b2",
+    ]
 
 
 def test_number_of_workers_is_positive():
