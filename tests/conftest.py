@@ -121,7 +121,7 @@ def browser():
     """Chromium; without it a test is skipped, and fails in CI."""
     from playwright.sync_api import sync_playwright
 
-    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    path = next((executable for name in BROWSERS if (executable := shutil.which(name))), None)
     if path is None:
         if os.environ.get("CI"):
             pytest.fail("no Chromium is installed, and CI has to look at the pages: apt-get install chromium")

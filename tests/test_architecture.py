@@ -46,12 +46,12 @@ ORDER = (
 
 def source_files() -> dict[str, Path]:
     """Files of both packages by module."""
-    found = {}
+    files = {}
     for root, package in ((ROOT, "cablebot_gym"), (ROOT / "baselines", "cablebot_baselines")):
         for path in (root / package).rglob("*.py"):
             name = ".".join(path.relative_to(root).with_suffix("").parts)
-            found[name.removesuffix(".__init__")] = path
-    return found
+            files[name.removesuffix(".__init__")] = path
+    return files
 
 
 FILES = source_files()
@@ -74,7 +74,8 @@ def imports(module: str) -> Iterator[tuple[str, str]]:
 def test_imports_form_no_cycle():
     """Lazy imports and those for types alone count too; a module's own packages do not."""
     graph = {
-        module: {other for other, _ in imports(module) if not f"{module}.".startswith(f"{other}.")} for module in FILES
+        module: {imported for imported, _ in imports(module) if not f"{module}.".startswith(f"{imported}.")}
+        for module in FILES
     }
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
 
@@ -83,10 +84,10 @@ def test_imports_form_no_cycle():
 def test_package_imports_only_those_before_it(package):
     allowed = {"", *ORDER[: ORDER.index(package) + 1]}
     for module in (name for name in FILES if name.startswith("cablebot_gym.") and name.split(".")[1] == package):
-        for other, _ in imports(module):
-            root, _, rest = other.partition(".")
-            assert root == "cablebot_gym", f"{module} imports {other}"
-            assert rest.split(".")[0] in allowed, f"{module} imports {other}"
+        for imported, _ in imports(module):
+            root, _, path = imported.partition(".")
+            assert root == "cablebot_gym", f"{module} imports {imported}"
+            assert path.split(".")[0] in allowed, f"{module} imports {imported}"
 
 
 def test_every_package_is_in_the_order():
@@ -97,10 +98,10 @@ def test_baselines_import_only_public_names():
     """They are written as another package would write them."""
     internal = tuple(f"{module}." for module in cablebot_gym.INTERNAL)
     for module in (name for name in FILES if name.startswith("cablebot_baselines")):
-        for other, name in imports(module):
-            if other.startswith("cablebot_gym"):
-                assert not f"{other}.".startswith(internal), f"{module} imports {other}"
-                assert not name.startswith("_"), f"{module} imports {name} from {other}"
+        for imported, name in imports(module):
+            if imported.startswith("cablebot_gym"):
+                assert not f"{imported}.".startswith(internal), f"{module} imports {imported}"
+                assert not name.startswith("_"), f"{module} imports {name} from {imported}"
 
 
 CLOCKS = {"time", "timeit", "sched"}

@@ -19,13 +19,13 @@ FAST = ("first_steps",)
 def payloads(lines: list[str]) -> list[float]:
     """Printed payloads [kg]."""
     return [
-        float(found[1]) for line in lines if (found := re.search(r"payload (?:known|unknown)[^:]*: ([\d.]+) kg", line))
+        float(match[1]) for line in lines if (match := re.search(r"payload (?:known|unknown)[^:]*: ([\d.]+) kg", line))
     ]
 
 
 def fractions(lines: list[str]) -> list[float]:
     """Percentages of lines such as `fl: 40% of the draws`."""
-    return [float(found[1]) for line in lines if (found := re.search(r": +(\d+)% of", line))]
+    return [float(match[1]) for line in lines if (match := re.search(r": +(\d+)% of", line))]
 
 
 def learned_policy_carries_more(lines: list[str], folder: Path) -> bool:
@@ -34,8 +34,8 @@ def learned_policy_carries_more(lines: list[str], folder: Path) -> bool:
 
 
 def own_controller_carries_more(lines: list[str], folder: Path) -> bool:
-    fl, own = payloads(lines)
-    return own > 1.04 * fl
+    fl, your_own = payloads(lines)
+    return your_own > 1.04 * fl
 
 
 def stronger_motors_carry_more(lines: list[str], folder: Path) -> bool:
@@ -79,8 +79,8 @@ def figure_is_written(lines: list[str], folder: Path) -> bool:
 
 def actions_replay_bit_for_bit(lines: list[str], folder: Path) -> bool:
     returns = [float(line.split()[-1]) for line in lines[1:-1]]  # above 800 without violation
-    kept = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
-    files = [kept / name for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json")]
+    folder_of_data = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
+    files = [folder_of_data / name for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json")]
     return (
         all(file.is_file() for file in files)
         and len(returns) == 8

@@ -128,11 +128,11 @@ FUNCTIONS = {
         {"mass": 91.0, "pose": HEAVY.home, "tensions": np.full(8, 900.0)},
     ),
     "exact_payload": (
-        lambda **given: exact_payload(SPATIAL, LINE, **given),
+        lambda **arguments: exact_payload(SPATIAL, LINE, **arguments),
         {"minimum_tension": 1.0, "frequency": 100.0, "line_speed": np.ones(6), "grid": 100.0},
     ),
     "tension_bounds": (
-        lambda **given: tension_bounds(SPATIAL, REFERENCE, **given),
+        lambda **arguments: tension_bounds(SPATIAL, REFERENCE, **arguments),
         {"minimum": 1.0, "line_speed": np.ones(6)},
     ),
     "trajectory": (LINE, {"times": np.array([0.1, 0.2])}),

@@ -28,12 +28,12 @@ def test_oldest_tested_versions_are_the_lower_bounds():
     """Otherwise the smoke test would not cover the versions that pip may choose."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = [line for extra in ("sb3", "plot") for line in project["optional-dependencies"][extra]]
-    needed = [line for line in [*project["dependencies"], *extras] if not line.startswith("torch")]
+    requirements = [line for line in [*project["dependencies"], *extras] if not line.startswith("torch")]
     pinned = (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8").splitlines()
-    bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups() for line in needed]
+    bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups() for line in requirements]
     pins = [line.split("==") for line in pinned if not line.startswith(("#", "torch"))]
-    assert sorted((name, (whole + ".0.0").split(".")[:3]) for name, whole in bounds) == sorted(
-        (name, whole.split(".")) for name, whole in pins
+    assert sorted((name, (version + ".0.0").split(".")[:3]) for name, version in bounds) == sorted(
+        (name, version.split(".")) for name, version in pins
     )
 
 
@@ -52,15 +52,15 @@ ADDRESSES = dict.fromkeys(release.URLS, "https://example.org")
     ],
 )
 def test_release_requires_tag_changelog_and_addresses(tag, version, urls, problem):
-    found = release.problems(tag, version, CHANGES, urls)
-    assert len(found) == (problem is not None)
-    assert problem is None or problem in found[0]
+    problems = release.problems(tag, version, CHANGES, urls)
+    assert len(problems) == (problem is not None)
+    assert problem is None or problem in problems[0]
 
 
 def test_changelog_has_a_section_for_the_version():
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    found = release.problems(f"v{__version__}", __version__, changelog, ADDRESSES)
-    assert [one for one in found if "no section" in one] == []
+    problems = release.problems(f"v{__version__}", __version__, changelog, ADDRESSES)
+    assert [problem for problem in problems if "no section" in problem] == []
 
 
 def test_readme_on_pypi_links_to_the_files_of_the_tag():

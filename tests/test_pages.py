@@ -60,15 +60,15 @@ def test_block_is_that_of_code_and_results(page, name):
 def test_laws_behind_the_homed_filter_keep_their_payload_as_the_page_says():
     least = float(re.search(r"every law keeps at least (\d+) %", " ".join(read("docs/measurement.md").split()))[1])
     cases = json.loads((page_blocks.measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))["cases"]
-    nominal = [one for one in cases if not one["disturbance"]]
-    exact = {one["env_id"]: one["payload"] for one in nominal if one["sensors"] == "pose"}
-    kept = {
-        one["env_id"]: one["payload"] / exact[one["env_id"]]
-        for one in nominal
-        if (one["estimator"], one["errors"]) == ("ekf-homed", "load-cells")
+    nominal = [case for case in cases if not case["disturbance"]]
+    exact = {case["env_id"]: case["payload"] for case in nominal if case["sensors"] == "pose"}
+    fractions = {
+        case["env_id"]: case["payload"] / exact[case["env_id"]]
+        for case in nominal
+        if (case["estimator"], case["errors"]) == ("ekf-homed", "load-cells")
     }
-    assert set(kept) == set(page_blocks.measure_winches.LAWS)
-    assert min(kept.values()) >= least / 100
+    assert set(fractions) == set(page_blocks.measure_winches.LAWS)
+    assert min(fractions.values()) >= least / 100
 
 
 def test_code_of_the_home_page_is_that_of_the_example():

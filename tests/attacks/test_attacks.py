@@ -30,13 +30,13 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies us
 
 def descendants() -> set[str]:
     """Processes that policies of this suite have left."""
-    found = set()
+    pids = set()
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            found |= {path.parent.name} if b"time.sleep(600)" in path.read_bytes() else set()
+            pids |= {path.parent.name} if b"time.sleep(600)" in path.read_bytes() else set()
         except OSError:
             continue
-    return found
+    return pids
 
 
 @pytest.mark.slow
@@ -49,17 +49,17 @@ def test_attack_on_an_isolated_evaluation(attack):
     assert "Traceback" not in err
     if attack.status:
         assert out == ""
-        last = err.splitlines()[-1]
-        assert last.startswith(f"cablebot: policy 'cheats:{attack.name}'")
-        assert attack.now in last
-        assert len(last) < 2000
+        message = err.splitlines()[-1]
+        assert message.startswith(f"cablebot: policy 'cheats:{attack.name}'")
+        assert attack.now in message
+        assert len(message) < 2000
         return
     (result,) = json.loads(out)
     if attack.now == SCORED:
         assert result["stochastic"] or result["declared"]
         return
     (honest,) = json.loads(run("Law", attack.options)[1])
-    payload, expected = (one["payload"] or 0.0 for one in (result, honest))
+    payload, expected = (evaluation["payload"] or 0.0 for evaluation in (result, honest))
     tolerance = result["resolution"] + honest["resolution"]
     least, most = (0.0, expected / 2) if attack.now == LESS else (expected, expected)
     assert least - tolerance <= payload <= most + tolerance
@@ -82,7 +82,7 @@ def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
 @pytest.mark.skipif(sandbox_problem() != "", reason=sandbox_problem())
 @pytest.mark.parametrize("name", ["hidden_daemon", "kills_itself"])
 def test_ends_of_processes_are_the_same_in_a_sandbox(name):
-    (attack,) = (one for one in ATTACKS if one.name == name)
+    (attack,) = (candidate for candidate in ATTACKS if candidate.name == name)
     before = descendants()
     status, _, err = run(name, SANDBOX)
     assert status == attack.status, err
@@ -107,9 +107,11 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():
-    made = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
-    own = {name for name in made if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()}
-    assert own - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
+    documented = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
+    policies = {
+        name for name in documented if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()
+    }
+    assert policies - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
         attack.name for attack in ATTACKS + SANDBOXED
     }
     assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (

@@ -31,15 +31,15 @@ def run(law, env, *, steps=None):
     column = observation_layout(law.robot).slices()["model_payload"]
     state = None
     start = np.ones(count, np.bool_)
-    kept = np.ones(count, np.bool_)
+    is_within = np.ones(count, np.bool_)
     estimates = []
     for _ in range(steps or env.unwrapped.tasks[0].steps - 1):
         action, state = law.predict(observation, state=state, episode_start=start)
         estimates.append(law.mass(state, law.robot.mass + observation[:, column][:, 0]))
         observation, _, start, _, info = env.step(action)
-        kept &= ~start & ~info["slack"].any(axis=1)
-        kept &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
-    return kept, np.array(estimates), (observation, state)
+        is_within &= ~start & ~info["slack"].any(axis=1)
+        is_within &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
+    return is_within, np.array(estimates), (observation, state)
 
 
 # --- the estimate -----------------------------------------------------------------------------------------------------
@@ -107,8 +107,8 @@ def test_estimate_and_limits_hold_with_sensor_noise(entry, env_id):
     noise = {"position": 1e-4, "rotation": 2e-4, "velocity": 2e-3, "rotation_rate": 4e-3}
     noise |= {"motor_angle": 1e-3, "motor_speed": 1e-2} if law.robot.flexible else {}
     env = gym.make_vec(env_id, num_envs=16, payload=payload, payload_known=False, uncertainty={"sensors": noise})
-    kept, estimates, _ = run(law, env)
-    assert kept.all()
+    is_within, estimates, _ = run(law, env)
+    assert is_within.all()
     np.testing.assert_allclose(estimates[-1], 10.0 + payload, atol=0.1)
 
 
@@ -119,13 +119,13 @@ def test_allocation_solves_the_bounded_least_squares_problem():
     rng = np.random.default_rng(0)
     slope = rng.normal(size=(100, 6, 6)) + 2 * np.eye(6)
     requested = rng.normal(size=(100, 6)) * rng.uniform(0.3, 3.0, size=(100, 1))
-    found = allocate(requested, slope)
-    for wanted, g, given in zip(requested, slope, found, strict=True):
+    allocated = allocate(requested, slope)
+    for request, g, action in zip(requested, slope, allocated, strict=True):
         inverse = np.linalg.inv(g)
-        expected = lsq_linear(inverse, inverse @ wanted, bounds=(-1, 1), tol=1e-14).x
-        best = np.linalg.norm(inverse @ (expected - wanted))
-        assert np.abs(given).max() <= 1.0
-        assert np.linalg.norm(inverse @ (given - wanted)) == pytest.approx(best, rel=1e-6, abs=1e-9)
+        expected = lsq_linear(inverse, inverse @ request, bounds=(-1, 1), tol=1e-14).x
+        best = np.linalg.norm(inverse @ (expected - request))
+        assert np.abs(action).max() <= 1.0
+        assert np.linalg.norm(inverse @ (action - request)) == pytest.approx(best, rel=1e-6, abs=1e-9)
     within = rng.uniform(-1, 1, size=(5, 6))
     np.testing.assert_allclose(allocate(within, slope[:5]), within, rtol=1e-12)
 

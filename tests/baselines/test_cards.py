@@ -68,9 +68,9 @@ def test_card_has_the_payloads_of_all_seeds(runs, computed, tmp_path):
     summary = card.summary(0)
     assert summary.iqm == pytest.approx((2.0 + 2.4 + 2.6) / 3)  # a policy that fails unloaded counts as 0
     assert card.best_known == 2.875
-    assert [(one.seed, one.law_payload) for one in card.held_out] == [(10_000 + index, 2.0) for index in range(4)]
+    assert [(loop.seed, loop.law_payload) for loop in card.held_out] == [(10_000 + index, 2.0) for index in range(4)]
     assert [run.held_out for run in card.seeds] == [(), (), (), (), (1.6, 3.6, 1.6, 3.6)]
-    assert [one.best_known is None for one in card.held_out] == [False, False, False, True]
+    assert [loop.best_known is None for loop in card.held_out] == [False, False, False, True]
     text = (weights / "apg-circle-planar.json").read_text(encoding="utf-8")
     assert Card.from_json(text).to_json() == text == card.to_json()
 
@@ -81,8 +81,8 @@ def test_best_known_payloads_of_held_out_loops_are_searched_for(runs):
     cells = []
     searched = {10_003: (2.0, True), 10_004: (5.0, True), 10_005: (6.0, False)}
 
-    def evaluate(asked):
-        for cell in asked.values():
+    def evaluate(cells_by_key):
+        for cell in cells_by_key.values():
             cells.append(cell)
             if isinstance(cell, BestKnownCell):
                 payload, verified = searched[cell.trajectory["seed"]]
@@ -102,7 +102,7 @@ def test_best_known_payloads_of_held_out_loops_are_searched_for(runs):
     def make(count):
         cells.clear()
         keywords = {
-            "evaluate": lambda asked: [*evaluate(asked)],
+            "evaluate": lambda cells_by_key: [*evaluate(cells_by_key)],
             "best_known": known,
             "command": "",
             "held_out": 6,
@@ -112,7 +112,7 @@ def test_best_known_payloads_of_held_out_loops_are_searched_for(runs):
 
     card, seeds = make(6)
     assert seeds == [10_003, 10_004, 10_005]
-    assert [one.best_known for one in card.held_out[3:]] == [
+    assert [loop.best_known for loop in card.held_out[3:]] == [
         4.0,
         5.0,
         None,
@@ -122,7 +122,7 @@ def test_best_known_payloads_of_held_out_loops_are_searched_for(runs):
     assert seeds == [10_003]
     assert few.held_out[4].best_known is None
     cells.clear()
-    assert with_search_results(few, lambda asked: [*evaluate(asked)], known) == card
+    assert with_search_results(few, lambda cells_by_key: [*evaluate(cells_by_key)], known) == card
     assert [cell.trajectory["seed"] for cell in cells] == [10_004, 10_005]
 
 

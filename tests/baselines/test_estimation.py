@@ -40,7 +40,7 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
     state = None
     errors = []
     squares = []
-    last = env.pose
+    last_pose = env.pose
     for _ in range(300):
         actions, state = policy.predict(rows, state)
         estimate = state[0]
@@ -52,9 +52,9 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
             inverse = np.linalg.inv(estimate.covariance[:, : 2 * n, : 2 * n])
             squares.append(np.einsum("ij,ijk,ik->i", errors[-1], inverse, errors[-1]))
         else:
-            rate = (estimate - last) / 2e-3 - env._simulation._plant.velocity
+            rate = (estimate - last_pose) / 2e-3 - env._simulation._plant.velocity
             errors.append(np.concatenate([estimate - env.pose, rate], axis=-1))
-            last = estimate
+            last_pose = estimate
         rows = env.step(actions)[0]
     return np.array(errors[50:]), np.array(squares[50:])
 
@@ -67,7 +67,7 @@ def test_filter_is_consistent_and_better_than_differences_of_forward_kinematics(
     raw, _ = run(env_id, KinematicEstimator(robot), **noise)
     n = robot.coordinates
     assert 0.3 < squares.mean() / (2 * n) < 2
-    size, raw_size = (np.sqrt((one**2).mean(axis=(0, 1))) for one in (errors, raw))
+    size, raw_size = (np.sqrt((error**2).mean(axis=(0, 1))) for error in (errors, raw))
     assert (size[:n] < raw_size[:n]).all()
     assert (size[n:] < raw_size[n:] / 5).all()
 
@@ -131,25 +131,25 @@ def readings(robot, count, *, seed=0):
 
 def test_calibration_recovers_offsets_from_redundant_cables():
     poses, offset = readings(PLANAR, 12)
-    found = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
-    np.testing.assert_allclose(found.offset, offset, atol=1e-8)
-    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+    calibration = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
+    np.testing.assert_allclose(calibration.offset, offset, atol=1e-8)
+    np.testing.assert_allclose(calibration.poses, poses, atol=1e-9)
 
 
 @pytest.mark.parametrize("sensor", ["tensions", "orientation"])
 def test_calibration_of_six_cables_needs_and_uses_a_further_sensor(sensor):
     poses, offset = readings(SPATIAL, 10)
     angles = textbook.pulley_angle(SPATIAL, poses) + offset
-    rest = np.zeros_like(poses)
+    zero = np.zeros_like(poses)
     with pytest.raises(ValueError, match="do not determine the offsets"):
         calibrate(SPATIAL, angles, poses + 0.005)
-    tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, rest, rest)
+    tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, zero, zero)
     exact = {"tensions": tensions, "orientation": poses[:, 3:]}
-    found = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
-    np.testing.assert_allclose(found.offset, offset, atol=1e-5)
+    calibration = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
+    np.testing.assert_allclose(calibration.offset, offset, atol=1e-5)
 
 
 def test_home_offset_is_the_difference_at_the_known_pose():
     poses, offset = readings(SPATIAL, 1)
-    found = home_offset(SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0])
-    np.testing.assert_allclose(found, offset, atol=1e-12)
+    offset_at_home = home_offset(SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0])
+    np.testing.assert_allclose(offset_at_home, offset, atol=1e-12)

@@ -36,17 +36,17 @@ def random_observations(kind, seed, count, model_payload=None):
     layout = observation_layout(robot)
     n = robot.coordinates
     at = layout.slices()
-    made = rng.uniform(0, 1, (count, layout.size))
+    rows = rng.uniform(0, 1, (count, layout.size))
     pose = rng.uniform(-0.1, 0.1, (count, n))
     if kind == "spatial":
         pose[:, 2] += 0.25
-    made[:, at["pose"]] = pose
-    made[:, at["reference_pose"]] = pose + rng.uniform(-0.02, 0.02, (count, n))
-    made[:, at["velocity"]] = rng.uniform(-1, 1, (count, n))
-    made[:, at["reference_velocity"]] = rng.uniform(-1, 1, (count, n))
-    made[:, at["reference_acceleration"]] = rng.uniform(-8, 8, (count, n))
-    made[:, at["model_payload"]] = rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
-    return made
+    rows[:, at["pose"]] = pose
+    rows[:, at["reference_pose"]] = pose + rng.uniform(-0.02, 0.02, (count, n))
+    rows[:, at["velocity"]] = rng.uniform(-1, 1, (count, n))
+    rows[:, at["reference_velocity"]] = rng.uniform(-1, 1, (count, n))
+    rows[:, at["reference_acceleration"]] = rng.uniform(-8, 8, (count, n))
+    rows[:, at["model_payload"]] = rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
+    return rows
 
 
 # --- the law ----------------------------------------------------------------------------------------------------------

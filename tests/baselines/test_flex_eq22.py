@@ -21,8 +21,8 @@ PERIOD = 1 / 500
 def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
     """The paper's robot at 11 kg; unsaturated motors have a very large stall torque and the same slope."""
     springs = dataclasses.replace(FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction)
-    made = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
-    return linearised.unsaturated_actions(made) if unsaturated_actions else made
+    paper_robot = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
+    return linearised.unsaturated_actions(paper_robot) if unsaturated_actions else paper_robot
 
 
 def peaks(law, plant_robot, **keywords):
@@ -87,8 +87,8 @@ def test_law_equals_composite_without_spring_damping():
 def two_observations():
     """Consecutive observations of three environments with different motor speeds."""
     env = gym.make_vec(ID, num_envs=3, payload=np.arange(3.0))
-    first, _ = env.reset(seed=0)
-    return first, env.step(np.full(env.action_space.shape, 0.3))[0]
+    before, _ = env.reset(seed=0)
+    return before, env.step(np.full(env.action_space.shape, 0.3))[0]
 
 
 def torque(law, action, observation):
@@ -97,28 +97,28 @@ def torque(law, action, observation):
 
 
 def test_measured_acceleration_is_the_difference_quotient_of_the_motor_speeds(two_observations):
-    first, second = two_observations
+    before, after = two_observations
     measured, commanded = (PaperFlexible(FLEX_SPATIAL, motor_acceleration=name) for name in ("measured", "commanded"))
-    action, state = measured.predict(first, state=None, episode_start=np.ones(3, np.bool_))
-    np.testing.assert_array_equal(action, commanded.predict(first)[0])
-    action, _ = measured.predict(second, state=state, episode_start=np.zeros(3, np.bool_))
-    speeds = [measured.split(each)["motor_speed"] for each in (first, second)]
-    blocks = measured.split(second)
+    action, state = measured.predict(before, state=None, episode_start=np.ones(3, np.bool_))
+    np.testing.assert_array_equal(action, commanded.predict(before)[0])
+    action, _ = measured.predict(after, state=state, episode_start=np.zeros(3, np.bool_))
+    speeds = [measured.split(rows)["motor_speed"] for rows in (before, after)]
+    blocks = measured.split(after)
     pulley = textbook.pulley_acceleration(FLEX_SPATIAL, blocks["pose"], blocks["velocity"], commanded.outer(blocks))
     inertia = FLEX_SPATIAL.transmission.motor_inertia
-    expected = torque(commanded, commanded.predict(second)[0], second) - inertia * pulley
+    expected = torque(commanded, commanded.predict(after)[0], after) - inertia * pulley
     expected = expected + inertia * 500 * (speeds[1] - speeds[0])
-    np.testing.assert_allclose(torque(measured, action, second), expected, rtol=1e-9)
+    np.testing.assert_allclose(torque(measured, action, after), expected, rtol=1e-9)
     assert np.abs(speeds[1] - speeds[0]).max() > 0.1
 
 
 def test_new_episode_of_a_batch_starts_with_fresh_memory(two_observations):
-    first, second = two_observations
+    before, after = two_observations
     measured = PaperFlexible(FLEX_SPATIAL, motor_acceleration="measured")
-    _, state = measured.predict(first, state=None, episode_start=np.ones(3, np.bool_))
-    action, _ = measured.predict(second, state=state, episode_start=np.array([False, True, False]))
-    going_on, _ = measured.predict(second, state=state, episode_start=np.zeros(3, np.bool_))
-    fresh, _ = measured.predict(second, state=None)
+    _, state = measured.predict(before, state=None, episode_start=np.ones(3, np.bool_))
+    action, _ = measured.predict(after, state=state, episode_start=np.array([False, True, False]))
+    going_on, _ = measured.predict(after, state=state, episode_start=np.zeros(3, np.bool_))
+    fresh, _ = measured.predict(after, state=None)
     np.testing.assert_array_equal(action[1], fresh[1])
     np.testing.assert_array_equal(action[[0, 2]], going_on[[0, 2]])
     assert np.all(np.abs(going_on - fresh).max(axis=1) > 1e-3)

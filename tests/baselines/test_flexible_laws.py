@@ -73,8 +73,8 @@ def test_laws_hold_a_platform_on_cables_that_stretch() -> None:
     }
     laws = ["composite-tuned", "adaptive-composite", "motor-pd"]
     options = {"robot": "flex-fast", "trajectory": motion}
-    found = compare_policies(laws, FLEX_SPATIAL_ID, payload=5e4, initial_error=0, **options)
-    assert max(metrics.max_error[0] for metrics in found.metrics) < 1e-3
+    comparison = compare_policies(laws, FLEX_SPATIAL_ID, payload=5e4, initial_error=0, **options)
+    assert max(metrics.max_error[0] for metrics in comparison.metrics) < 1e-3
 
 
 @pytest.mark.parametrize(("law", "bound"), [("composite", 6e-3), ("motor-pd", 3e-3), ("fl4", 6e-3)])
@@ -99,9 +99,9 @@ def test_fourth_order_error_decays_with_the_given_poles() -> None:
     # From rest: e = Σ c_i exp(p_i t) with e(0) = 1 and three derivatives zero.
     coefficients = np.linalg.solve(np.vander(poles, increasing=True).T, [1.0, 0.0, 0.0, 0.0])
     expected = float(coefficients @ np.exp(np.array(poles) * steps / 2000.0))
-    left = env.unwrapped.pose - env.unwrapped.task.trajectory(1.0).position
+    remaining = env.unwrapped.pose - env.unwrapped.task.trajectory(1.0).position
     assert 0.5 < expected < 0.9
-    np.testing.assert_allclose(left / error, expected, atol=0.01)
+    np.testing.assert_allclose(remaining / error, expected, atol=0.01)
 
 
 def test_motor_pd_tracks_a_motion_that_is_smooth_to_snap_without_correction() -> None:

@@ -90,9 +90,9 @@ def test_training_motion_equals_the_reference_that_the_law_gets(env_id, law, act
     network = training.network
     memory = None
     m = training.robot.cables
-    given = {}
+    law_blocks = {}
     respond = steering.law.respond
-    steering.law.respond = lambda blocks, *rest: given.update(blocks) or respond(blocks, *rest)
+    steering.law.respond = lambda blocks, *arguments: law_blocks.update(blocks) or respond(blocks, *arguments)
     for step in range(200):
         time = np.array([step / 500])
         reference = observed_reference(trajectory, time, to_snap=training.robot.flexible)
@@ -107,9 +107,9 @@ def test_training_motion_equals_the_reference_that_the_law_gets(env_id, law, act
             decision = trained[step // steering.periods, 0]
             # The first instant lies a billionth of a decision after it: a spline's derivatives jump there.
             for order, name in enumerate(("pose", "velocity")):
-                np.testing.assert_allclose(given[f"reference_{name}"], decision[order], rtol=0, atol=1e-6)
+                np.testing.assert_allclose(law_blocks[f"reference_{name}"], decision[order], rtol=0, atol=1e-6)
             if training.robot.flexible:
-                assert given["reference_snap"] == pytest.approx(decision[4], rel=1e-5, abs=1e-3)
+                assert law_blocks["reference_snap"] == pytest.approx(decision[4], rel=1e-5, abs=1e-3)
     assert np.abs(trained[:, :, 0] - training._motions.reference[0, :, :, 0].numpy()).max() > 1e-4
 
 
@@ -122,9 +122,9 @@ def test_violations_equal_the_inverse_dynamics_with_and_without_payload():
     demands = []
     tensions = []
     for mass in (robot.mass, robot.mass + training.payloads[0]):
-        needed = inverse_dynamics(robot, mass, *(motion[:, order] for order in range(3)))
-        demands.append(normalised_action(robot, needed.torques, needed.speeds))
-        tensions.append(needed.tensions)
+        actuation = inverse_dynamics(robot, mass, *(motion[:, order] for order in range(3)))
+        demands.append(normalised_action(robot, actuation.torques, actuation.speeds))
+        tensions.append(actuation.tensions)
     assert broken[0] == pytest.approx(np.maximum(np.abs(demands) - 0.5, 0).ravel(), abs=1e-9)
     assert broken[1] == pytest.approx(np.maximum(20.0 - np.array(tensions), 0).ravel() / 20.0, abs=1e-9)
     assert broken[0].max() > 0
@@ -245,8 +245,10 @@ def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, 
         cli.main()
     assert ended.value.code in (0, None)
     assert json.loads(capsys.readouterr().out)["evaluations"][-1]["payload_kg"] == trained.evaluations[-1].payload_kg
-    for one, other in zip(*(Bundle.load(folder / LAST).network.weights for folder in (out, trained.out)), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for weights, expected in zip(
+        *(Bundle.load(folder / LAST).network.weights for folder in (out, trained.out)), strict=True
+    ):
+        np.testing.assert_array_equal(weights, expected)
 
 
 def test_run_that_cannot_be_resumed_is_rejected(trained, tmp_path, config):
@@ -275,15 +277,15 @@ def test_invalid_configuration_is_rejected():
 
 def test_validation_loops_differ_from_training_loops():
     line = {"name": "line-planar", "duration": 2.0}
-    both = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
-    assert [one.name for one in both.trajectories] == [
+    settings = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
+    assert [trajectory.name for trajectory in settings.trajectories] == [
         "loop-planar",
         "loop-planar",
         "paper-planar",
         "line-planar",
     ]
-    assert both.trajectories[-1].motion.duration == 2.0
-    assert [one.motion.seed for one in (*both.trajectories[:2], *both.validation)] == [
+    assert settings.trajectories[-1].motion.duration == 2.0
+    assert [trajectory.motion.seed for trajectory in (*settings.trajectories[:2], *settings.validation)] == [
         0,
         1,
         *VALIDATION,
@@ -297,9 +299,9 @@ def test_shipped_configurations_use_training_motions_only(name):
         assert shortest_dwell(config.trajectories) == DWELL
         trained, validation = (
             {
-                one.motion.seed
-                for one in motions
-                if isinstance(one, BetweenDwells) and isinstance(one.motion, RandomLoop)
+                trajectory.motion.seed
+                for trajectory in motions
+                if isinstance(trajectory, BetweenDwells) and isinstance(trajectory.motion, RandomLoop)
             }
             for motions in (config.trajectories, config.validation)
         )
@@ -317,13 +319,13 @@ def test_gradient_of_redundant_cables_is_that_of_the_distribution(name):
     motion[0] += robot.home
     tensors = [torch.tensor(value, requires_grad=True) for value in motion]
     mass = torch.full((4,), robot.mass + 1.0, dtype=torch.float64)
-    found = required_actuation(robot, tensors, mass, minimum=5.0)
+    actuation = required_actuation(robot, tensors, mass, minimum=5.0)
 
     def expected(pose: np.ndarray) -> np.ndarray:
         return textbook.required_tensions(robot, mass.numpy(), pose, *motion[1:], minimum=5.0)
 
-    np.testing.assert_allclose(found.tensions.detach(), expected(motion[0]), rtol=1e-6)
+    np.testing.assert_allclose(actuation.tensions.detach(), expected(motion[0]), rtol=1e-6)
     direction = random.normal(size=motion[0].shape)
-    found.tensions[:, 0].sum().backward()
+    actuation.tensions[:, 0].sum().backward()
     slope = (expected(motion[0] + 1e-6 * direction) - expected(motion[0] - 1e-6 * direction))[:, 0].sum() / 2e-6
     np.testing.assert_allclose((tensors[0].grad.numpy() * direction).sum(), slope, rtol=1e-4)

@@ -95,9 +95,9 @@ def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
 
 def bundle_of(case="planar shift", **network):
     env_id, base, action_mapping, features = CASES[case]
-    made = network_of(steering_of(env_id, base, action_mapping, features), **network)
-    parts = {"base": base, "action_mapping": action_mapping, "features": features, "network": made}
-    return Bundle(env_id=env_id, card={"seed": 1, "note": "é"}, **parts)
+    trained_network = network_of(steering_of(env_id, base, action_mapping, features), **network)
+    contents = {"base": base, "action_mapping": action_mapping, "features": features, "network": trained_network}
+    return Bundle(env_id=env_id, card={"seed": 1, "note": "é"}, **contents)
 
 
 @pytest.fixture
@@ -150,26 +150,16 @@ def line(robot, start, speed, times):
 
 def steer(steering, rows, actions):
     """Blocks that the base law gets, and observations of a learner, for actions (steps, size)."""
-    given = []
+    law_blocks = []
     memory = None
     observed = []
-    steering.law.respond = lambda blocks, *rest: given.append(blocks) or (np.zeros(6), None)
+    steering.law.respond = lambda blocks, *arguments: law_blocks.append(blocks) or (np.zeros(6), None)
     for observation, action in zip(rows, actions, strict=True):
         blocks = steering.split(observation)
         memory = steering.reset_memory(blocks, memory, None)
         observed.append(steering.observe(blocks, memory))
         _, memory = steering.respond(blocks, action, memory)
-    return {name: np.array([blocks[name] for blocks in given]) for name in given[0]}, np.array(observed)
-
-
-def test_spline_weights_equal_the_closed_form():
-    u = np.linspace(0.0, 1.0, 11)
-    cubic = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
-    square = [(1 - u) ** 2, -2 * u**2 + 2 * u + 1, u**2]
-    for shift, factor, expected in ((Shift(), 6, cubic), (Shift(degree=2), 2, square)):
-        weights = shift.weights(0.04 * u, 0.04)
-        assert weights.shape == (11, 5, shift.degree + 1)
-        np.testing.assert_allclose(weights[:, 0], np.transpose(expected) / factor, atol=1e-14)
+    return {name: np.array([blocks[name] for blocks in law_blocks]) for name in law_blocks[0]}, np.array(observed)
 
 
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
@@ -186,11 +176,11 @@ def test_spline_is_a_smooth_partition_of_unity(degree):
         slope = (after[:, order] - before[:, order]) / (2 * step)
         bound = 1e-5 * max(np.abs(slope).max(), action_period**-order)
         np.testing.assert_allclose(now[:, order + 1], slope, atol=bound)
-    first, last = shift.weights(np.array([0.0, action_period]), action_period)
+    at_start, at_end = shift.weights(np.array([0.0, action_period]), action_period)
     for order in range(min(degree, 5)):
         size = action_period**-order
-        np.testing.assert_allclose(last[order, 1:], first[order, :-1], atol=1e-9 * size)
-        np.testing.assert_allclose([last[order, 0], first[order, -1]], 0.0, atol=1e-9 * size)
+        np.testing.assert_allclose(at_end[order, 1:], at_start[order, :-1], atol=1e-9 * size)
+        np.testing.assert_allclose([at_end[order, 0], at_start[order, -1]], 0.0, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("env_id", [PLANAR_ID, SPATIAL_ID])
@@ -201,8 +191,8 @@ def test_shift_stays_within_the_error_bounds(env_id):
     n = steering.robot.coordinates
     actions = 3 * np.sign(np.random.default_rng(0).normal(size=(600, n)))
     actions[300:] = 3.0  # all to one corner
-    given, _ = steer(steering, np.zeros((600, observation_layout(steering.robot).size)), actions)
-    shift = given["reference_pose"]
+    law_blocks, _ = steer(steering, np.zeros((600, observation_layout(steering.robot).size)), actions)
+    shift = law_blocks["reference_pose"]
     away = np.linalg.norm(shift[:, :3], axis=1)
     assert away.max() <= 0.95 * 0.02 * (1 + 1e-12)
     assert away[-1] == pytest.approx(0.95 * 0.02)
@@ -220,13 +210,13 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
     start = np.array([0.3, -0.2, 0.1, 0.05, -0.02, 0.01])
     speed = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
     times = np.arange(steps) * PERIOD
-    given, _ = steer(steering, line(FLEX_SPATIAL, start, speed, times), np.zeros((steps, 6)))
+    law_blocks, _ = steer(steering, line(FLEX_SPATIAL, start, speed, times), np.zeros((steps, 6)))
     inside = slice(round(degree * action_period / PERIOD), None)
     expected = start + speed * (times[inside, None] + preview - (degree + 1) / 2 * action_period)
-    np.testing.assert_allclose(given["reference_pose"][inside], expected, atol=1e-14)
-    np.testing.assert_allclose(given["reference_velocity"][inside], np.tile(speed, (len(expected), 1)), atol=1e-12)
+    np.testing.assert_allclose(law_blocks["reference_pose"][inside], expected, atol=1e-14)
+    np.testing.assert_allclose(law_blocks["reference_velocity"][inside], np.tile(speed, (len(expected), 1)), atol=1e-12)
     for order, name in enumerate(DERIVATIVES[2:], start=2):
-        np.testing.assert_allclose(given[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order)
+        np.testing.assert_allclose(law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order)
 
 
 def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
@@ -236,13 +226,13 @@ def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
     actions = np.random.default_rng(0).uniform(-0.6, 0.6, (steps, 2))
     rows = line(FLEX_PLANAR, np.zeros(2), np.zeros(2), np.arange(steps))
     observation_layout(FLEX_PLANAR).split(rows)["reference_snap"][:] = 7.0
-    given, _ = steer(steering, rows, actions)
+    law_blocks, _ = steer(steering, rows, actions)
     points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(ErrorBounds(), PLANAR)
     for step in range(steps):
         weights = action_mapping.weights(np.array(step % 5 * PERIOD), 0.01)
         expected = weights @ points[step // 5 : step // 5 + 6] + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
         for order, name in enumerate(DERIVATIVES):
-            result = given[f"reference_{name}"][step]
+            result = law_blocks[f"reference_{name}"][step]
             np.testing.assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
 
 
@@ -283,20 +273,20 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
     rows = line(SPATIAL, np.full(6, 0.1), np.linspace(-1, 1, 6), np.arange(steps) * PERIOD)
     layout = observation_layout(SPATIAL)
     layout.split(rows)["pose"][:] = np.random.default_rng(0).normal(size=(steps, 6))
-    given, learner = steer(steering, rows, actions)
+    law_blocks, learner = steer(steering, rows, actions)
     error, shift, past, rate = np.split(learner, [6, 12, 12 + 6 * degree], axis=1)
     bounds = action_mapping.bounds(ErrorBounds(), SPATIAL)
     blocks = layout.split(rows)
-    expected = given["reference_pose"] - blocks["reference_pose"]
+    expected = law_blocks["reference_pose"] - blocks["reference_pose"]
     np.testing.assert_allclose(shift * bounds, expected, atol=1e-13)
-    expected = given["reference_velocity"] - blocks["reference_velocity"]
+    expected = law_blocks["reference_velocity"] - blocks["reference_velocity"]
     np.testing.assert_allclose(rate * bounds / 0.01, expected, atol=1e-11)
-    np.testing.assert_allclose(error, given["reference_pose"] - blocks["pose"], atol=1e-13)
-    mean = np.diff(given["reference_velocity"], axis=0) / PERIOD
-    np.testing.assert_allclose(given["reference_acceleration"][:-1], mean, atol=1e-9)
-    taken = actions[::5].copy()
-    taken[:, :3] /= np.maximum(np.linalg.norm(taken[:, :3], axis=1, keepdims=True), 1)
-    points = np.concatenate([np.zeros((degree, 6)), taken])
+    np.testing.assert_allclose(error, law_blocks["reference_pose"] - blocks["pose"], atol=1e-13)
+    mean = np.diff(law_blocks["reference_velocity"], axis=0) / PERIOD
+    np.testing.assert_allclose(law_blocks["reference_acceleration"][:-1], mean, atol=1e-9)
+    decisions = actions[::5].copy()
+    decisions[:, :3] /= np.maximum(np.linalg.norm(decisions[:, :3], axis=1, keepdims=True), 1)
+    points = np.concatenate([np.zeros((degree, 6)), decisions])
     for decision in range(steps // 5):
         expected = points[decision : decision + degree].ravel()
         np.testing.assert_allclose(past[5 * decision], expected, atol=1e-15)
@@ -309,18 +299,18 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
     (task,) = tasks_of(SPATIAL_ID)[:1]
     tasks = [task, dataclasses.replace(task, trajectory=find_trajectory("paper-spatial", 6))]
     steering.reset(tasks)
-    poses = [one.trajectory(0.0).position for one in tasks]
+    poses = [single_task.trajectory(0.0).position for single_task in tasks]
     rows = np.zeros((2, observation_layout(SPATIAL).size))
     blocks = steering.split(rows)
-    blocks["reference_pose"][:], blocks["pose"][:] = poses, [one.start_pose for one in tasks]
-    given = []
+    blocks["reference_pose"][:], blocks["pose"][:] = poses, [single_task.start_pose for single_task in tasks]
+    references = []
     memory = None
-    steering.law.respond = lambda blocks, *rest: given.append(blocks) or (np.zeros((2, 6)), None)
+    steering.law.respond = lambda blocks, *arguments: references.append(blocks) or (np.zeros((2, 6)), None)
     for _ in range(2):
         memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
         np.testing.assert_allclose(steering.observe(blocks, memory)[:, :6], 0.0, atol=1e-15)
         _, memory = steering.respond(blocks, np.ones((2, 6)), memory)
-    for reference in given:
+    for reference in references:
         np.testing.assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
         np.testing.assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
     assert tasks[0].start_pose[2] > poses[0][2] + 1e-3
@@ -476,9 +466,9 @@ def test_invalid_parameters_are_rejected(make):
         (PLANAR_ID, Base(minimum_tension=2.0), Base()),
     ],
 )
-def test_parameters_of_a_base_reach_the_law(env_id, first, second):
+def test_parameters_of_a_base_reach_the_law(env_id, base, changed_base):
     rows, _ = observations(env_id, 20, envs=2)
-    laws = [base.make(find_robot(env_robot(env_id))) for base in (first, second)]
+    laws = [base.make(find_robot(env_robot(env_id))) for base in (base, changed_base)]
     assert np.any(run(laws[0], rows) != run(laws[1], rows))
 
 
@@ -496,14 +486,14 @@ def test_inconsistent_network_is_rejected():
 
 def test_network_equals_its_layers():
     draw = np.random.default_rng(0)
-    first = draw.normal(size=(3, 2))
-    last = draw.normal(size=(4, 3))
+    hidden_weights = draw.normal(size=(3, 2))
+    output_weights = draw.normal(size=(4, 3))
     x = np.array([3.0, 1.0])
     normalisation = {"mean": np.array([1.0, 2.0]), "scale": np.array([2.0, 1e-9])}
     biases = (np.full(3, 0.1), np.full(4, -0.2))
-    values = last @ np.tanh(first @ np.array([1.0, -10.0]) + 0.1) - 0.2
+    values = output_weights @ np.tanh(hidden_weights @ np.array([1.0, -10.0]) + 0.1) - 0.2
     for squash, expected in (("none", values), ("tanh", np.tanh(values))):
-        network = Network(weights=(first, last), biases=biases, squash=squash, **normalisation)
+        network = Network(weights=(hidden_weights, output_weights), biases=biases, squash=squash, **normalisation)
         np.testing.assert_allclose(network(x), expected, rtol=1e-12)
 
 

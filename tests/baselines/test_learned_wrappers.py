@@ -88,15 +88,15 @@ def batch(case, count, **keywords) -> Any:
     return make_steered_vec(CASES[case]["env_id"], count, **keywords)
 
 
-def check_same_row(results, env_index, own):
+def check_same_row(results, env_index, single_results):
     """The row of a batch's results, the info last, equals the single environment's; its scalars are Python objects."""
-    for value, own_value in zip(results[:-1], own[:-1], strict=True):
-        np.testing.assert_array_equal(value[env_index], own_value)
-        assert value.dtype == np.asarray(own_value).dtype
+    for value, single_value in zip(results[:-1], single_results[:-1], strict=True):
+        np.testing.assert_array_equal(value[env_index], single_value)
+        assert value.dtype == np.asarray(single_value).dtype
     info = results[-1]
-    own_info = own[-1]
-    assert info.keys() == own_info.keys()
-    for key, value in own_info.items():
+    single_info = single_results[-1]
+    assert info.keys() == single_info.keys()
+    for key, value in single_info.items():
         assert isinstance(value, (float, bool, int, np.ndarray))
         np.testing.assert_array_equal(info[key][env_index], value, err_msg=key)
 
@@ -119,25 +119,25 @@ def test_each_row_of_a_batch_equals_the_single_environment_bit_for_bit(case):
     env = batch(case, count, **limit)
     singles = [single(case, **limit) for _ in range(count)]
     started = env.reset(seed=seed)
-    for env_index, one in enumerate(singles):
-        check_same_row(started, env_index, one.reset(seed=seed + env_index))
+    for env_index, single_env in enumerate(singles):
+        check_same_row(started, env_index, single_env.reset(seed=seed + env_index))
     ends = []
     for action in np.random.default_rng(0).uniform(-1, 1, (30, *env.action_space.shape)).astype(np.float32):
         results = env.step(action)
         ended = results[2] | results[3]
-        for env_index, one in enumerate(singles):
-            own = one.step(action[env_index])
-            check_same_row(results, env_index, own)
+        for env_index, single_env in enumerate(singles):
+            single_results = single_env.step(action[env_index])
+            check_same_row(results, env_index, single_results)
             if ended[env_index]:
-                periods = round(own[-1]["time"] / env.unwrapped.settings.period)
-                ends.append((own[-1]["termination_reason"], periods % env.steering.periods))
+                periods = round(single_results[-1]["time"] / env.unwrapped.settings.period)
+                ends.append((single_results[-1]["termination_reason"], periods % env.steering.periods))
         if ended.any():
             started = env.reset(options={"reset_mask": ended})
             for env_index in np.flatnonzero(ended):
                 check_same_row(started, env_index, singles[env_index].reset())
     assert len(ends) > 2 * count
-    assert any(not reason and rest for reason, rest in ends)  # the time limit, within an action
-    assert any(reason and rest for reason, rest in ends)  # a failure, within an action
+    assert any(not reason and offset for reason, offset in ends)  # the time limit, within an action
+    assert any(reason and offset for reason, offset in ends)  # a failure, within an action
 
 
 def test_result_of_an_ended_episode_is_that_of_its_last_control_period(monkeypatch):
@@ -154,14 +154,14 @@ def test_result_of_an_ended_episode_is_that_of_its_last_control_period(monkeypat
     ended = False
     expected = 0.0
     while not ended:
-        observation, reward, ended, _, last = plain.step(law.predict(observation)[0])
+        observation, reward, ended, _, plain_info = plain.step(law.predict(observation)[0])
         expected += reward
     respond = law.respond
     errors = []
 
-    def recorded(blocks, *others):
+    def recorded(blocks, *arguments):
         errors.append(np.linalg.norm((blocks["pose"] - blocks["reference_pose"])[:, :3], axis=1).max())
-        return respond(blocks, *others)
+        return respond(blocks, *arguments)
 
     monkeypatch.setattr(law, "respond", recorded)
     total = 0.0
@@ -171,9 +171,9 @@ def test_result_of_an_ended_episode_is_that_of_its_last_control_period(monkeypat
         total += rewards[0]
     assert terminated.tolist() == [True, False]
     assert total == pytest.approx(expected)
-    check_same_row([info], 0, [last])
+    check_same_row([info], 0, [plain_info])
     np.testing.assert_array_equal(observed[0], observation[:6].astype(np.float32))
-    assert round(last["time"] * 500) % env.steering.periods != 0
+    assert round(plain_info["time"] * 500) % env.steering.periods != 0
     assert max(errors) < 0.01  # the error bound
 
 
@@ -189,7 +189,9 @@ def test_payloads_follow_the_power_law():
     env = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0, power=1.0)
     plain = gym.make(PLANAR_ID, payload_range=(0.0, 3.0))
     heavy = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0)
-    draws = np.array([[one.reset(seed=seed)[1]["payload"] for one in (env, plain, heavy)] for seed in range(20)])
+    draws = np.array(
+        [[wrapped.reset(seed=seed)[1]["payload"] for wrapped in (env, plain, heavy)] for seed in range(20)]
+    )
     np.testing.assert_array_equal(draws[:, 0], draws[:, 1])
     np.testing.assert_allclose(draws[:, 2], 3.0 * (draws[:, 0] / 3.0) ** 0.6, rtol=1e-12)
 
@@ -263,12 +265,12 @@ def test_policy_on_the_plain_environment_repeats_the_training_bit_for_bit(case):
     steering = env.steering
     env_id = CASES[case]["env_id"]
     network = SinglePrecision(**vars(network_of(steering, scale=0.1)))
-    parts = {
+    settings = {
         "base": steering.base,
         "action_mapping": steering.action_mapping,
         "features": steering.features,
     }
-    bundle = Bundle(env_id=env_id, network=network, **parts)
+    bundle = Bundle(env_id=env_id, network=network, **settings)
     plain = gym.make(env_id)
     policy = LearnedPolicy(bundle, plain.unwrapped.settings.robot)
     observed, _ = env.reset(seed=0, options={"payload": 0.4})

@@ -36,7 +36,7 @@ def rollout(policy, env, *, steps=None):
     state = None
     start = np.ones(env.num_envs, np.bool_)
     actions = []
-    kept = np.ones(env.num_envs, np.bool_)
+    is_within = np.ones(env.num_envs, np.bool_)
     peak = np.zeros(env.num_envs)
     for _ in range(steps or tasks[0].steps):
         action, state = policy.predict(observation, state=state, episode_start=start)
@@ -44,9 +44,9 @@ def rollout(policy, env, *, steps=None):
         observation, _, ended, _, info = env.step(action)
         start = np.zeros(env.num_envs, np.bool_)
         peak = np.maximum(peak, info["tracking_error_peak"])
-        kept &= ~ended & ~info["slack"].any(axis=1)
-        kept &= (info["tracking_error_peak"] <= 0.01) & (info["rotation_error_peak"] <= 0.01)
-    return kept, peak, np.array(actions), state
+        is_within &= ~ended & ~info["slack"].any(axis=1)
+        is_within &= (info["tracking_error_peak"] <= 0.01) & (info["rotation_error_peak"] <= 0.01)
+    return is_within, peak, np.array(actions), state
 
 
 def vector(env_id, count, **keywords):
@@ -61,8 +61,8 @@ def vector(env_id, count, **keywords):
 def test_payload_far_beyond_adaptive_is_carried_known_and_unknown(policies, env_id, payload):
     """``adaptive`` has a DLCC of 1.9 kg and 5.0 kg."""
     env = vector(env_id, 3, payload=np.array([0.0, payload, payload]), payload_known=[False, True, False])
-    kept, _, actions, _ = rollout(policies[env_id], env)
-    assert kept.all()
+    is_within, _, actions, _ = rollout(policies[env_id], env)
+    assert is_within.all()
     assert policies[env_id].fallbacks == 0
     assert np.abs(actions).max() < 1.5
 
@@ -103,16 +103,16 @@ def test_new_episode_starts_without_a_plan_and_state_is_not_modified(policies):
     """An environment that starts acts like a new policy, and does not disturb the other one."""
     policy = policies[PLANAR_ID]
     env = vector(PLANAR_ID, 2, payload=2.0)
-    first, _ = env.reset(seed=0)
+    start_rows, _ = env.reset(seed=0)
     policy.reset(env.unwrapped.tasks)
-    observation = first
+    observation = start_rows
     state = None
     for _ in range(STEPS_PER_PLAN):
         action, state = policy.predict(observation, state=state)
         observation, *_ = env.step(action)
-    mixed = np.stack([first[0], observation[1]])
+    mixed = np.stack([start_rows[0], observation[1]])
     anew, _ = policy.predict(mixed, state=state, episode_start=np.array([True, False]))
-    fresh, _ = policy.predict(first[:1])
+    fresh, _ = policy.predict(start_rows[:1])
     onward, _ = policy.predict(observation, state=state)
     np.testing.assert_array_equal(anew[0], fresh[0])
     np.testing.assert_array_equal(anew[1], onward[1])
@@ -180,8 +180,8 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
     fine = np.linspace(0.0, HORIZON, 201)
     pose, velocity, acceleration = program.basis(fine) @ plan
     minimum = program.minimum_tension
-    needed = textbook.inverse_dynamics(PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False)
-    action = textbook.normalised_action(PLANAR, needed.torques, needed.speeds)
+    required = textbook.inverse_dynamics(PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False)
+    action = textbook.normalised_action(PLANAR, required.torques, required.speeds)
     assert np.abs(action).max() < 1.02
     assert np.linalg.norm((pose - reference(fine))[:, :3], axis=1).max() < 0.03
     np.testing.assert_allclose(pose[0], home, atol=1e-12)
@@ -213,13 +213,13 @@ def test_plan_exists_from_every_regular_state(policies, env_id):
 def failing(monkeypatch):
     """Makes a policy whose plans number ``first`` to ``last`` fail."""
 
-    def make(first, last=10**9):
+    def make(earliest, latest=10**9):
         policy = NMPC.factory(PLANAR)
         number = iter(range(10**9))
         plan = policy.program.plan
 
         def sometimes(*args, **keywords):
-            if first <= next(number) <= last:
+            if earliest <= next(number) <= latest:
                 raise PlanningError("made to fail")
             return plan(*args, **keywords)
 
@@ -232,8 +232,8 @@ def failing(monkeypatch):
 def test_policy_without_plans_tracks_the_reference_and_warns_once(failing, caplog):
     policy = failing(0)
     with caplog.at_level(logging.WARNING, logger="cablebot_gym"):
-        kept, *_ = rollout(policy, vector(PLANAR_ID, 2, payload=1.0))
-    assert kept.all()
+        is_within, *_ = rollout(policy, vector(PLANAR_ID, 2, payload=1.0))
+    assert is_within.all()
     assert policy.fallbacks == 2 * 160
     assert len(caplog.records) == 1
     assert "made to fail" in caplog.text
@@ -244,8 +244,8 @@ def test_policy_without_plans_tracks_the_reference_and_warns_once(failing, caplo
 def test_last_plan_bridges_failures_until_its_end(failing):
     """With a payload that the reference itself does not allow."""
     policy = failing(20, 24)
-    kept, *_ = rollout(policy, vector(PLANAR_ID, 1, payload=2.5), steps=250)
-    assert kept.all()
+    is_within, *_ = rollout(policy, vector(PLANAR_ID, 1, payload=2.5), steps=250)
+    assert is_within.all()
     assert policy.fallbacks == 5
     policy = failing(1)
     state = rollout(policy, vector(PLANAR_ID, 1), steps=110)[3]

@@ -70,7 +70,7 @@ def test_sb3_model_has_the_actor_of_the_bundle_and_no_paths(tmp_path):
     assert model.predict(inputs, deterministic=True)[0] == pytest.approx(expected, abs=1e-5)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         text = b"".join(file.read(name) for name in file.namelist())
-    assert not any(str(place).encode() in text for place in (ROOT, tmp_path))
+    assert not any(str(folder).encode() in text for folder in (ROOT, tmp_path))
 
 
 def test_entry_points_name_the_shipped_policies():
@@ -96,7 +96,7 @@ def test_missing_weights_are_rejected(tmp_path):
 
 
 def test_weights_and_cards_of_all_policies_are_present():
-    expected = {stem(one.name, env_id) for one in SHIPPED.values() for env_id in one.env_ids}
+    expected = {stem(policy.name, env_id) for policy in SHIPPED.values() for env_id in policy.env_ids}
     assert set(CARDS) == expected == {path.stem for path in WEIGHTS.glob("*.json")}
     models = {f"{name}-sb3" for name, card in CARDS.items() if card.sb3}
     assert {path.stem for path in WEIGHTS.glob("*.zip")} == expected | models
@@ -138,7 +138,7 @@ def test_card_belongs_to_its_weights(name):
     assert bundle.card["dwell"] == card.dwell > 0
     assert card.conditions == CONDITIONS[card.policy]
     assert bundle.card["config"] == read_yaml(card.env_id, Path(card.config or card.algorithm))
-    assert all(one.seed >= FIRST_HELD_OUT_SEED for one in card.held_out)
+    assert all(loop.seed >= FIRST_HELD_OUT_SEED for loop in card.held_out)
 
 
 @pytest.mark.slow

@@ -104,11 +104,11 @@ def copied(trained, tmp_path):
 def test_shipped_configurations_are_valid():
     for algorithm in ALGORITHMS:
         for env_id in ENV_IDS:
-            made = make_config(read_yaml(env_id, runs.Path(algorithm)))
-            names = [wrapper.__name__ for wrapper, _ in made.wrappers]
+            config = make_config(read_yaml(env_id, runs.Path(algorithm)))
+            names = [wrapper.__name__ for wrapper, _ in config.wrappers]
             assert names == ["PayloadCurriculum", "Steered"]
-            assert made.env_kwargs["terminate_on_violation"]
-            assert made.normalize["gamma"] == made.model["gamma"]
+            assert config.env_kwargs["terminate_on_violation"]
+            assert config.normalize["gamma"] == config.model["gamma"]
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
@@ -167,7 +167,9 @@ def test_texts_of_rl_zoo_are_converted():
     }
     model = make_config(plain(policy_kwargs=text, learning_rate="lin_2e-3")).model
     assert model["policy_kwargs"] == expected
-    assert [model["learning_rate"](left) for left in (1.0, 0.5, 0.0)] == pytest.approx([2e-3, 1e-3, 0.0])
+    assert [model["learning_rate"](progress_left) for progress_left in (1.0, 0.5, 0.0)] == pytest.approx(
+        [2e-3, 1e-3, 0.0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -212,7 +214,11 @@ def test_run_writes_policies_evaluations_and_card(trained):
     result = TrainingResult.load(trained)
     table = rows(trained / "evaluations.csv")
     logged = rows(trained / "progress.csv")
-    assert [float(row["timesteps"]) for row in table] == [128, 256] == [one.timesteps for one in result.evaluations]
+    assert (
+        [float(row["timesteps"]) for row in table]
+        == [128, 256]
+        == [evaluation.timesteps for evaluation in result.evaluations]
+    )
     assert [float(row["time/total_timesteps"]) for row in logged] == [128.0, 256.0]
     assert {"train/learning_rate", "rollout/payload_ceiling", "rollout/success_rate"} <= {*logged[-1]}
     card = Bundle.load(trained / "best.zip").card
@@ -247,7 +253,7 @@ def test_resumed_run_continues_from_the_saved_model(copied, monkeypatch):
     assert counts[1] > counts[0]
     assert result.timesteps == 384
     assert result.payload_ceiling == 1.25
-    assert [one.timesteps for one in result.evaluations] == [128, 256, 384]
+    assert [evaluation.timesteps for evaluation in result.evaluations] == [128, 256, 384]
     assert [float(row["time/total_timesteps"]) for row in rows(copied / "progress_256.csv")] == [384.0]
     assert len(rows(copied / "progress.csv")) == 2
 
@@ -317,10 +323,10 @@ def test_second_interrupt_stops_immediately(tmp_path):
 
 def test_best_policy_has_the_largest_evaluated_payload(tmp_path, monkeypatch):
     payloads = iter([0.5, None, 3.0, 2.0, 3.0])
-    asked = []
+    evaluations = []
 
-    def evaluate(policy, env_id, **given):
-        asked.append(given)
+    def evaluate(policy, env_id, **conditions):
+        evaluations.append(conditions)
         return SimpleNamespace(payload=next(payloads))
 
     monkeypatch.setattr(runs, "evaluate_dlcc", evaluate)
@@ -336,7 +342,7 @@ def test_best_policy_has_the_largest_evaluated_payload(tmp_path, monkeypatch):
         "2.0",
         "3.0",
     ]
-    assert asked == [{"criterion": "task", **QUICK}] * 5
+    assert evaluations == [{"criterion": "task", **QUICK}] * 5
 
 
 def test_damaged_checkpoint_is_rejected_before_anything_changes(copied):
@@ -352,14 +358,14 @@ def test_existing_run_changes_only_if_it_is_resumed_with_its_settings(trained, t
     before = digests(trained)
     with pytest.raises(ValueError, match="already contains a run: add --resume"):
         run(trained)
-    for other in (
+    for changes in (
         {"algorithm": "sac"},
         {"seed": 4},
         {"config": runs.HYPERPARAMS / "ppo.yaml"},
         {"evaluation": {}},
     ):
         with pytest.raises(ValueError, match="was started with"):
-            training.train(PLANAR, out=trained, resume=True, **other)
+            training.train(PLANAR, out=trained, resume=True, **changes)
     assert training.train(PLANAR, out=trained, resume=True).timesteps == 256  # nothing to do
     assert digests(trained) == before
     with pytest.raises(ValueError, match="there is no run to resume"):

@@ -163,7 +163,7 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
     batch, *alone = (make_trajopt(PLANAR) for _ in range(3))
     for policy, known in ((batch, tasks), (alone[0], tasks[:1]), (alone[1], tasks[1:])):
         policy.reset(known)
-    first = alone[0].predict(observed[0])[0]
+    start_action = alone[0].predict(observed[0])[0]
     state = None
     states = [None, None]
     for step in range(20):
@@ -172,11 +172,11 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
             observed[0] = singles[0].reset(seed=0)[0]
         together, state = batch.predict(observed, state, start)
         for index in range(2):
-            own, states[index] = alone[index].predict(observed[index], states[index], start[index])
-            np.testing.assert_allclose(together[index], own, atol=1e-9)
-            observed[index] = singles[index].step(own)[0]
+            action, states[index] = alone[index].predict(observed[index], states[index], start[index])
+            np.testing.assert_allclose(together[index], action, atol=1e-9)
+            observed[index] = singles[index].step(action)[0]
         if step == 10:
-            np.testing.assert_allclose(together[0], first, atol=1e-9)
+            np.testing.assert_allclose(together[0], start_action, atol=1e-9)
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

@@ -51,8 +51,8 @@ def test_secret_has_a_file_of_its_own_and_the_commitment_binds_everything(tmp_pa
     assert (tmp_path / boards.SECRET).stat().st_mode & 0o077 == 0
     assert len(board.secret) == 32
     assert boards.read_board(tmp_path) == board
-    other = f"{int(board.secret, 16) ^ 1:032x}"
-    changes = [{"secret": other}, {"salt": other}, {"version": "2"}, {"policies": {name: "0" * 64}}]
+    changed_hex = f"{int(board.secret, 16) ^ 1:032x}"
+    changes = [{"secret": changed_hex}, {"salt": changed_hex}, {"version": "2"}, {"policies": {name: "0" * 64}}]
     for change in (*changes, {"motions": 19}, {"entries": {SPATIAL: [name]}}):
         with pytest.raises(ValueError, match="does not match its commitment"):
             replace(board, **change).check()
@@ -134,18 +134,18 @@ def test_results_with_other_policies_or_motions_than_those_of_the_board_are_reje
 
 
 def record(cell, payload=1.0, **result):
-    made = {"payload": payload, "assured": True, **result}
-    return Record(cell=cell, source="a", versions={}, result=made, seconds=0.0)
+    outcome = {"payload": payload, "assured": True, **result}
+    return Record(cell=cell, source="a", versions={}, result=outcome, seconds=0.0)
 
 
 def cell(**more):
-    usual = {
+    conditions = {
         "env_id": PLANAR,
         "trajectory": {"name": "circle-planar"},
         "policy": "fl",
         "uncertainty": "table6",
     }
-    return PolicyCell(**(usual | {"draws": 512} | more))
+    return PolicyCell(**(conditions | {"draws": 512} | more))
 
 
 def rates(*values):
@@ -159,21 +159,21 @@ def test_promises_hold_for_18_of_20_cells_and_none_far_below():
 
 
 def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
-    kept = record(cell(), 0.3)
+    feasible = record(cell(), 0.3)
     too_much = record(cell(policy="fl-tuned"), 2.1)
-    others = [
+    unpromised = [
         record(cell(uncertainty=None, draws=1), assured=None),
         record(cell(policy="robust"), None),
         record(cell(seed=1), 9.9, assured=False),
     ]
-    found = confirm([kept, too_much, *others], local(1), cells=20, draws=60, seed=5, say=print)
-    by_policy = {one.cell.policy: one for one in found}
+    confirmations = confirm([feasible, too_much, *unpromised], local(1), cells=20, draws=60, seed=5, say=print)
+    by_policy = {confirmation.cell.policy: confirmation for confirmation in confirmations}
     assert set(by_policy) == {"fl", "fl-tuned"}
     assert by_policy["fl"].success_rate == 1.0
     assert by_policy["fl-tuned"].success_rate < 0.5
     assert "2.100 kg in at least 95% of all draws" in str(by_policy["fl-tuned"])
     with pytest.raises(ValueError, match="no payload under uncertainty"):
-        list(confirm(others, local(1), cells=20, draws=60, seed=5, say=print))
+        list(confirm(unpromised, local(1), cells=20, draws=60, seed=5, say=print))
 
 
 def test_seed_of_the_confirmation_chooses_the_cells():
@@ -183,7 +183,10 @@ def test_seed_of_the_confirmation_chooses_the_cells():
         def backend(jobs, say, returned):
             yield from ((key, 1.0) for key in jobs)
 
-        return [one.cell.seed for one in confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)]
+        return [
+            confirmation.cell.seed
+            for confirmation in confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)
+        ]
 
     assert len(set(chosen(1))) == 20
     assert chosen(1) == chosen(1) != chosen(2)

@@ -84,7 +84,7 @@ UNCERTAIN = {"uncertainty", "draws", "probability"}
 
 
 @pytest.fixture(scope="module")
-def usual():
+def default_payload():
     """Payload of the usual cell."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cells, "IsolatedPolicy", InlinePolicy)
@@ -93,8 +93,8 @@ def usual():
 
 @pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize("name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "robot_name", "criterion", "real_time"}))
-def test_field_reaches_the_evaluation(usual, name):
-    assert compute(changed(**{name: OTHERS[name]})).result["payload"] != usual
+def test_field_reaches_the_evaluation(default_payload, name):
+    assert compute(changed(**{name: OTHERS[name]})).result["payload"] != default_payload
 
 
 def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
@@ -152,10 +152,10 @@ def test_draws_and_probability_reach_the_evaluation():
     cell = changed(uncertainty="table6", draws=60, probability=0.5, seed=2**127)
     search = {"resolution": 0.02, "payload_max": 4.0, "seed": 2**127, "control_frequency": SLOW}
     expected = evaluate_dlcc("fl", PLANAR_ID, uncertainty="table6", draws=60, probability=0.5, **search)
-    found = compute(cell).result
-    assert found["payload"] == expected.payload
-    assert found["assured"]
-    assert cell.success_rate(found["payload"], 60, 2**127) >= 0.5
+    result = compute(cell).result
+    assert result["payload"] == expected.payload
+    assert result["assured"]
+    assert cell.success_rate(result["payload"], 60, 2**127) >= 0.5
     assert compute(dataclasses.replace(cell, probability=0.9)).result["payload"] < expected.payload
 
 
@@ -169,7 +169,7 @@ def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
         control_frequency=500.0,
         trajectory={"name": "circle-planar", "dwell": 0.0},
     )
-    in_time, late = (compute(one).result for one in (slow, dataclasses.replace(slow, real_time=True, draws=59)))
+    in_time, late = (compute(cell).result for cell in (slow, dataclasses.replace(slow, real_time=True, draws=59)))
     assert in_time["payload"] > 1.0
     assert late["payload"] is None or late["payload"] < in_time["payload"]
 
@@ -212,12 +212,12 @@ def test_timing_cell_has_time_per_action_and_processor():
 @pytest.mark.usefixtures("inline")
 def test_model_payload_factor_scales_the_model_only():
     factor = 0.9
-    found = compute(changed(model_payload_factor=factor)).result
-    assert found["total_mass"] == found["payload"] + PLANAR.mass
+    result = compute(changed(model_payload_factor=factor)).result
+    assert result["total_mass"] == result["payload"] + PLANAR.mass
     wrong = {"parameters": {"payload": {"low": 1 / factor - 1, "high": 1 / factor - 1}}}
     policy = load_policy("fl", PLANAR)
-    for more, carried in ((0.0, True), (found["resolution"], False)):
-        true = found["payload"] + more
+    for more, carried in ((0.0, True), (result["resolution"], False)):
+        true = result["payload"] + more
         options = {"payload": factor * true, "uncertainty": wrong, "control_frequency": SLOW}
         env = DLCCMonitor(gym.make(PLANAR_ID, max_episode_steps=None, **options))
         observation, info = env.reset(seed=0)
@@ -317,11 +317,11 @@ def test_fallbacks_are_counted_per_episode(module):
 
 def sources(module, policy, files):
     """Hashes of the code of a policy after each file is written."""
-    found = []
+    hashes = []
     for name, text in files:
         module(name, text)
-        found.append(changed(policy=policy).source)
-    return found
+        hashes.append(changed(policy=policy).source)
+    return hashes
 
 
 def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
@@ -339,9 +339,9 @@ def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
         ("gains.py", "K = 3\n"),
         ("__init__.py", "K = 3\n"),
     )
-    seen = sources(module, "toy_package.law:make", [(f"toy_package/{name}", text) for name, text in files])
-    assert seen[0] == seen[1] == seen[2]
-    assert len(set(seen)) == 4
+    hashes = sources(module, "toy_package.law:make", [(f"toy_package/{name}", text) for name, text in files])
+    assert hashes[0] == hashes[1] == hashes[2]
+    assert len(set(hashes)) == 4
 
 
 def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, monkeypatch):
@@ -358,8 +358,8 @@ def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, 
     monkeypatch.setattr(policy_sources, "policy_points", lambda name: [point])
     monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
     changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
-    seen = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
-    assert seen[0] == seen[1] != seen[2]
+    hashes = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
+    assert hashes[0] == hashes[1] != hashes[2]
 
 
 def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(module):
@@ -369,15 +369,15 @@ def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(m
     )
     module("toy_helpers/__init__.py", "")
     names = ("toy_helper.py", "toy_helpers/deep.py", "toy_helpers/__init__.py", "toy_other.py")
-    seen = sources(module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)])
-    assert len(set(seen)) == 6  # nobody imports the last module
+    hashes = sources(module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)])
+    assert len(set(hashes)) == 6  # nobody imports the last module
 
 
 def test_hash_of_a_top_level_module_has_the_data_next_to_it_that_its_source_names(module):
     module("toy_flat.py", "import numpy\nK = numpy.load('weights.npz')\n")
     names = ("weights.npz", "other.npz", "run.log")
-    seen = sources(module, "toy_flat:make", [(name, value) for name in names for value in "12"])
-    assert len(set(seen)) == 4  # a log that grows during the run does not change the hash
+    hashes = sources(module, "toy_flat:make", [(name, value) for name in names for value in "12"])
+    assert len(set(hashes)) == 4  # a log that grows during the run does not change the hash
 
 
 def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
@@ -402,20 +402,20 @@ def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
 
 def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
     cells = [changed(robot_name="flex-cogiro"), dataclasses.replace(BEST, robot_name="cogiro"), FL]
-    seen = []
+    hashes = []
     monkeypatch.setattr("cablebot_gym.benchmark.cells.library", lambda: {"cogiro": tmp_path / "cogiro.toml"})
     for content in ("mass = 1", "mass = 2"):
         (tmp_path / "cogiro.toml").write_text(content, encoding="utf-8")
         code_hash.source_hash.cache_clear()
-        seen.append([cell.source for cell in cells])
-    assert [first == second for first, second in zip(*seen, strict=True)] == [False, False, True]
+        hashes.append([cell.source for cell in cells])
+    assert [before == after for before, after in zip(*hashes, strict=True)] == [False, False, True]
 
 
 def test_hash_of_a_policy_file_is_that_of_its_contents(tmp_path):
     cell = changed(policy=str(tmp_path / "model.zip"))
-    seen = set()
+    hashes = set()
     for content in (b"1", b"2"):
         (tmp_path / "model.zip").write_bytes(content)
         code_hash.source_hash.cache_clear()
-        seen.add(cell.source)
-    assert len(seen) == 2
+        hashes.add(cell.source)
+    assert len(hashes) == 2

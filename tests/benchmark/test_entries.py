@@ -65,7 +65,7 @@ def entry(module, tmp_path, monkeypatch):
 def reruns(folder, exact, drawn, seed=0):
     """Records of a rerun with two payloads; text is an error."""
     cells = entry_cells(folder, "tiny", seed=seed, claims_only=True).values()
-    made = []
+    records = []
     for cell, payload in zip(cells, (exact, drawn), strict=True):
         result = {
             "payload": payload,
@@ -74,8 +74,8 @@ def reruns(folder, exact, drawn, seed=0):
         }
         result |= {"total_mass": None if payload is None else 1 + payload} if not isinstance(payload, str) else {}
         result = {"error": payload} if isinstance(payload, str) else result
-        made.append(Record(cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0))
-    return made
+        records.append(Record(cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0))
+    return records
 
 
 def test_entry_has_the_files_of_its_policy_and_is_loaded_in_its_own_process_only(entry):
@@ -181,9 +181,9 @@ def test_claim_above_the_rerun_with_other_draws_is_refuted(entry):
     assert "sensors" in refuted(claims, reruns(entry, 1.0, 0.4))[0]
     assert "it fails unloaded" in refuted(claims, reruns(entry, None, 0.5))[0]
     assert "it lost its file" in refuted(claims, reruns(entry, "it lost its file", 0.5))[0]
-    nothing = replace(claims, records=[replace(one, result={"payload": None}) for one in claims.records])
+    nothing = replace(claims, records=[replace(claim, result={"payload": None}) for claim in claims.records])
     assert refuted(nothing, reruns(entry, None, None)) == []
-    infinite = replace(claims, records=[replace(one, result={"payload": float("nan")}) for one in claims.records])
+    infinite = replace(claims, records=[replace(claim, result={"payload": float("nan")}) for claim in claims.records])
     assert len(refuted(infinite, reruns(entry, 1.0, 0.5))) == 2
 
 

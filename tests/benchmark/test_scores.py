@@ -61,36 +61,36 @@ def row(text, policy):
 
 def test_score_is_the_fraction_of_the_best_known_payload_of_the_same_motion_and_bounds():
     wide = {"position": 0.02, "rotation": 0.01}
-    some = [best(2.0), best(8.0, LOOPS[0]), carries("fl", 1.0), carries("fl", 2.0, LOOPS[0])]
-    some += [
+    records = [best(2.0), best(8.0, LOOPS[0]), carries("fl", 1.0), carries("fl", 2.0, LOOPS[0])]
+    records += [
         carries("fl", None, payload_known=False),
         carries("fl", 3.0, error_bounds=wide),
         carries("trajopt", 2.5),
     ]
-    assert [one.score for one in scores(some)] == [0.5, 0.25, 0.0, None, 1.25]
-    assert [one.best_known for one in scores(some)] == [2.0, 8.0, 2.0, None, 2.0]
+    assert [score.score for score in scores(records)] == [0.5, 0.25, 0.0, None, 1.25]
+    assert [score.best_known for score in scores(records)] == [2.0, 8.0, 2.0, None, 2.0]
 
 
 def test_error_of_a_policy_counts_as_zero_and_a_lost_computation_is_left_out():
-    some = scores([best(2.0), fails("bad"), fails("lost", "no memory", final=False)])
-    assert [one.score for one in some] == [0.0, None]
+    found_scores = scores([best(2.0), fails("bad"), fails("lost", "no memory", final=False)])
+    assert [score.score for score in found_scores] == [0.0, None]
 
 
 def test_fractions_are_of_the_task_criterion_without_uncertainty():
-    some = [
+    records = [
         best(2.0),
         carries("fl", 3.0, criterion="paper"),
         carries("fl", 1.0, uncertainty="table6", draws=512),
     ]
-    assert [one.score for one in scores(some)] == [None, None]
+    assert [score.score for score in scores(records)] == [None, None]
 
 
 @pytest.mark.parametrize("none", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
 def test_without_best_known_payload_there_is_no_score(none):
-    (one,) = scores([record(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), **none), carries("fl", 1.0)])
-    assert one.best_known is None
-    assert one.score is None
-    assert one.payload == 1.0
+    (score,) = scores([record(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), **none), carries("fl", 1.0)])
+    assert score.best_known is None
+    assert score.score is None
+    assert score.payload == 1.0
 
 
 def test_end_of_the_scan_is_marked_as_a_lower_bound():
@@ -105,10 +105,12 @@ def test_end_of_the_scan_is_marked_as_a_lower_bound():
 
 def family(policies, count=RANKED_MOTIONS, env_id=PLANAR):
     """Best known payloads of 1 kg and payloads of policies on motions, given as arrays."""
-    some = [best(1.0, motion, env_id) for motion in LOOPS[:count]]
+    records = [best(1.0, motion, env_id) for motion in LOOPS[:count]]
     for policy, payloads in policies.items():
-        some += [carries(policy, one, motion, env_id=env_id) for motion, one in zip(LOOPS, payloads, strict=False)]
-    return some
+        records += [
+            carries(policy, payload, motion, env_id=env_id) for motion, payload in zip(LOOPS, payloads, strict=False)
+        ]
+    return records
 
 
 def test_rank_counts_the_policies_that_are_better_with_confidence_so_that_ties_have_equal_ranks():
@@ -187,18 +189,20 @@ def test_error_on_one_motion_counts_as_zero_and_is_named():
 
 def test_interval_of_the_mean_is_that_of_its_normal_approximation():
     values = np.random.default_rng(1).uniform(0.2, 0.8, 40)
-    found = fraction([values])
+    interval = fraction([values])
     error = values.std() / np.sqrt(40)
-    assert found.mean == pytest.approx(values.mean())
-    assert (found.low, found.high) == pytest.approx((found.mean - 1.96 * error, found.mean + 1.96 * error), abs=0.01)
-    assert found.worst == values.min()
+    assert interval.mean == pytest.approx(values.mean())
+    assert (interval.low, interval.high) == pytest.approx(
+        (interval.mean - 1.96 * error, interval.mean + 1.96 * error), abs=0.01
+    )
+    assert interval.worst == values.min()
 
 
 def test_stratified_interval_does_not_contain_the_difference_between_environments():
     easy = np.full(20, 0.9)
     hard = np.full(20, 0.1)
-    both = fraction([easy, hard])
-    assert (both.mean, both.low, both.high) == pytest.approx((0.5, 0.5, 0.5))
+    stratified = fraction([easy, hard])
+    assert (stratified.mean, stratified.low, stratified.high) == pytest.approx((0.5, 0.5, 0.5))
     flexible = "CableBot-FlexPlanar-v0"
     boards = leaderboards([*family({"a": easy, "b": easy}), *family({"a": hard}, env_id=flexible)])
     assert {policy: ids for policy, (ids, _) in overall(boards).items()} == {"a": (PLANAR, flexible)}
@@ -221,19 +225,19 @@ def on_axis(name, value, payload, policy="fl"):
 
 
 def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
-    some = [*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0), carries("trajopt", 1.9)]
+    records = [*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0), carries("trajopt", 1.9)]
     by_bound, by_bounds, by_duration = payload_maps(
-        [*some, *on_axis("bounds", 0.02, 1.75), *on_axis("duration", 2.0, 3.0)]
+        [*records, *on_axis("bounds", 0.02, 1.75), *on_axis("duration", 2.0, 3.0)]
     )
-    assert [one.payload for one in by_bounds.policies["fl"]] == [1.0, 1.75]
+    assert [score.payload for score in by_bounds.policies["fl"]] == [1.0, 1.75]
     assert by_bound.values == (0.01, 0.02)
     assert by_bound.best_known == (2.0, 3.0)
-    assert {name: [one.payload for one in entry] for name, entry in by_bound.policies.items()} == {"fl": [1.0, 1.5]}
+    assert {name: [score.payload for score in entry] for name, entry in by_bound.policies.items()} == {"fl": [1.0, 1.5]}
     assert by_duration.values == (1.0, 2.0)
     assert by_duration.best_known == (2.0, 6.0)
-    (leaderboard,) = leaderboards(some)
-    assert [one.payload for one in leaderboard.entries["fl", leaderboard.columns[0]]] == [1.0]
-    page = page_of(some)
+    (leaderboard,) = leaderboards(records)
+    assert [score.payload for score in leaderboard.entries["fl", leaderboard.columns[0]]] == [1.0]
+    page = page_of(records)
     assert "| fl | 1.00, 50% | 1.50, 50% |" in page
     assert "position error is at most 10 mm" in page
 
@@ -300,8 +304,8 @@ def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
     assert by_policy["bad"] == 0.0
     print_page(markdown(results))
     printed = capsys.readouterr().out
-    for one in ("2.50, 125%", "fails unloaded, 0%", "CableBot-Planar-v0", "some processor"):
-        assert one in printed
+    for text in ("2.50, 125%", "fails unloaded, 0%", "CableBot-Planar-v0", "some processor"):
+        assert text in printed
     assert "Best known payload:" not in printed
 
 

@@ -43,15 +43,15 @@ def test_page_follows_from_the_results(results, name):
 
 @pytest.mark.parametrize("name", [*PAGES, "library"])
 def test_results_have_the_cells_of_their_suite_and_no_error_but_a_missed_deadline(results, name):
-    found = results[name]
-    suite = find_suite(found.suite)
-    (seed,) = {record.cell.seed for record in found.records if isinstance(record.cell, PolicyCell)}
-    policies = sorted({record.cell.policy for record in found.records if isinstance(record.cell, PolicyCell)})
-    cells = suite_cells(suite, find_policies(policies, suite.env_ids), seed=seed, board=found.board)
-    assert sorted(record.cell.key for record in found.records) == sorted(cells)
-    errors = [record.error for record in found.records if record.error]
+    stored = results[name]
+    suite = find_suite(stored.suite)
+    (seed,) = {record.cell.seed for record in stored.records if isinstance(record.cell, PolicyCell)}
+    policies = sorted({record.cell.policy for record in stored.records if isinstance(record.cell, PolicyCell)})
+    cells = suite_cells(suite, find_policies(policies, suite.env_ids), seed=seed, board=stored.board)
+    assert sorted(record.cell.key for record in stored.records) == sorted(cells)
+    errors = [record.error for record in stored.records if record.error]
     assert [error for error in errors if "did not answer within" not in error] == []
-    known = [record.result for record in found.records if isinstance(record.cell, BestKnownCell)]
+    known = [record.result for record in stored.records if isinstance(record.cell, BestKnownCell)]
     assert all(result["verified"] for result in known)
 
 
@@ -63,25 +63,27 @@ def test_leaderboards_and_maps_leave_out_real_robots(results):
 
 
 def test_leaderboard_is_a_board_whose_hidden_motions_follow_from_its_commitment(results):
-    found = results["leaderboard"]
-    assert found.suite == "ranked"
-    assert found.board.motions >= 20
-    found.check_board()
+    leaderboard = results["leaderboard"]
+    assert leaderboard.suite == "ranked"
+    assert leaderboard.board.motions >= 20
+    leaderboard.check_board()
 
 
 @pytest.mark.slow
 def test_two_uncertain_payloads_of_the_leaderboard_are_carried_in_fresh_draws(results):
-    found = list(confirm(results["leaderboard"].records, local(2), cells=2, draws=256, seed=23, say=print))
-    assert [str(one) for one in found if one.success_rate < 0.93] == []
+    confirmations = list(confirm(results["leaderboard"].records, local(2), cells=2, draws=256, seed=23, say=print))
+    assert [str(confirmation) for confirmation in confirmations if confirmation.success_rate < 0.93] == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", range(10))
 def test_ten_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
-    records = [one for one in results["leaderboard"].records if isinstance(one.cell, PolicyCell)]
-    record = sorted((one for one in records if one.result.get("payload")), key=lambda one: one.seconds)[index]
-    made = compute(record.cell).result
-    assert made["payload"] == pytest.approx(record.result["payload"], abs=record.result["resolution"])
+    records = [stored for stored in results["leaderboard"].records if isinstance(stored.cell, PolicyCell)]
+    record = sorted((stored for stored in records if stored.result.get("payload")), key=lambda stored: stored.seconds)[
+        index
+    ]
+    result = compute(record.cell).result
+    assert result["payload"] == pytest.approx(record.result["payload"], abs=record.result["resolution"])
 
 
 @pytest.mark.slow

@@ -75,22 +75,22 @@ SHARED = {
 
 @pytest.mark.parametrize("name", ["standard", "ranked"])
 def test_suite_has_every_fast_policy_under_all_conditions_and_payload_unknown_only_with_noise(name):
-    some = policy_cells(name)
+    cells_of_policies = policy_cells(name)
     fast = {
         (env_id, entry.name)
         for entry in policy_entries().values()
         for env_id in set(entry.env_ids) & set(PAPER_ENV_IDS)
         if name == "ranked" or not entry.slow
     }
-    assert {(cell.env_id, cell.policy) for cell in some} == fast
-    missing = {one for one in SHARED if one[2] == "sensors"} if name == "standard" else set()
+    assert {(cell.env_id, cell.policy) for cell in cells_of_policies} == fast
+    missing = {condition for condition in SHARED if condition[2] == "sensors"} if name == "standard" else set()
     for env_id in PAPER_ENV_IDS:
-        own = [cell for cell in some if cell.env_id == env_id]
-        motions = [str(cell.trajectory["name"]).partition("-")[0] for cell in own]
-        conditions = [(cell.payload_model, cell.uncertainty, cell.criterion) for cell in own]
-        assert {(motion, *one) for motion, one in zip(motions, conditions, strict=True)} == SHARED - missing
-    assert {cell.draws for cell in some} == {1, 512}
-    seeds = {cell.trajectory["seed"] for cell in some if "seed" in cell.trajectory}
+        env_cells = [cell for cell in cells_of_policies if cell.env_id == env_id]
+        motions = [str(cell.trajectory["name"]).partition("-")[0] for cell in env_cells]
+        conditions = [(cell.payload_model, cell.uncertainty, cell.criterion) for cell in env_cells]
+        assert {(motion, *condition) for motion, condition in zip(motions, conditions, strict=True)} == SHARED - missing
+    assert {cell.draws for cell in cells_of_policies} == {1, 512}
+    seeds = {cell.trajectory["seed"] for cell in cells_of_policies if "seed" in cell.trajectory}
     assert seeds == (set(held_out_seeds(3)) if name == "standard" else set(AnyBoard().seeds("", 20)))
     timed = {(cell.env_id, cell.policy) for cell in cells(name) if isinstance(cell, TimingCell)}
     assert timed >= fast
@@ -139,10 +139,10 @@ def test_installed_policy_of_another_package_is_evaluated_without_its_code_in_th
         ),
     ):
         module(name, text)
-    found = find_policies([], PAPER_ENV_IDS)
-    assert [env_id for env_id in PAPER_ENV_IDS if "theirs" in found[env_id]] == [SPATIAL]
-    assert "fl" in found[PLANAR]
-    assert "broken" not in {name for names in found.values() for name in names}
+    policies = find_policies([], PAPER_ENV_IDS)
+    assert [env_id for env_id in PAPER_ENV_IDS if "theirs" in policies[env_id]] == [SPATIAL]
+    assert "fl" in policies[PLANAR]
+    assert "broken" not in {name for names in policies.values() for name in names}
     assert policy_source("theirs") == (("toy_other",), (tmp_path / "toy_other.py",))
     assert policy_source("fl")[0] == ("cablebot_baselines.classical",)
     slow = suite_cells(find_suite("standard"), {SPATIAL: ("theirs",)}).values()

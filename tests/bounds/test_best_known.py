@@ -83,27 +83,27 @@ def test_replay_verifies_the_actions(line) -> None:
 
 
 def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
-    usual, fine = line.replays
-    assert fine.substeps == 10 * usual.substeps
-    for found in line.replays:
-        verdict = replay(line.payload, line.actions, substeps=found.substeps)
+    coarse, fine = line.replays
+    assert fine.substeps == 10 * coarse.substeps
+    for stored in line.replays:
+        verdict = replay(line.payload, line.actions, substeps=stored.substeps)
         assert verdict.carried
-        assert found.violation is None
-        assert f"{found.substeps} physics steps per control period: least tension {found.least_tension:.3f}" in str(
+        assert stored.violation is None
+        assert f"{stored.substeps} physics steps per control period: least tension {stored.least_tension:.3f}" in str(
             line
         )
-        assert verdict.least_tension == found.least_tension >= PLANAR.minimum_tension
-        assert verdict.position_peak == found.position_peak <= 0.01
-    assert fine.least_tension < usual.least_tension
+        assert verdict.least_tension == stored.least_tension >= PLANAR.minimum_tension
+        assert verdict.position_peak == stored.position_peak <= 0.01
+    assert fine.least_tension < coarse.least_tension
 
 
 def test_replay_that_fails_at_a_tenth_of_the_step_is_not_verified(monkeypatch: pytest.MonkeyPatch, line) -> None:
     case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
-    seen = []
+    refinements = []
     record = best_known._Case._record
 
     def fails(self: Any, policy: Any, payload: float, **keywords: Any) -> Any:
-        seen.append(keywords.get("substeps"))
+        refinements.append(keywords.get("substeps"))
         rollout = record(self, policy, payload, **keywords)
         if keywords.get("substeps") == line.replays[1].substeps:
             rollout = SimpleNamespace(verdict=replay(1.1 * payload, line.actions))
@@ -112,7 +112,7 @@ def test_replay_that_fails_at_a_tenth_of_the_step_is_not_verified(monkeypatch: p
     monkeypatch.setattr(best_known._Case, "_record", fails)
     monkeypatch.setattr(best_known, "_TRIALS", 3)
     assert case._verify(case._program(20), line.motion, lambda _: None) is None
-    assert line.replays[1].substeps in seen
+    assert line.replays[1].substeps in refinements
 
 
 def test_replay_fails_beyond_the_limits(line) -> None:
@@ -162,10 +162,10 @@ def test_hang_within_narrow_bounds_has_the_static_payload() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_flexible_joints_reduce_the_payload(line) -> None:
-    found = find_best_known(FLEX_ID, trajectory=LINE, cache=False)
-    assert found.verified
-    assert 0.97 * found.program_payload < found.payload < line.payload
-    assert replay(found.payload, found.actions, env_id=FLEX_ID).carried
+    flexible = find_best_known(FLEX_ID, trajectory=LINE, cache=False)
+    assert flexible.verified
+    assert 0.97 * flexible.program_payload < flexible.payload < line.payload
+    assert replay(flexible.payload, flexible.actions, env_id=FLEX_ID).carried
 
 
 @pytest.mark.slow
@@ -177,13 +177,13 @@ def test_arguments_reach_the_program(line) -> None:
         "error_bounds": {"position": 0.12},
     }
     motors = Motors(stall_torque=5.5, free_speed=PLANAR.motors.free_speed)
-    found = find_best_known(PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options)
-    assert found.verified
-    assert len(found.actions) == 80
-    assert found.environment["control_frequency"] == 200.0
-    assert found.environment["robot"]["motors"]["stall_torque"] == 5.5
-    assert found.error_bounds["position"] == 0.12
-    assert found.payload > 1.05 * line.payload
+    changed = find_best_known(PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options)
+    assert changed.verified
+    assert len(changed.actions) == 80
+    assert changed.environment["control_frequency"] == 200.0
+    assert changed.environment["robot"]["motors"]["stall_torque"] == 5.5
+    assert changed.error_bounds["position"] == 0.12
+    assert changed.payload > 1.05 * line.payload
 
 
 @pytest.mark.slow
@@ -207,14 +207,14 @@ def test_unverified_result_says_so_and_a_failed_fine_mesh_is_skipped(
         return solve(program, start, margins)
 
     monkeypatch.setattr(best_known, "_solve", fails_when_fine)
-    found = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert [count for count, _ in found.meshes] == [20]
-    assert found.verified
+    result = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
+    assert [count for count, _ in result.meshes] == [20]
+    assert result.verified
     monkeypatch.setattr(best_known._Case, "_verify", lambda *_: None)
-    found = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert not found.verified
-    assert "not verified" in str(found)
-    assert "; fails: " in str(found)
+    result = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
+    assert not result.verified
+    assert "not verified" in str(result)
+    assert "; fails: " in str(result)
 
 
 def test_best_of_several_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,13 +244,13 @@ def test_cached_result_equals_the_computed_one(solved: list[Any], cache: Path, l
     assert find_best_known(PLANAR_ID, cache=False).payload == 1.0
     assert cached_best_known(PLANAR_ID) is None
     assert not cache.exists()
-    first = find_best_known(PLANAR_ID)
-    second = find_best_known(PLANAR_ID)
+    computed = find_best_known(PLANAR_ID)
+    cached = find_best_known(PLANAR_ID)
     assert len(solved) == 2
-    assert first.to_json() == second.to_json() == cached_best_known(PLANAR_ID).to_json()
-    assert second.meshes == line.meshes
-    np.testing.assert_array_equal(second.actions, line.actions)
-    np.testing.assert_array_equal(second.motion(0.3).position, line.motion(0.3).position)
+    assert computed.to_json() == cached.to_json() == cached_best_known(PLANAR_ID).to_json()
+    assert cached.meshes == line.meshes
+    np.testing.assert_array_equal(cached.actions, line.actions)
+    np.testing.assert_array_equal(cached.motion(0.3).position, line.motion(0.3).position)
 
 
 def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:

@@ -41,9 +41,9 @@ def certificate(name: str = "paper-planar", position: float = 0.01, passes: int 
 
 @cache
 def proof() -> Multiplier:
-    found = certificate().multiplier
-    assert found is not None
-    return found
+    multiplier = certificate().multiplier
+    assert multiplier is not None
+    return multiplier
 
 
 # --- above all that is carried ---------------------------------------------------------------------------------------
@@ -51,11 +51,11 @@ def proof() -> Multiplier:
 
 @pytest.mark.slow
 def test_certificate_is_slightly_above_the_best_known_motion() -> None:
-    found = certificate(passes=2)
+    refined = certificate(passes=2)
     coarse = certificate()
-    assert BEST_KNOWN < found.total_mass < 1.017 * BEST_KNOWN
-    assert found.payload == pytest.approx(found.total_mass - 1.0)
-    assert coarse.total_mass >= found.total_mass
+    assert BEST_KNOWN < refined.total_mass < 1.017 * BEST_KNOWN
+    assert refined.payload == pytest.approx(refined.total_mass - 1.0)
+    assert coarse.total_mass >= refined.total_mass
     data = json.loads(json.dumps(coarse.to_dict(), allow_nan=False))
     assert data["payload"] == coarse.payload
     assert data["error_bounds"] == {"position": 0.01}
@@ -81,9 +81,9 @@ def test_certificate_in_one_dimension_matches_the_closed_form(
     drive = {"inertia": inertia, "free_speed": free_speed, "damping": damping}
     robot = one_dimension.line_robot(**drive)
     bounds = ErrorBounds(position=one_dimension.BOUND)
-    found = planar_certificate(robot, one_dimension.Accelerating(), bounds, passes=1)
+    bound = planar_certificate(robot, one_dimension.Accelerating(), bounds, passes=1)
     largest = one_dimension.largest_mass(**drive)
-    assert largest < found.total_mass < 1.03 * largest
+    assert largest < bound.total_mass < 1.03 * largest
 
 
 # --- the proof, by quadrature of its own ------------------------------------------------------------------------------
@@ -110,8 +110,8 @@ def test_multiplier_bounds_the_force_in_every_direction_of_the_tube() -> None:
     rng = np.random.default_rng(0)
     times = rng.uniform(multiplier.start, multiplier.end, 20000)
     angle = rng.uniform(0, 2 * np.pi, times.shape)
-    part = np.sqrt(rng.uniform(0, 1, times.shape))
-    error = 0.01 * part[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    radius = np.sqrt(rng.uniform(0, 1, times.shape))
+    error = 0.01 * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     towards = -textbook.jacobian(PLANAR, CIRCLE(times).position + error)
     (w, _, _), (phi, _, _) = multiplier(times)
     assert np.all(phi >= np.maximum(np.einsum("tij,tj->ti", towards, w), 0.0))
@@ -202,13 +202,13 @@ def test_bound_of_a_spatial_robot_is_the_payload_that_the_motors_hold_at_the_sta
 ) -> None:
     motion = find_trajectory("circle-spatial", 6)
     bounds = ErrorBounds(position=0.02)
-    found = upper_bound(robot, motion, bounds)
+    bound = upper_bound(robot, motion, bounds)
     lowered = motion(0.0).position + 0.01 * np.eye(6)[2]
-    torque = textbook.static_torque(robot, found.total_mass, lowered)
+    torque = textbook.static_torque(robot, bound.total_mass, lowered)
     assert (torque / robot.stall_torque).max() == pytest.approx(1.0, abs=1e-12)
-    assert found.payload > upper_bound(robot, motion, ErrorBounds(position=0.01)).payload + 0.5
+    assert bound.payload > upper_bound(robot, motion, ErrorBounds(position=0.01)).payload + 0.5
     env_id = f"CableBot-{'Flex' if robot.flexible else ''}Spatial-v0"
-    for payload, held in ((found.payload - 1e-6, True), (found.payload + 1e-6, False)):
+    for payload, held in ((bound.payload - 1e-6, True), (bound.payload + 1e-6, False)):
         env = gym.make(env_id, payload=payload, error_bounds=bounds)
         assert bool(env.reset(seed=0)[1]["torque_margin"].min() >= 0) is held
 
@@ -227,10 +227,10 @@ def test_bound_of_a_planar_robot_falls_with_its_minimum_tension() -> None:
 
 
 def test_reference_at_rest_has_no_bound() -> None:
-    found = certificate("dwell-planar")
-    assert found.total_mass == math.inf
-    assert found.multiplier is None
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["payload"] is None
+    unbounded = certificate("dwell-planar")
+    assert unbounded.total_mass == math.inf
+    assert unbounded.multiplier is None
+    assert json.loads(json.dumps(unbounded.to_dict(), allow_nan=False))["payload"] is None
 
 
 @pytest.mark.parametrize(

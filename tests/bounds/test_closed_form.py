@@ -120,15 +120,15 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
     force_x = -10 * np.cos(angles).sum()
     force_y = -10 * np.sin(angles).sum()
     # Between cables 1 and 2, T_2 = 10 + w_y + w_x / √3, between 2 and 3 it is 10 + w_y - w_x / √3.
-    first, last = ((sign * math.sqrt(3) * (5 - force_y) - force_x) / 10 for sign in (1, -1))
+    low_mass, high_mass = ((sign * math.sqrt(3) * (5 - force_y) - force_x) / 10 for sign in (1, -1))
     result = exact_payload(robot, Jolted(at=0.5, acceleration=10.0), minimum_tension=10.0)
     if below:
-        assert (result.lowest, result.payload) == pytest.approx((-mass, first - mass), abs=1e-9)
+        assert (result.lowest, result.payload) == pytest.approx((-mass, low_mass - mass), abs=1e-9)
         assert result.motor == 2
         assert result.time == 0.5
         assert result.line == "upper"
     else:
-        assert result.lowest == pytest.approx(last - mass, abs=1e-9)
+        assert result.lowest == pytest.approx(high_mass - mass, abs=1e-9)
         assert result.payload > result.lowest
 
 
@@ -236,14 +236,14 @@ def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[floa
     good = feasible(robot, trajectory, minimum, scan)
     if not np.any(good):
         return math.inf, -math.inf
-    nearest = first = last = int(np.argmin(np.where(good, np.abs(scan - robot.mass), np.inf)))
-    while first > 0 and good[first - 1]:
-        first -= 1
-    while last < len(scan) - 1 and good[last + 1]:
-        last += 1
-    assert first <= nearest <= last
-    lowest = edge(scan[first], scan[first - 1]) if first > 0 else -robot.mass
-    return lowest, edge(scan[last], scan[last + 1]) if last < len(scan) - 1 else math.inf
+    nearest = low_index = high_index = int(np.argmin(np.where(good, np.abs(scan - robot.mass), np.inf)))
+    while low_index > 0 and good[low_index - 1]:
+        low_index -= 1
+    while high_index < len(scan) - 1 and good[high_index + 1]:
+        high_index += 1
+    assert low_index <= nearest <= high_index
+    lowest = edge(scan[low_index], scan[low_index - 1]) if low_index > 0 else -robot.mass
+    return lowest, edge(scan[high_index], scan[high_index + 1]) if high_index < len(scan) - 1 else math.inf
 
 
 @pytest.mark.parametrize("seed", range(3))

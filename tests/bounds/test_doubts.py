@@ -36,12 +36,12 @@ HANGING = Robot(
 
 def changed(robot: Robot, name: str, value: Any) -> Robot:
     """The robot with one field replaced; a number multiplies it if it starts with ×."""
-    part, _, field = name.rpartition(".")
-    owner = getattr(robot, part) if part else robot
+    group, _, field = name.rpartition(".")
+    owner = getattr(robot, group) if group else robot
     if isinstance(value, str):
         value = np.multiply(getattr(owner, field), float(value[1:]))
     new = owner.replace(**{field: value.tolist() if isinstance(value, np.ndarray | np.floating) else value})
-    return robot.replace(**{part: new}) if part else new
+    return robot.replace(**{group: new}) if group else new
 
 
 @pytest.mark.parametrize(

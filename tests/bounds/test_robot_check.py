@@ -98,8 +98,8 @@ def test_segment_distance_is_the_least_over_points():
     generator = np.random.default_rng(0)
     ends = generator.normal(size=(4, 50, 3))
     steps = np.linspace(0, 1, 201)[:, None, None]
-    first, second = (a + steps * (b - a) for a, b in (ends[:2], ends[2:]))
-    brute = np.linalg.norm(first[:, None] - second[None], axis=-1).min(axis=(0, 1))
-    found = segment_distance(*ends)
-    assert np.all(found <= brute + 1e-12)
-    np.testing.assert_allclose(found, brute, atol=2e-2)
+    points_of_one, points_of_two = (a + steps * (b - a) for a, b in (ends[:2], ends[2:]))
+    brute = np.linalg.norm(points_of_one[:, None] - points_of_two[None], axis=-1).min(axis=(0, 1))
+    distances = segment_distance(*ends)
+    assert np.all(distances <= brute + 1e-12)
+    np.testing.assert_allclose(distances, brute, atol=2e-2)

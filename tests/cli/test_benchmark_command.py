@@ -34,30 +34,30 @@ HIDDEN = Suite(
 @pytest.fixture
 def best(monkeypatch):
     """Stands for the search, which has tests of its own; counts how often it is asked."""
-    asked = []
+    searches = []
 
     def find_best_known(env_id, *, robot, trajectory, error_bounds, control_frequency):
-        asked.append(trajectory)
-        found = {
+        searches.append(trajectory)
+        best_known = {
             "payload": 2.4,
             "total_mass": 3.4,
             "verified": True,
             "upper": {"payload": 3.3, "total_mass": 4.3},
         }
-        return SimpleNamespace(to_dict=lambda: found)
+        return SimpleNamespace(to_dict=lambda: best_known)
 
     monkeypatch.setitem(
         sys.modules,
         "cablebot_gym.bounds.best_known",
         SimpleNamespace(find_best_known=find_best_known),
     )
-    return asked
+    return searches
 
 
 @pytest.fixture
 def isolated_benchmark(monkeypatch, cablebot, tmp_path):
     """Runs the command in this process on a tiny suite, with one worker: this process. Policies are isolated."""
-    monkeypatch.setattr(suites, "SUITES", {one.name: one for one in (TINY, TIMED, HIDDEN)} | suites.SUITES)
+    monkeypatch.setattr(suites, "SUITES", {entry.name: entry for entry in (TINY, TIMED, HIDDEN)} | suites.SUITES)
 
     def run(*arguments, policies="fl", workers=1, suite="tiny"):
         options = (
@@ -104,14 +104,14 @@ def test_files_table_and_json_have_the_same_numbers(benchmark, best, tmp_path):
 
 
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
-    first = benchmark()
-    before = {name: (first.folder / name).read_bytes() for name in ("results.json", "leaderboard.md")}
+    computed = benchmark()
+    before = {name: (computed.folder / name).read_bytes() for name in ("results.json", "leaderboard.md")}
     monkeypatch.setattr("cablebot_gym.benchmark.cells.evaluate_dlcc", None)
     again = benchmark()
     assert again.status == 0
-    assert again.out == first.out
+    assert again.out == computed.out
     assert len(best) == 1
-    assert {name: (first.folder / name).read_bytes() for name in before} == before
+    assert {name: (computed.folder / name).read_bytes() for name in before} == before
 
 
 CAUSES = {
@@ -125,12 +125,12 @@ CAUSES = {
 def check_failures(ended, toys, causes):
     """Each of the policies loses its own cells, and ``fl`` none."""
     assert ended.status == 1
-    found = scores(ended)
+    score_of = scores(ended)
     for name, cause in causes.items():
-        assert found[(toys(name), True)] == 0.0
-        assert found[(toys(name), False)] == 0.0
+        assert score_of[(toys(name), True)] == 0.0
+        assert score_of[(toys(name), False)] == 0.0
         assert cause in ended.out
-    assert found[("fl", True)] > 0.5
+    assert score_of[("fl", True)] > 0.5
     assert "failed" in ended.out
 
 
@@ -192,8 +192,8 @@ def test_hidden_suite_needs_a_commitment_to_the_present_policies(benchmark, best
     assert refused.status == 2
     assert best == []
     assert "committed without the present adaptive" in refused.err
-    for chosen in (("--seed", 1), ("--any-source",)):
-        assert "accepts neither --seed nor --any-source" in benchmark(*chosen, suite="hidden").err
+    for option in (("--seed", 1), ("--any-source",)):
+        assert "accepts neither --seed nor --any-source" in benchmark(*option, suite="hidden").err
 
 
 @pytest.mark.slow

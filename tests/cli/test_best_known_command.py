@@ -26,9 +26,11 @@ def quick(cache, monkeypatch):
 
 
 def test_options_reach_the_search(cablebot, monkeypatch):
-    found = SimpleNamespace(verified=True, to_json=lambda: '{"payload": 1.0}')
+    result = SimpleNamespace(verified=True, to_json=lambda: '{"payload": 1.0}')
     calls = []
-    monkeypatch.setattr(best_known, "find_best_known", lambda *given, **more: calls.append((given, more)) or found)
+    monkeypatch.setattr(
+        best_known, "find_best_known", lambda *positional, **keywords: calls.append((positional, keywords)) or result
+    )
     options = (
         "--rotation-bound",
         "30",
@@ -40,17 +42,17 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     )
     options += ("--robot", "spatial")
     assert cablebot("best-known", SPATIAL, *options, "--json").data == {"payload": 1.0}
-    found.verified = False
+    result.verified = False
     assert cablebot("best-known", SPATIAL).status == 1
-    (given, more), _ = calls
-    assert given == (SPATIAL,)
-    assert more.pop("progress") is not None
+    (positional, keywords), _ = calls
+    assert positional == (SPATIAL,)
+    assert keywords.pop("progress") is not None
     expected = {
         "trajectory": "line-spatial",
         "error_bounds": {"rotation": 0.03},
         "control_frequency": 250.0,
     }
-    assert more == expected | {"robot": "spatial", "cache": False}
+    assert keywords == expected | {"robot": "spatial", "cache": False}
 
 
 @pytest.mark.slow
@@ -67,14 +69,14 @@ def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
     ):
         assert words in text
     assert not cache.exists()
-    first = cablebot(*options, "--json")
-    data = json.loads(first.out, parse_constant=pytest.fail)
+    computed = cablebot(*options, "--json")
+    data = json.loads(computed.out, parse_constant=pytest.fail)
     assert data["verified"] is True
     assert data["total_mass"] == data["payload"] + 1.0
     assert data["error_bounds"] == {"position": 0.02, "rotation": None}
     assert len(list(cache.iterdir())) == 1
     monkeypatch.setattr(best_known._Case, "solve", lambda *_: pytest.fail("searched again"))
-    assert cablebot(*options, "--json").out == first.out
+    assert cablebot(*options, "--json").out == computed.out
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

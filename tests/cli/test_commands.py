@@ -170,14 +170,14 @@ def test_time_left_counts_work_from_the_first_step_on(clock, capsys):
 
 def test_time_left_shrinks_until_the_next_cell_is_late(clock):
     watch = console._Clock()
-    left = []
+    texts = []
     watch.update(0, 5)
     clock.sleep(40.0)
     watch.update(1, 5)
     for _ in range(3):
         clock.sleep(20.0)
-        left.append(watch.left)
-    assert left == ["2.3 min left", "2.0 min left", "2.5 min left"]
+        texts.append(watch.left)
+    assert texts == ["2.3 min left", "2.0 min left", "2.5 min left"]
 
 
 def test_silent_computation_writes_lines(clock, monkeypatch):
@@ -252,14 +252,14 @@ def test_terminal_shows_a_bar_with_the_time_left(tmp_path):
     os.close(end)
     shown = b""
     try:
-        while part := os.read(terminal, 1 << 16):
-            shown += part
+        while chunk := os.read(terminal, 1 << 16):
+            shown += chunk
     except OSError:  # Linux, at the end
         pass
     os.close(terminal)
     out, _ = ran.communicate()
     assert ran.returncode == 0, shown
-    assert all(part in shown.decode() for part in ("paper criterion", "━", "left"))
+    assert all(chunk in shown.decode() for chunk in ("paper criterion", "━", "left"))
     assert "\x1b" not in out
 
 
@@ -305,8 +305,8 @@ def test_reproduction_writes_its_files_and_takes_its_options(cablebot, tmp_path)
     )
     rows = json.loads(cablebot(*arguments, "--planar-apex", "left", "--minimum-tension", "2").out)
     assert all("key" in row for row in rows)
-    made = {"results.json", "reproduction.md", "reproduction.html", "fig1.png", "fig1.svg"}
-    assert set(names(tmp_path / "out")) == made
+    expected = {"results.json", "reproduction.md", "reproduction.html", "fig1.png", "fig1.svg"}
+    assert set(names(tmp_path / "out")) == expected
     data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
     choices = data["interpretation"]
     assert choices["planar_apex"] == "left"

@@ -233,10 +233,10 @@ def test_printed_command_repeats_the_failure(cablebot, tmp_path):
 
 def test_bisection_finds_the_payload_with_few_episodes_and_is_unranked(cablebot):
     scan = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05").data[0]
-    found = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection").data[0]
+    bisection = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection").data[0]
     assert scan["ranked"]
-    assert not found["ranked"]
-    assert found["payload"] == pytest.approx(scan["payload"], abs=0.1)
+    assert not bisection["ranked"]
+    assert bisection["payload"] == pytest.approx(scan["payload"], abs=0.1)
     assert "unranked: a bisection" in cablebot(*ONE[:-1], "--search", "bisection").out
 
 
@@ -255,11 +255,13 @@ def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, 
     monkeypatch.setattr(sys, "path", [*sys.path])
     data = PLANAR_ROBOT.replace(name="mine").to_dict()
     table = "".join(f"{name} = {json.dumps(value)}\n" for name, value in data.items() if value and name not in PARTS)
-    parts = [
+    tables = [
         f"[{name}]\n" + "".join(f"{key} = {value}\n" for key, value in data[name].items() if value) for name in PARTS
     ]
     text = (
-        table + "".join(parts) + '[defaults]\ntrajectory = "own_motion_of_dlcc.py:motion"\npayload_range = [0.1, 0.2]\n'
+        table
+        + "".join(tables)
+        + '[defaults]\ntrajectory = "own_motion_of_dlcc.py:motion"\npayload_range = [0.1, 0.2]\n'
     )
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     (tmp_path / "own_motion_of_dlcc.py").write_text(OWN_MOTION, encoding="utf-8")

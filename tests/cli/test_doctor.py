@@ -25,24 +25,24 @@ def findings():
 
 
 def test_installation_has_no_fault():
-    found = findings()
-    assert all(finding.ok for finding in found.values())
-    assert [name for name in found if name.startswith("self-test")] == [f"self-test {env_id}" for env_id in ENV_IDS]
-    assert re.search(r"numba \d.*numpy 2", found["requirements"].text)
-    assert "torch 2" in found["extra sb3"].text
-    assert not {"extra all", "extra docs", "extra test"} & set(found)
+    by_name = findings()
+    assert all(finding.ok for finding in by_name.values())
+    assert [name for name in by_name if name.startswith("self-test")] == [f"self-test {env_id}" for env_id in ENV_IDS]
+    assert re.search(r"numba \d.*numpy 2", by_name["requirements"].text)
+    assert "torch 2" in by_name["extra sb3"].text
+    assert not {"extra all", "extra docs", "extra test"} & set(by_name)
     names = sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))
-    assert found["policies"].text == f"{len(names)} load: {', '.join(names)}"
+    assert by_name["policies"].text == f"{len(names)} load: {', '.join(names)}"
 
 
 def test_policy_that_fails_to_load_is_a_fault(monkeypatch):
     broken = EntryPoint("broken", "cablebot_baselines.nowhere:POLICY", ENTRY_POINT_GROUP)
     listed = doctor.entry_points
     monkeypatch.setattr(doctor, "entry_points", lambda *, group: [*listed(group=group), broken])
-    found = findings()
-    assert found["policy broken"].ok is False
-    assert "No module named 'cablebot_baselines.nowhere'" in found["policy broken"].text
-    assert found["policies"].ok
+    by_name = findings()
+    assert by_name["policy broken"].ok is False
+    assert "No module named 'cablebot_baselines.nowhere'" in by_name["policy broken"].text
+    assert by_name["policies"].ok
 
 
 @pytest.mark.slow
@@ -70,7 +70,9 @@ def test_missing_package_is_a_fault_unless_it_belongs_to_an_extra(monkeypatch):
 
 def test_plant_that_moves_under_static_torques_is_a_fault(monkeypatch):
     statics = doctor.static_torque
-    monkeypatch.setattr(doctor, "static_torque", lambda *given, **more: 1.000001 * statics(*given, **more))
+    monkeypatch.setattr(
+        doctor, "static_torque", lambda *arguments, **keywords: 1.000001 * statics(*arguments, **keywords)
+    )
     wrong = [finding for finding in examine() if finding.ok is False]
     assert [finding.name for finding in wrong if "Spatial" in finding.name] == [
         "self-test CableBot-Spatial-v0",
@@ -85,12 +87,12 @@ def test_check_that_raises_is_a_fault_and_the_others_follow(monkeypatch):
 
     for name in ("_packages", "code_folders", "cache_folder", "_policies", "_statics_test"):
         monkeypatch.setattr(doctor, name, lambda *_: unreadable())
-    found = findings()
-    assert found["python"].ok
+    by_name = findings()
+    assert by_name["python"].ok
     names = {"packages", "compiled code", "plans and best known payloads", "policies"}
     for name in names | {f"self-test {env_id}" for env_id in ENV_IDS}:
-        assert found[name].ok is False
-        assert found[name].text == "PermissionError: [Errno 13] Permission denied: '/folder'"
+        assert by_name[name].ok is False
+        assert by_name[name].text == "PermissionError: [Errno 13] Permission denied: '/folder'"
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty"])

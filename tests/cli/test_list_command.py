@@ -41,9 +41,9 @@ def test_json_and_text_have_every_name_and_unit(cablebot, data):
 
 
 def test_robots_have_their_kind_and_the_completeness_of_their_sources(data):
-    found = {robot["name"]: robot for robot in data["robots"]}
-    camera = found["flex-stadium-camera"]
-    paper = found["planar"]
+    robots = {robot["name"]: robot for robot in data["robots"]}
+    camera = robots["flex-stadium-camera"]
+    paper = robots["planar"]
     assert camera["kind"] == "point"
     assert camera["cables"] == 4
     assert camera["transmission"] == "elastic cables"
@@ -57,24 +57,24 @@ def test_robots_have_their_kind_and_the_completeness_of_their_sources(data):
 
 def test_listed_defaults_make_the_named_trajectory(data):
     for name, entries in data["trajectory_fields"].items():
-        given = {key: entry["default"] for key, entry in entries.items()}
+        defaults = {key: entry["default"] for key, entry in entries.items()}
         named = TRAJECTORIES[name]()
-        assert find_trajectory({"name": name, **given}, named.coordinates) == named
+        assert find_trajectory({"name": name, **defaults}, named.coordinates) == named
 
 
 def test_listed_fields_make_the_named_uncertainty(data):
     for name, entries in data["uncertainty_fields"].items():
         for env_id in ENV_IDS:
-            given = {}
+            values = {}
             for entry in entries:
                 if env_id in entry["env_ids"]:
                     group, _, key = entry["field"].partition(".")
                     if key:
-                        given.setdefault(group, {})[key] = entry["value"]
+                        values.setdefault(group, {})[key] = entry["value"]
                     else:
-                        given[group] = entry["value"]
+                        values[group] = entry["value"]
             robot = find_robot(env_robot(env_id))
-            assert find_uncertainty(given, robot) == find_uncertainty(name, robot)
+            assert find_uncertainty(values, robot) == find_uncertainty(name, robot)
 
 
 def test_file_in_the_current_folder_hides_no_package(tmp_path):

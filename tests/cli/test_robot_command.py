@@ -109,8 +109,8 @@ def test_impossible_robot_is_refused_with_its_remedy(cablebot, edited, name, old
 
 
 def test_command_finds_the_id_by_the_robot(cablebot):
-    found = {name: fitting_env_id(name) for name in ("cogiro", "stadium-camera", "ttk4900", "flex-cogiro", "planar")}
-    assert list(found.values()) == [
+    env_ids = {name: fitting_env_id(name) for name in ("cogiro", "stadium-camera", "ttk4900", "flex-cogiro", "planar")}
+    assert list(env_ids.values()) == [
         *("CableBot-Spatial-v0", "CableBot-Point-v0", "CableBot-PlanarPlatform-v0"),
         *("CableBot-FlexSpatial-v0", "CableBot-Planar-v0"),
     ]

@@ -54,10 +54,10 @@ def test_options_reach_the_episode(cablebot, tmp_path):
         assert cablebot("rollout", SPATIAL, "--policy", "fl", *options, "--out", path).status == 0
         with np.load(path) as file:
             runs[name] = {key: file[key] for key in ("commanded_action", "pose", "tracking_error_peak")}
-    first = {name: run["commanded_action"][0] for name, run in runs.items()}
-    np.testing.assert_array_equal(first["empty"], first["unknown"])
-    assert np.all(np.abs(first["known"] - first["empty"]) > 1e-3)
-    assert np.all(np.abs(first["known"] - first["scaled"]) > 1e-4)
+    start_action = {name: run["commanded_action"][0] for name, run in runs.items()}
+    np.testing.assert_array_equal(start_action["empty"], start_action["unknown"])
+    assert np.all(np.abs(start_action["known"] - start_action["empty"]) > 1e-3)
+    assert np.all(np.abs(start_action["known"] - start_action["scaled"]) > 1e-4)
     assert runs["known"]["tracking_error_peak"].max() < 0.01 < runs["unknown"]["tracking_error_peak"].max()
     np.testing.assert_array_equal(runs["drawn"]["pose"], runs["again"]["pose"])
     for before, after in (("empty", "drawn"), ("drawn", "other")):

@@ -150,11 +150,11 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(command, install
     install(entry / "packages")
     verified = command("verify", entry)
     assert verified.status == 0, verified.err
-    found = record(entry)
-    assert found["outcome"] == "verified"
-    assert found["network"] == "cut"
-    assert found["sandbox"].startswith("bubblewrap")
-    assert str(found["seed"]) not in (entry / "results.json").read_text(encoding="utf-8")
+    verification = record(entry)
+    assert verification["outcome"] == "verified"
+    assert verification["network"] == "cut"
+    assert verification["sandbox"].startswith("bubblewrap")
+    assert str(verification["seed"]) not in (entry / "results.json").read_text(encoding="utf-8")
     board = (
         "benchmark",
         "--suite",

@@ -94,11 +94,11 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
     error = series["tracking_error"]
     steps = round(500 * trajectory["duration"])
     lost = max(error[-1], 0.1)  # after an early end
-    rest = steps - len(error)
+    lost_steps = steps - len(error)
     peak = max(start["tracking_error_peak"], series["tracking_error_peak"].max())
     return {
-        "mean_error": (error.sum() + rest * lost) / steps,
-        "rms_error": math.sqrt(((error**2).sum() + rest * lost**2) / steps),
+        "mean_error": (error.sum() + lost_steps * lost) / steps,
+        "rms_error": math.sqrt(((error**2).sum() + lost_steps * lost**2) / steps),
         "max_error": max(peak, lost) if terminated else peak,
         "max_rotation": max(start["rotation_error_peak"], series["rotation_error_peak"].max()),
         "rms_torque": math.sqrt((series["torques"] ** 2).mean()),
@@ -172,10 +172,10 @@ def test_comparison_ends_when_all_episodes_of_a_policy_have_ended():
         trajectory={"name": "dwell-spatial", "duration": 0.3},
         progress=lambda done, expected: progress.append((done, expected)),
     )
-    fallen, kept = comparison.metrics
+    fallen, carried = comparison.metrics
     assert fallen.ended.tolist() == [True]
-    assert kept.ended.tolist() == [False]
-    assert len(fallen.error) < 150 == len(kept.error)
+    assert carried.ended.tolist() == [False]
+    assert len(fallen.error) < 150 == len(carried.error)
     assert fallen.max_error[0] > 0.1
     assert np.nanmax(fallen.error) < 0.11, "not the next episode, which starts where this one did"
     done, expected = zip(*progress, strict=True)
@@ -190,8 +190,8 @@ def test_error_counts_as_the_termination_radius_after_a_slack_cable():
     (measured,) = compare_policies([lambda _: np.zeros(3)], PLANAR_ID, trajectory=motion).metrics
     assert measured.ended[0]
     assert np.nanmax(measured.error) < 0.001
-    rest = 1 - len(measured.error) / 150
-    assert measured.mean_error[0] == pytest.approx(0.1 * rest, abs=0.001)
+    lost_fraction = 1 - len(measured.error) / 150
+    assert measured.mean_error[0] == pytest.approx(0.1 * lost_fraction, abs=0.001)
     assert measured.max_error[0] == 0.1
 
 
@@ -201,9 +201,9 @@ def test_error_counts_as_the_termination_radius_after_a_slack_cable():
 def made(*mean_errors):
     """A comparison with given mean errors for each policy."""
     measured = []
-    for place, errors in enumerate(mean_errors):
-        one = compared().metrics[0]
-        measured.append(dataclasses.replace(one, policy=f"p{place}", mean_error=np.array(errors, float)))
+    for index, errors in enumerate(mean_errors):
+        metrics = compared().metrics[0]
+        measured.append(dataclasses.replace(metrics, policy=f"p{index}", mean_error=np.array(errors, float)))
     return dataclasses.replace(compared(), metrics=tuple(measured), draws=len(mean_errors[0]))
 
 
@@ -232,10 +232,10 @@ def test_interval_of_a_reduction_is_scipys_bootstrap():
     comparison = made(base, base * random.uniform(0.3, 0.7, 40))
     fraction = comparison.reduction(1, "mean_error")
     assert fraction == comparison.reduction(1, "mean_error")
-    both = (comparison.metrics[0].mean_error, comparison.metrics[1].mean_error)
+    samples = (comparison.metrics[0].mean_error, comparison.metrics[1].mean_error)
     reference = stats.bootstrap(
-        both,
-        lambda one, other, axis: 1 - other.mean(axis=axis) / one.mean(axis=axis),
+        samples,
+        lambda base_sample, sample, axis: 1 - sample.mean(axis=axis) / base_sample.mean(axis=axis),
         paired=True,
         vectorized=True,
         method="percentile",
@@ -287,7 +287,7 @@ def test_figure_shows_draws_that_end_early_and_bounds(tmp_path):
     assert save_comparison(comparison, tmp_path).read_bytes().endswith(b"IEND\xaeB`\x82")
     drawn = draw_comparison(comparison).axes[0].get_lines()
     (level,) = (line for line in drawn if line.get_color() == "black")
-    one, other = (line for line in drawn if line.get_color() != "black")
+    long_line, short_line = (line for line in drawn if line.get_color() != "black")
     assert set(level.get_ydata()) == {5.0}
-    assert not np.isnan([*one.get_ydata(), *other.get_ydata()]).any()
-    assert other.get_xdata()[-1] < 0.2 < one.get_xdata()[-1]
+    assert not np.isnan([*long_line.get_ydata(), *short_line.get_ydata()]).any()
+    assert short_line.get_xdata()[-1] < 0.2 < long_line.get_xdata()[-1]

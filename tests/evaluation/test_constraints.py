@@ -212,13 +212,13 @@ EVENTS = {
 """Changes by kind, in the order of the checks within one step."""
 
 
-@pytest.mark.parametrize("first", range(len(EVENTS)))
+@pytest.mark.parametrize("start", range(len(EVENTS)))
 @each_criterion
-def test_violations_of_one_step_have_a_fixed_order(criterion, first):
+def test_violations_of_one_step_have_a_fixed_order(criterion, start):
     assert tuple(EVENTS) == KINDS
-    together = {key: value for change in list(EVENTS.values())[first:] for key, value in change.items()}
+    together = {key: value for change in list(EVENTS.values())[start:] for key, value in change.items()}
     unchecked = {"task": "torque", "paper": "rotation"}[criterion]
-    expected = next(kind for kind in list(EVENTS)[first:] if kind != unchecked)
+    expected = next(kind for kind in list(EVENTS)[start:] if kind != unchecked)
     violation = judged(third(**together), criterion).violation
     assert violation.kind == expected
     assert violation.time == pytest.approx((2 if expected == "torque" else 3) * PERIOD)
@@ -361,10 +361,10 @@ def test_monitor_only_adds_to_info():
     pairs = [(plain.reset(seed=3), watched.reset(seed=3))]
     action = np.full(6, 0.4)
     pairs += [(plain.step(action), watched.step(action)) for _ in range(3)]
-    for one, other in pairs:
-        np.testing.assert_array_equal(one[0], other[0])
-        assert one[1:-1] == other[1:-1]
-        assert set(other[-1]) - set(one[-1]) == {"dlcc_carried"}
+    for expected, results in pairs:
+        np.testing.assert_array_equal(expected[0], results[0])
+        assert expected[1:-1] == results[1:-1]
+        assert set(results[-1]) - set(expected[-1]) == {"dlcc_carried"}
 
 
 @pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "paper"), ("spatial", "task")])

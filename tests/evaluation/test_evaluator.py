@@ -279,13 +279,13 @@ def test_policy_gets_its_state_and_the_episode_starts():
     evaluate_dlcc(spy, SPATIAL_ID, trajectory=HANG, payload_max=1.0)
     batches = 4
     assert spy.calls == (["reset"] + ["predict"] * steps) * batches, "scan, checks, finer physics, recorded episode"
-    for first in range(0, batches * steps, steps):
-        assert spy.states[first] is None
-        assert spy.starts[first].all()
-        for step in range(first + 1, first + steps):
+    for start in range(0, batches * steps, steps):
+        assert spy.states[start] is None
+        assert spy.starts[start].all()
+        for step in range(start + 1, start + steps):
             assert spy.states[step] == ("state", step)
             assert not spy.starts[step].any()
-    assert [len(spy.observations[first]) for first in (0, steps)] == [SCAN_POINTS, 2 * SCAN_POINTS]
+    assert [len(spy.observations[start]) for start in (0, steps)] == [SCAN_POINTS, 2 * SCAN_POINTS]
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -408,9 +408,9 @@ def test_nan_after_the_violation_is_ignored():
 def test_bad_argument_is_rejected_before_the_work(arguments, message):
     policy = arguments.pop("policy", "fl")
     env_id = arguments.pop("env_id", SPATIAL_ID)
-    usual = {"trajectory": HANG, "uncertainty": "table6", "draws": 3}
+    defaults = {"trajectory": HANG, "uncertainty": "table6", "draws": 3}
     with pytest.raises(ValueError, match=message):
-        evaluate_dlcc(policy, env_id, progress=lambda *_: pytest.fail("work"), **usual | arguments)
+        evaluate_dlcc(policy, env_id, progress=lambda *_: pytest.fail("work"), **defaults | arguments)
 
 
 @pytest.mark.parametrize(
@@ -436,14 +436,14 @@ def test_object_without_predict_is_no_policy():
 
 def test_environment_of_the_json_repeats_the_evaluation():
     keywords = {"seed": np.int64(3), "control_frequency": np.float32(400.0)}
-    first = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, resolution=0.01, **keywords)
-    data = json.loads(first.to_json(), parse_constant=pytest.fail)
-    assert data["violation"] == dataclasses.asdict(first.violation)
+    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, resolution=0.01, **keywords)
+    data = json.loads(result.to_json(), parse_constant=pytest.fail)
+    assert data["violation"] == dataclasses.asdict(result.violation)
     assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__
-    kept = {name: data[name] for name in ("criterion", "error_bounds", "payload_max", "payload_known", "seed")}
-    again = evaluate_dlcc("fl", data["env_id"], resolution=0.01, **kept, **data["environment"])
-    assert again.payload == first.payload
-    assert again.to_dict()["environment"] == first.to_dict()["environment"]
+    conditions = {name: data[name] for name in ("criterion", "error_bounds", "payload_max", "payload_known", "seed")}
+    again = evaluate_dlcc("fl", data["env_id"], resolution=0.01, **conditions, **data["environment"])
+    assert again.payload == result.payload
+    assert again.to_dict()["environment"] == result.to_dict()["environment"]
 
 
 class OwnMotion:

@@ -68,23 +68,23 @@ def test_payload_that_needs_other_episodes_is_refused_although_actions_are_rando
 @pytest.fixture
 def batches(monkeypatch):
     """Seeds of the rows of each batch without an observer."""
-    found = []
+    seeds_of_batches = []
     honest = Batch.run
 
     def run(self, rows, **keywords):
         if "observer" not in keywords:
-            found.append([seed for _, seed in rows])
+            seeds_of_batches.append([seed for _, seed in rows])
         return honest(self, rows, **keywords)
 
     monkeypatch.setattr(Batch, "run", run)
-    return found
+    return seeds_of_batches
 
 
 def test_draws_of_the_check_alone_are_fresh_and_secret(batches):
     results = [evaluated(Law(), uncertainty="sensors", draws=60) for _ in range(2)]
     alone = [seeds[0] for seeds in batches if len(seeds) == 1]
-    needed = plausible_successes(60, 60, ALONE, RISK)
-    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed > 0
+    needed_draws = plausible_successes(60, 60, ALONE, RISK)
+    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed_draws > 0
 
 
 def test_one_draw_of_a_stochastic_policy_keeps_its_payload_if_the_recorded_episode_fails():
@@ -138,9 +138,9 @@ def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(unc
 def test_seed_moves_the_payloads_of_the_scan():
     grids = []
     for seed in (0, 0, 1):
-        seen = []
-        evaluated(Dropping(lambda payload, seen=seen: seen.append(payload) or payload > 9), seed=seed)
-        grids.append(np.sort(seen[0]))
+        scanned = []
+        evaluated(Dropping(lambda payload, scanned=scanned: scanned.append(payload) or payload > 9), seed=seed)
+        grids.append(np.sort(scanned[0]))
     np.testing.assert_array_equal(grids[0], grids[1])
     assert np.all(grids[0][1:-1] != grids[2][1:-1])
     assert grids[2][0] == 0
@@ -151,9 +151,9 @@ def test_seed_moves_the_payloads_of_the_scan():
 def test_rows_have_a_secret_order():
     orders = []
     for _ in range(2):
-        seen = []
-        evaluated(Dropping(lambda payload, seen=seen: seen.append(payload.copy()) or payload > 9))
-        orders.append(seen[0])
+        scanned = []
+        evaluated(Dropping(lambda payload, scanned=scanned: scanned.append(payload.copy()) or payload > 9))
+        orders.append(scanned[0])
     assert np.any(orders[0] != orders[1])
     np.testing.assert_array_equal(*np.sort(orders))
 

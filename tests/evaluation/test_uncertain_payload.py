@@ -28,7 +28,7 @@ GRAVITY = 9.81
 
 def draw_seeds(seed, draws):
     """The seeds of the draws, as documented: from the evaluation's seed alone."""
-    return [int(one) >> 11 for one in np.random.SeedSequence(seed).generate_state(draws, np.uint64)]
+    return [int(word) >> 11 for word in np.random.SeedSequence(seed).generate_state(draws, np.uint64)]
 
 
 def spread(**parameters):
@@ -80,12 +80,12 @@ def nominal_capacity():
 def truths(uncertainty, seed, draws):
     """The true parameters of each draw, as the single environment draws them."""
     env = gym.make(SPATIAL_ID, uncertainty=uncertainty)
-    found = []
-    for one in draw_seeds(seed, draws):
-        env.reset(seed=one)
-        found.append(env.unwrapped.truth)
+    parameters = []
+    for draw_seed in draw_seeds(seed, draws):
+        env.reset(seed=draw_seed)
+        parameters.append(env.unwrapped.truth)
     env.close()
-    return found
+    return parameters
 
 
 def order_statistic(capacities, required):
@@ -126,7 +126,7 @@ def test_fresh_draws_carry_the_payload_with_the_required_probability():
         keywords=motion,
     )
     assert not {*fresh.seeds} & {*result.draw_seeds}
-    carried = np.mean([one.carried for one in fresh.run([(result.payload, seed) for seed in fresh.seeds])])
+    carried = np.mean([episode.carried for episode in fresh.run([(result.payload, seed) for seed in fresh.seeds])])
     assert 0.95 <= carried <= 0.99
     assert "(95/95 lower tolerance bound, 512 draws)" in str(result)
 
@@ -139,9 +139,9 @@ def test_required_number_agrees_with_scipys_exact_interval(draws, probability, c
         for carried in range(draws + 1)
     ]
     enough = [carried for carried, low in enumerate(lows) if low >= probability]
-    usual = math.ceil(draws * probability - 1e-9)
+    rounded_up = math.ceil(draws * probability - 1e-9)
     assert required_successes(draws, probability, confidence) == (
-        enough[0] if enough else usual,
+        enough[0] if enough else rounded_up,
         bool(enough),
     )
     assert bool(enough) == (draws >= fewest_draws(probability, confidence))
@@ -197,13 +197,13 @@ def searched():
 def verdicts(payload):
     """Verdicts of the six draws, each in its own single environment."""
     policy = FeedbackLinearization(SPATIAL)
-    found = []
+    verdicts_of_draws = []
     keywords = {"trajectory": SHORT, "uncertainty": UNKNOWN, "error_bounds": {"position": BOUND}}
     for seed in draw_seeds(5, 6):
         env = DLCCMonitor(gym.make(SPATIAL_ID, payload=payload, **keywords))
-        found.append(play(env, policy, {"noise_seed": noise_seed(seed, payload)}, seed))
+        verdicts_of_draws.append(play(env, policy, {"noise_seed": noise_seed(seed, payload)}, seed))
         env.close()
-    return found
+    return verdicts_of_draws
 
 
 def test_draws_agree_with_single_episodes():
@@ -218,17 +218,19 @@ def test_draws_agree_with_single_episodes():
     kinds = [violation.kind for violation in violations]
     assert result.failures == {kind: kinds.count(kind) for kind in kinds}
     assert next(iter(result.failures.values())) == max(result.failures.values())
-    assert result.violation.time == min(one.time for one in violations if one.kind == result.violation.kind)
+    assert result.violation.time == min(
+        failure.time for failure in violations if failure.kind == result.violation.kind
+    )
     payloads = [payload for payload, _ in result.success]
     assert len(payloads) == SCAN_POINTS
     assert payloads == sorted(payloads)
     assert payloads[0] == 0
     assert payloads[-1] == 8
     # The recording is the first draw that carries, and the margins are those of the tightest one.
-    first = next(verdict for verdict in below if verdict.carried)
+    recorded = next(verdict for verdict in below if verdict.carried)
     action = result.rollout.arrays["commanded_action"]
     assert len(action) == 125
-    assert np.abs(action).max() == pytest.approx(max(first.peak_action), abs=1e-9)
+    assert np.abs(action).max() == pytest.approx(max(recorded.peak_action), abs=1e-9)
     tight = [verdict for verdict in below if verdict.carried]
     assert result.margins["position"] == pytest.approx(1 - max(v.position_peak for v in tight) / BOUND, abs=1e-9)
     assert result.margins["rotation"] == pytest.approx(1 - max(v.rotation_peak for v in tight) / 0.01, abs=1e-9)
@@ -271,7 +273,7 @@ def test_limiting_violation_is_the_earliest_of_the_most_frequent_kind():
         ("position", 0.5),
         ("rotation", 0.2),
     ]
-    trial = Trial(payload=1.0, verdicts=tuple(verdict(*one) for one in failed), seeds=tuple(range(6)))
+    trial = Trial(payload=1.0, verdicts=tuple(verdict(*arguments) for arguments in failed), seeds=tuple(range(6)))
     assert trial.carried == 1
     assert next(iter(trial.failures.items())) == ("position", 3)
     assert trial.failures == {"position": 3, "slack": 1, "rotation": 1}
@@ -304,27 +306,27 @@ def test_payloads_share_the_parameters_of_a_draw_and_have_their_own_noise():
     }
     batch = Batch("fl", SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, keywords={"trajectory": HANG})
     assert batch.seeds == draw_seeds(11, 3)
-    seen = [Starts(), Starts()]
-    for starts in seen:
+    observers = [Starts(), Starts()]
+    for starts in observers:
         batch.run([(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds], observer=starts)
-    one, again = seen
-    np.testing.assert_array_equal(one.mass[:3], one.mass[3:])
-    assert len({*one.mass.tolist()}) == 3
-    assert len({*one.pose[:, 0].tolist()}) == 6
-    np.testing.assert_array_equal(again.pose, one.pose)
+    observer, repeated = observers
+    np.testing.assert_array_equal(observer.mass[:3], observer.mass[3:])
+    assert len({*observer.mass.tolist()}) == 3
+    assert len({*observer.pose[:, 0].tolist()}) == 6
+    np.testing.assert_array_equal(repeated.pose, observer.pose)
     env = gym.make(SPATIAL_ID, trajectory=HANG, uncertainty=uncertainty, payload=1.0)
     noise = noise_seed(batch.seeds[2], 1.0)
     observation, _ = env.reset(seed=batch.seeds[2], options={"noise_seed": noise})
-    np.testing.assert_array_equal(observation[observation_layout(SPATIAL).slices()["pose"]], one.pose[5])
+    np.testing.assert_array_equal(observation[observation_layout(SPATIAL).slices()["pose"]], observer.pose[5])
 
 
 def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
-    usual = searched()
+    default = searched()
     monkeypatch.setattr(batch_module, "BATCH", 100)
     searched.cache_clear()
     bounded = searched()
-    assert bounded.to_json() == usual.to_json()
-    for name, array in usual.rollout.arrays.items():
+    assert bounded.to_json() == default.to_json()
+    for name, array in default.rollout.arrays.items():
         assert array.tobytes() == bounded.rollout.arrays[name].tobytes()
 
 
@@ -349,15 +351,15 @@ def test_default_number_of_draws_depends_on_randomness(monkeypatch):
 
 
 def test_progress_is_monotonic_and_complete():
-    seen = []
+    steps = []
     keywords = {"draws": 12, "probability": 0.6, "confidence": 0.9, "resolution": 1e-4}
     pulled(
         spread(platform_mass=0.1),
-        progress=lambda done, expected: seen.append((done, expected)),
+        progress=lambda done, expected: steps.append((done, expected)),
         **keywords,
     )
-    done = [step for step, _ in seen]
-    fractions = [step / expected for step, expected in seen]
+    done = [step for step, _ in steps]
+    fractions = [step / expected for step, expected in steps]
     assert done == sorted(done)
     assert fractions == sorted(fractions)
     assert done[0] == 1

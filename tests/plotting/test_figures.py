@@ -95,7 +95,7 @@ def test_each_motor_has_its_torques_and_limits(result):
 def test_mark_is_at_the_least_torque_margin(result):
     arrays = result.rollout.arrays
     axes = panels(figures.draw_torques(result))
-    ((motor, dot),) = [(motor, dot) for motor, one in enumerate(axes) for dot in one.get_lines()[4:]]
+    ((motor, dot),) = [(motor, dot) for motor, panel in enumerate(axes) for dot in panel.get_lines()[4:]]
     margins = 1 - np.abs(arrays["commanded_action"])
     step = int(np.argmin(margins.min(axis=1)))
     assert motor == int(np.argmin(margins[step]))

@@ -64,24 +64,24 @@ def changed(kind, **changes):
     """Bounding box (left, top, right, bottom) of the pixels that differ from the calm picture, as fractions."""
     painter = painter_of(kind)
     calm = painter.array(moment_of(kind))
-    other = painter.array(moment_of(kind, **changes))
-    rows, columns = np.nonzero(np.any(calm != other, axis=-1))
+    picture = painter.array(moment_of(kind, **changes))
+    rows, columns = np.nonzero(np.any(calm != picture, axis=-1))
     assert len(rows)
     return columns.min() / 640, rows.min() / 480, columns.max() / 640, rows.max() / 480
 
 
 def test_picture_depends_on_its_moment_only(kind):
     painter = painter_of(kind)
-    first = painter.array(moment_of(kind))
+    picture = painter.array(moment_of(kind))
     painter.array(
         moment_of(kind, position_error=1.0, slack=np.ones(ROBOTS[kind].cables, np.bool_)),
         note="ended",
     )
-    assert np.array_equal(painter.array(moment_of(kind)), first)
-    assert np.array_equal(painter_of(kind).array(moment_of(kind)), first)
+    assert np.array_equal(painter.array(moment_of(kind)), picture)
+    assert np.array_equal(painter_of(kind).array(moment_of(kind)), picture)
     lost = moment_of(kind, pose=np.full(ROBOTS[kind].coordinates, np.nan), position_error=1e6)
     assert painter.array(lost).shape == (480, 640, 3)
-    assert first.dtype == np.uint8
+    assert picture.dtype == np.uint8
 
 
 def test_saturated_motor_is_marked(kind):
@@ -89,11 +89,11 @@ def test_saturated_motor_is_marked(kind):
     for motor in range(ROBOTS[kind].cables):
         action = np.full(ROBOTS[kind].cables, 0.3)
         action[motor] = -1.2
-        left, top, right, bottom = changed(kind, commanded_action=action)
-        assert left > 0.7
-        assert right - left < 0.04
+        left_edge, top, right, bottom = changed(kind, commanded_action=action)
+        assert left_edge > 0.7
+        assert right - left_edge < 0.04
         assert 0.09 < top < bottom < 0.76
-        places.append(left)
+        places.append(left_edge)
     assert places == sorted(places)
 
 
@@ -125,10 +125,10 @@ def test_gauge_is_red_beyond_its_bound(name, rows):
 def test_slack_cable_is_marked(kind):
     robot = ROBOTS[kind]
     slack = np.arange(robot.cables) == 0
-    left, top, right, bottom = changed(kind, slack=slack)
+    left_edge, top, right, bottom = changed(kind, slack=slack)
     painter = painter_of(kind)
     base = painter._camera.project(painter._base)[0] / (2 * np.array([640, 480]))
-    assert left - 0.05 < base[0] < right + 0.05
+    assert left_edge - 0.05 < base[0] < right + 0.05
     assert top - 0.05 < base[1] < bottom + 0.05
     assert right < 0.72
 

@@ -53,7 +53,7 @@ def episodes():
     return dict(
         zip(
             ("known", "loop", "unknown", "drawn"),
-            replays([(one, 4.0) for one in cells]),
+            replays([(queried, 4.0) for queried in cells]),
             strict=True,
         )
     )
@@ -146,16 +146,16 @@ def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch
     cells = [cell(PLANAR, trajectory=still), cell(PLANAR, trajectory=still, payload_known=False)]
     assert batch_key(cells[0]) == batch_key(cells[1])
     wrong = cell(PLANAR, "nobody", trajectory=still)
-    queries = {str(index): (one, 1.0) for index, one in enumerate([*cells, wrong])}
-    first = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
-    assert first["2"].startswith("No episode: unknown policy 'nobody'")
+    queries = {str(index): (queried, 1.0) for index, queried in enumerate([*cells, wrong])}
+    recorded = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
+    assert recorded["2"].startswith("No episode: unknown policy 'nobody'")
     assert len(list(tmp_path.iterdir())) == 2
     broken = min(tmp_path.iterdir())
     broken.write_text("{", encoding="utf-8")
-    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == first
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == recorded
     monkeypatch.setattr("cablebot_gym.report.recording.replays", None)
     del queries["2"]
-    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {key: first[key] for key in queries}
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {key: recorded[key] for key in queries}
 
 
 def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
@@ -168,6 +168,6 @@ def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
         "good": (cell(PLANAR, "fragile:make", trajectory=still), 1.0),
         "bad": (cell(PLANAR, "fragile:make", trajectory=still, uncertainty="nothing"), 1.0),
     }
-    found = dict(record_all(queries, tmp_path / "episodes", workers=1, say=pytest.fail))
-    assert found["bad"].startswith("No episode: unknown uncertainty 'nothing'")
-    assert found["good"][0].frames == 11
+    recorded = dict(record_all(queries, tmp_path / "episodes", workers=1, say=pytest.fail))
+    assert recorded["bad"].startswith("No episode: unknown uncertainty 'nothing'")
+    assert recorded["good"][0].frames == 11

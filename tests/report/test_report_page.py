@@ -28,8 +28,8 @@ def best(motion, payload, **more):
 
 def carried(cell, payload, **more):
     violation = {"kind": "position", "index": None, "time": 0.532, "excess": 1e-6, "reason": ""}
-    usual = {"applicable": True, "violation": violation, "failures": {}, "fallbacks": None}
-    return record(cell, payload=payload, feasible=[[0.0, payload]], **(usual | more))
+    defaults = {"applicable": True, "violation": violation, "failures": {}, "fallbacks": None}
+    return record(cell, payload=payload, feasible=[[0.0, payload]], **(defaults | more))
 
 
 def policy(name="fl", **more):
@@ -110,8 +110,8 @@ def written(tmp_path_factory):
     """A page with episodes of true payloads."""
     folder = tmp_path_factory.mktemp("page")
     known = [compute(cell) for cell in (BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), policy(), policy("adaptive"))]
-    others = [one for one in RECORDS[1:] if one.cell not in (policy(), policy("adaptive"))]
-    text = replace(RESULTS, records=[*known, *others]).to_json()
+    made_up = [stored for stored in RECORDS[1:] if stored.cell not in (policy(), policy("adaptive"))]
+    text = replace(RESULTS, records=[*known, *made_up]).to_json()
     (folder / "results.json").write_text(text, encoding="utf-8")
     report([folder], out=folder / "report.html", workers=1)
     return folder / "report.html"
@@ -133,7 +133,7 @@ def opened(browser, request):
         )
         page.on("pageerror", lambda error: complaints.append(str(error)))
         local = ("file:", "data:", "blob:")
-        page.on("request", lambda asked: asked.url.startswith(local) or complaints.append(asked.url))
+        page.on("request", lambda requested: requested.url.startswith(local) or complaints.append(requested.url))
         page.goto(file.as_uri() + at)
         page.wait_for_function("document.getElementById('replay').frames || document.getElementById('replay').hidden")
         return page

@@ -95,7 +95,7 @@ def test_search_finds_the_words_of_users(opened, word):
     page.wait_for_selector("#search-results .search-summary:not(:empty)")
     page.wait_for_selector("#search-results li a")
     results = page.eval_on_selector_all("#search-results li > a", "all => all.map(one => one.getAttribute('href'))")
-    assert any(found.split(".html")[0].endswith(FOUND[word]) for found in results[:FIRST]), results[:FIRST]
+    assert any(address.split(".html")[0].endswith(FOUND[word]) for address in results[:FIRST]), results[:FIRST]
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -114,7 +114,7 @@ def test_code_fits_on_a_laptop(opened, page):
 def test_figures_follow_the_theme(opened, page):
     filters = "all => [...new Set(all.map(one => getComputedStyle(one).filter))]"
     light, dark = (
-        opened(f"{page}.html", scheme=one).eval_on_selector_all("article img", filters) for one in ("light", "dark")
+        opened(f"{page}.html", scheme=theme).eval_on_selector_all("article img", filters) for theme in ("light", "dark")
     )
     assert light == ["none"]
     assert dark == ["invert(0.92) hue-rotate(180deg)"]

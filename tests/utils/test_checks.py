@@ -28,11 +28,11 @@ class Point:
 def test_valid_values_are_returned_in_one_type():
     assert repr(number("x", np.int64(3), least=3, most=3)) == "3.0"
     assert repr(whole("x", np.int64(3), least=3, most=3)) == "3"
-    given = np.array([1, 2])
-    found = numbers("x", given, shapes=[(2,)], above=0, below=3)
-    assert found.dtype == float
-    found[0] = 9  # a new array
-    assert given.tolist() == [1, 2]
+    array = np.array([1, 2])
+    checked = numbers("x", array, shapes=[(2,)], above=0, below=3)
+    assert checked.dtype == float
+    checked[0] = 9  # a new array
+    assert array.tolist() == [1, 2]
     assert mapping("x", {"a": 1}, ["a", "b"]) == {"a": 1}
     assert choice("robot", "b", ["a", "b"]) == "b"
     point = Point(x=1.0)

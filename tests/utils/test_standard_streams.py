@@ -157,12 +157,12 @@ def test_full_pipe_that_does_not_block_gets_everything(monkeypatch):
 
 
 def test_results_of_a_full_disk_go_to_the_other_stream():
-    other = io.BytesIO()
-    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), other)
+    fallback = io.BytesIO()
+    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), fallback)
     with io.BufferedWriter(output) as stream:
         stream.write(b"1.911 kg")
         stream.flush()
-        assert other.getvalue() == b"1 kg"
+        assert fallback.getvalue() == b"1 kg"
         assert output.problem == "No space left on device"
 
 

@@ -34,18 +34,18 @@ def lost():
 def test_note_states_the_verdict_from_its_time_on(carried, lost):
     assert [note(carried[1], index) for index in (0, 799, 800)] == ["", "", "carried"]
     rollout = lost[1]
-    first = next(index for index in range(len(rollout)) if note(rollout, index))
+    index_of_note = next(index for index in range(len(rollout)) if note(rollout, index))
     violation = rollout.verdict.violation
-    assert rollout.moment(first).time == pytest.approx(violation.time)
-    assert note(rollout, first) == note(rollout, len(rollout) - 1) == f"not carried: {violation}"
+    assert rollout.moment(index_of_note).time == pytest.approx(violation.time)
+    assert note(rollout, index_of_note) == note(rollout, len(rollout) - 1) == f"not carried: {violation}"
 
 
 def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
-    alone = [VideoPainter([one], SMALL).array(0.8) for one in (carried, lost)]
-    both = VideoPainter([carried, lost], SMALL)
-    assert both.size == (640, 240)
-    assert both.duration == pytest.approx(1.6)
-    assert np.array_equal(both.array(0.8), np.concatenate(alone, axis=1))
+    alone = [VideoPainter([episode], SMALL).array(0.8) for episode in (carried, lost)]
+    side_by_side = VideoPainter([carried, lost], SMALL)
+    assert side_by_side.size == (640, 240)
+    assert side_by_side.duration == pytest.approx(1.6)
+    assert np.array_equal(side_by_side.array(0.8), np.concatenate(alone, axis=1))
     painter = VideoPainter([carried], SMALL)
     assert np.array_equal(painter.array(0.8), painter.array(0.8019)), "the last moment that is not later"
     assert not np.array_equal(painter.array(0.8), painter.array(0.802))
@@ -83,7 +83,7 @@ def test_file_contains_every_picture(tmp_path, lost, suffix, rate):
         with Image.open(path) as image:  # equal pictures are stored as one with a longer duration
             assert image.size == (640, 240)
             assert image.info["loop"] == 0
-            read = [(one.info["duration"], np.asarray(one.convert("RGB"))) for one in Iterator(image)]
+            read = [(frame.info["duration"], np.asarray(frame.convert("RGB"))) for frame in Iterator(image)]
         assert sum(duration for duration, _ in read) == pytest.approx(1000 * count / rate)
         read = [picture for _, picture in read]
     assert np.mean(np.abs(read[-1].astype(int) - painter.array(9.0))) < 4  # both formats are lossy
