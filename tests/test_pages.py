@@ -57,7 +57,7 @@ def test_block_is_that_of_code_and_results(page, name):
     assert numbers[0] == pytest.approx(numbers[1], abs=0.011), AGAIN  # machines round differently
 
 
-def test_laws_behind_the_homed_filter_keep_their_payload_as_the_page_says():
+def test_laws_behind_the_homed_filter_keep_their_payload():
     least = float(re.search(r"every law keeps at least (\d+) %", " ".join(read("docs/measurement.md").split()))[1])
     cases = json.loads((page_blocks.measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))["cases"]
     nominal = [case for case in cases if not case["disturbance"]]

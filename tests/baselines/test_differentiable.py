@@ -38,7 +38,7 @@ def masses(robot: Robot) -> np.ndarray:
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
-def test_tensions_and_actions_equal_the_compiled_inverse_dynamics(robot: Robot):
+def test_actuation_equals_the_compiled_inverse_dynamics(robot: Robot):
     x = motion(robot)
     mass = masses(robot)
     expected = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
@@ -49,7 +49,7 @@ def test_tensions_and_actions_equal_the_compiled_inverse_dynamics(robot: Robot):
 
 
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
-def test_actions_with_springs_equal_difference_quotients_of_the_motor_angle(robot: Robot):
+def test_actions_with_springs_equal_difference_quotients(robot: Robot):
     reference = find_trajectory("loop-planar" if robot.planar else "loop-spatial", robot.coordinates)
     times = np.linspace(0.2, reference.duration - 0.2, COUNT)
     step = 1e-3

@@ -60,7 +60,7 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
 
 
 @pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0"])
-def test_filter_is_consistent_and_better_than_differences_of_forward_kinematics(env_id):
+def test_filter_is_better_than_forward_kinematics(env_id):
     robot = find_robot(env_robot(env_id))
     noise = {"measurement": ENCODERS, "uncertainty": WHITE}
     errors, squares = run(env_id, ExtendedKalmanFilter(robot), **noise)
@@ -82,7 +82,7 @@ def test_filter_finds_the_pose_behind_the_springs():
 
 
 @pytest.mark.parametrize(("env_id", "law"), [("CableBot-Planar-v0", "fl"), ("CableBot-FlexPlanar-v0", "motor-pd")])
-def test_homing_removes_the_zero_errors_of_motor_angles_and_load_cells(env_id, law):
+def test_homing_removes_zero_errors_of_sensors(env_id, law):
     errors, _ = run(
         env_id,
         ExtendedKalmanFilter(find_robot(env_robot(env_id)), homing=True),
@@ -93,7 +93,7 @@ def test_homing_removes_the_zero_errors_of_motor_angles_and_load_cells(env_id, l
     assert np.abs(errors[..., :2]).max() < 2e-4
 
 
-def test_law_behind_the_filter_with_exact_sensors_carries_its_payload():
+def test_law_behind_the_filter_keeps_its_payload():
     """The tolerance is 1 % of the payload."""
     options = {"search": "bisection", "payload_max": 4.0}
     full = evaluate_dlcc("fl", "CableBot-Planar-v0", **options)
@@ -137,7 +137,7 @@ def test_calibration_recovers_offsets_from_redundant_cables():
 
 
 @pytest.mark.parametrize("sensor", ["tensions", "orientation"])
-def test_calibration_of_six_cables_needs_and_uses_a_further_sensor(sensor):
+def test_calibration_of_six_cables_needs_another_sensor(sensor):
     poses, offset = readings(SPATIAL, 10)
     angles = textbook.pulley_angle(SPATIAL, poses) + offset
     zero = np.zeros_like(poses)

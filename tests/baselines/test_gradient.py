@@ -113,7 +113,7 @@ def test_training_motion_equals_the_reference_that_the_law_gets(env_id, law, act
     assert np.abs(trained[:, :, 0] - training._motions.reference[0, :, :, 0].numpy()).max() > 1e-4
 
 
-def test_violations_equal_the_inverse_dynamics_with_and_without_payload():
+def test_violations_equal_the_inverse_dynamics():
     """Excludes demands of another mass, or a limit on one side only."""
     training = made(SPATIAL, Shift(action_period=0.04, degree=3), action_limit=0.5, tension=20.0)
     motion = training.motion().detach().numpy()[training._motions.inside.numpy()]
@@ -166,7 +166,7 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
     assert carried[20.0, 3.0] > 1.2 * carried[()]
 
 
-def test_motion_that_falls_faster_than_gravity_is_a_violation_of_hanging_cables():
+def test_falling_faster_than_gravity_is_a_violation():
     """The distribution of tensions gives an answer for such a load too, with tensions below the minimum."""
     training = made("CableBot-Point-v0", Shift(action_period=0.02, fraction=0.985, degree=3), spread=3.0)
     falling = training.motion()[training._motions.inside][:, 2, 2] > 9.81
@@ -176,7 +176,7 @@ def test_motion_that_falls_faster_than_gravity_is_a_violation_of_hanging_cables(
 
 
 @pytest.mark.slow
-def test_model_of_rigid_cables_continues_the_search_of_an_elastic_robot():
+def test_model_of_rigid_cables_continues_the_search():
     """With stretch, a kink of redundant tensions is a jump of the action, at which the search stops."""
     carried = []
     for stretch in (True, False):
@@ -311,7 +311,7 @@ def test_shipped_configurations_use_training_motions_only(name):
 
 
 @pytest.mark.parametrize("name", ["turning", "crane"])
-def test_gradient_of_redundant_cables_is_that_of_the_distribution(name):
+def test_gradient_of_redundant_cables_is_exact(name):
     """The tensions are solved for with the active constraints of the compiled solution."""
     robot = PLATFORMS[name]
     random = np.random.default_rng(3)

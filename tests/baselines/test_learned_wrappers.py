@@ -111,7 +111,7 @@ def test_single_form_passes_the_checkers_of_gymnasium_and_sb3():
 
 
 @each_case
-def test_each_row_of_a_batch_equals_the_single_environment_bit_for_bit(case):
+def test_row_of_a_batch_equals_the_single_environment(case):
     """Over several episodes, with masked resets and ends within an action."""
     count = 5
     seed = 3
@@ -140,7 +140,7 @@ def test_each_row_of_a_batch_equals_the_single_environment_bit_for_bit(case):
     assert any(reason and offset for reason, offset in ends)  # a failure, within an action
 
 
-def test_result_of_an_ended_episode_is_that_of_its_last_control_period(monkeypatch):
+def test_ended_episode_has_the_result_of_its_last_period(monkeypatch):
     """The plant of an ended environment moves on until the action of the others ends; the law is not evaluated there.
 
     The reward is the sum up to the end.
@@ -196,7 +196,7 @@ def test_payloads_follow_the_power_law():
     np.testing.assert_allclose(draws[:, 2], 3.0 * (draws[:, 0] / 3.0) ** 0.6, rtol=1e-12)
 
 
-def test_given_payload_and_rejected_resets_leave_the_draws_unchanged():
+def test_rejected_resets_leave_the_draws_unchanged():
     env, twin = (PayloadCurriculum(gym.make(PLANAR_ID), heaviest=2.0) for _ in range(2))
     assert env.reset(seed=0, options={"payload": 0.25})[1]["payload"] == 0.25
     twin.reset(seed=0)
@@ -216,23 +216,23 @@ class Ended(gym.Wrapper[Any, Any, Any, Any]):
         return observation, reward, False, True, info | {"violated": not self.succeeds}
 
 
-def test_ceiling_follows_the_share_of_successes_with_heavy_payloads():
+def test_ceiling_follows_the_success_with_heavy_payloads():
     """Light payloads, given payloads, abandoned episodes and steps after the end do not count."""
     ended = Ended(gym.make(PLANAR_ID))
     env = PayloadCurriculum(ended, heaviest=2.0, start=1.0, step=0.25, success=0.75, window=4, setback=0.5)
     env.reset(seed=0)
 
-    def play(succeeds, heavy, *, given=False):
+    def play(succeeds, heavy, *, is_given=False):
         ended.succeeds = succeeds
-        payload = env.reset(options={"payload": env.ceiling} if given else None)[1]["payload"]
-        while not given and (payload >= 2 / 3 * env.ceiling) is not heavy:
+        payload = env.reset(options={"payload": env.ceiling} if is_given else None)[1]["payload"]
+        while not is_given and (payload >= 2 / 3 * env.ceiling) is not heavy:
             payload = env.reset()[1]["payload"]
         assert env.step(np.full(3, 0.2))[4]["is_success"] is succeeds
         env.step(np.full(3, 0.2))
         return env.ceiling
 
     for _ in range(8):
-        assert play(True, False) == play(True, True, given=True) == 1.0
+        assert play(True, False) == play(True, True, is_given=True) == 1.0
     assert [play(succeeds, True) for succeeds in (True, True, False, False, True, True)] == [1.0] * 6
     assert play(True, True) == 1.5  # three of the last four
     assert [play(True, True) for _ in range(4)] == [1.5, 1.5, 1.5, 2.0]
@@ -260,7 +260,7 @@ class SinglePrecision(Network):
 
 
 @each_case
-def test_policy_on_the_plain_environment_repeats_the_training_bit_for_bit(case):
+def test_policy_on_the_plain_environment_repeats_training(case):
     env = single(case)
     steering = env.steering
     env_id = CASES[case]["env_id"]
@@ -288,7 +288,7 @@ def test_policy_on_the_plain_environment_repeats_the_training_bit_for_bit(case):
             np.testing.assert_array_equal(info[name], plain_info[name], err_msg=name)
 
 
-def test_action_period_and_shift_follow_the_control_frequency_and_the_error_bounds():
+def test_action_period_follows_the_control_frequency():
     dwell = {"name": "dwell-planar", "duration": 5.0}
     keywords = {"control_frequency": 100.0, "error_bounds": {"position": 0.02}, "trajectory": dwell}
     env = Steered(gym.make(PLANAR_ID, **keywords), **CASES["shift"]["steered"])

@@ -58,7 +58,7 @@ def vector(env_id, count, **keywords):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("env_id", "payload"), [(PLANAR_ID, 2.7), (SPATIAL_ID, 6.4)])
-def test_payload_far_beyond_adaptive_is_carried_known_and_unknown(policies, env_id, payload):
+def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
     """``adaptive`` has a DLCC of 1.9 kg and 5.0 kg."""
     env = vector(env_id, 3, payload=np.array([0.0, payload, payload]), payload_known=[False, True, False])
     is_within, _, actions, _ = rollout(policies[env_id], env)
@@ -99,7 +99,7 @@ def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
         observation, *_ = env.step(action)
 
 
-def test_new_episode_starts_without_a_plan_and_state_is_not_modified(policies):
+def test_new_episode_starts_without_a_plan(policies):
     """An environment that starts acts like a new policy, and does not disturb the other one."""
     policy = policies[PLANAR_ID]
     env = vector(PLANAR_ID, 2, payload=2.0)
@@ -229,7 +229,7 @@ def failing(monkeypatch):
     return make
 
 
-def test_policy_without_plans_tracks_the_reference_and_warns_once(failing, caplog):
+def test_policy_without_plans_tracks_the_reference(failing, caplog):
     policy = failing(0)
     with caplog.at_level(logging.WARNING, logger="cablebot_gym"):
         is_within, *_ = rollout(policy, vector(PLANAR_ID, 2, payload=1.0))
@@ -260,7 +260,7 @@ def test_exception_of_casadi_is_a_fallback(monkeypatch):
     assert policy.fallbacks == 4
 
 
-def test_platform_far_from_the_reference_is_one_fallback_per_episode(monkeypatch):
+def test_platform_far_away_is_one_fallback_per_episode(monkeypatch):
     policy = NMPC.factory(PLANAR)
     env = vector(PLANAR_ID, 1)
     monkeypatch.setattr(policy.program, "plan", lambda *_, **__: pytest.fail("planned"))

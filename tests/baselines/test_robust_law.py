@@ -118,7 +118,7 @@ def test_error_decreases_with_the_boundary_layer(layer, reduction, plain_error):
         (RobustComposite, Composite(FLEX_SPATIAL), FLEX_ID),
     ],
 )
-def test_parameters_take_effect_and_an_infinite_layer_removes_the_term(law, plain, env_id):
+def test_parameters_of_the_robust_term_take_effect(law, plain, env_id):
     observation, _ = gym.make_vec(env_id, num_envs=3, initial_error=np.full(6, 1e-4)).reset(seed=0)
 
     def action(**parameters):

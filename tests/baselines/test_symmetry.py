@@ -29,7 +29,7 @@ def training(**settings):
 
 
 @pytest.mark.parametrize("robot", [PLANAR, FLEX_PLANAR], ids=lambda robot: robot.name)
-def test_transformed_motion_needs_the_same_actions_of_permuted_motors(robot):
+def test_transformed_motion_permutes_the_motors(robot):
     transforms = symmetries(robot)
     assert sorted(np.linalg.det(transforms).round(9)) == [-1, -1, -1, 1, 1, 1]
     motion = find_trajectory(LOOP, 2)(np.linspace(0.1, 1.0, 20))

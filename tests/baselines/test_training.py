@@ -354,7 +354,7 @@ def test_damaged_checkpoint_is_rejected_before_anything_changes(copied):
     assert digests(copied) == before
 
 
-def test_existing_run_changes_only_if_it_is_resumed_with_its_settings(trained, tmp_path):
+def test_run_is_resumed_only_with_its_settings(trained, tmp_path):
     before = digests(trained)
     with pytest.raises(ValueError, match="already contains a run: add --resume"):
         run(trained)

@@ -70,7 +70,7 @@ def check_same_run(env, twin, actions):
 
 
 @pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
-def test_transitions_and_infos_equal_those_of_dummy_vec_env_bit_for_bit(env_id):
+def test_transitions_equal_those_of_dummy_vec_env(env_id):
     env = ours(env_id, info_keys=None)
     twin = dummy(env_id)
     assert env.observation_space == twin.observation_space
@@ -122,7 +122,7 @@ def test_results_may_be_overwritten_by_the_caller():
             value[:] = 1
 
 
-def test_options_apply_to_one_episode_and_leave_the_draws_unchanged():
+def test_options_apply_to_one_episode():
     env = ours(info_keys=None)
     twin = dummy()
     for vec_env in (env, twin):

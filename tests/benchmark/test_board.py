@@ -42,7 +42,7 @@ def hidden(motions):
     )
 
 
-def test_secret_has_a_file_of_its_own_and_the_commitment_binds_everything(tmp_path, policy):
+def test_commitment_binds_every_field_and_hides_the_secret(tmp_path, policy):
     name = policy("def make(robot): ...\n")
     board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
     public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")
@@ -84,7 +84,7 @@ def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, m
         boards.commit(tmp_path / "other", "1", {PLANAR: ["toy_flat:make"]}, 20)
 
 
-def test_hidden_motions_are_held_out_and_depend_on_secret_and_environment(tmp_path):
+def test_hidden_motions_depend_on_secret_and_environment(tmp_path):
     board = boards.commit(tmp_path, "1", {}, 20)
     seeds = board.seeds(PLANAR, 20)
     assert len({*seeds, *board.seeds(SPATIAL, 20)}) == 40
@@ -109,7 +109,7 @@ def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
         boards.run_seed(tmp_path)
 
 
-def test_results_with_other_policies_or_motions_than_those_of_the_board_are_rejected(tmp_path, monkeypatch):
+def test_results_of_other_motions_than_the_board_are_rejected(tmp_path, monkeypatch):
     board = boards.commit(tmp_path, "1", {PLANAR: ["fl"]}, 3)
     suite = hidden(3)
     records = [record(cell) for cell in suite_cells(suite, {PLANAR: ("fl",)}, board=board).values()]

@@ -73,7 +73,7 @@ def test_every_field_changes_the_key_and_survives_json():
 
 
 @pytest.mark.slow
-def test_best_known_total_mass_of_a_planar_robot_does_not_depend_on_its_own_mass():
+def test_best_known_total_mass_is_that_of_a_heavier_robot():
     heavier = dataclasses.replace(BEST, robot_changes={"mass": 1.5})
     results = [compute(cell).result for cell in (BEST, heavier)]
     assert results[0]["total_mass"] == pytest.approx(results[1]["total_mass"], rel=1e-4)
@@ -175,7 +175,7 @@ def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
 
 
 @pytest.mark.slow
-def test_verification_refuses_a_payload_that_needs_other_episodes(module):
+def test_verification_refuses_a_need_for_other_episodes(module):
     module("toy_alone.py", SLEEPS.replace("time.sleep(0.003)", "return np.zeros((1, 3)), state"))
     cell = changed(policy="toy_alone:make", uncertainty="sensors", draws=60)
     with pytest.raises(PolicyError, match="in 0 of 12 draws alone, in 60 of 60 together"):
@@ -344,7 +344,7 @@ def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
     assert len(set(hashes)) == 4
 
 
-def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, monkeypatch):
+def test_hash_of_an_installed_policy_has_its_files(module, monkeypatch):
     for name, text in (
         ("__init__.py", ""),
         ("law.py", "K = 1\n"),
@@ -362,7 +362,7 @@ def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, 
     assert hashes[0] == hashes[1] != hashes[2]
 
 
-def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(module):
+def test_hash_of_a_module_has_imports_of_its_folder(module):
     module(
         "toy_flat.py",
         "import numpy\nimport toy_helper\nfrom toy_helpers.deep import K\ndef make(robot): ...\n",
@@ -373,7 +373,7 @@ def test_hash_of_a_module_without_package_has_its_imports_from_the_same_folder(m
     assert len(set(hashes)) == 6  # nobody imports the last module
 
 
-def test_hash_of_a_top_level_module_has_the_data_next_to_it_that_its_source_names(module):
+def test_hash_of_a_module_has_the_data_that_it_names(module):
     module("toy_flat.py", "import numpy\nK = numpy.load('weights.npz')\n")
     names = ("weights.npz", "other.npz", "run.log")
     hashes = sources(module, "toy_flat:make", [(name, value) for name in names for value in "12"])

@@ -78,7 +78,7 @@ def reruns(folder, exact, drawn, seed=0):
     return records
 
 
-def test_entry_has_the_files_of_its_policy_and_is_loaded_in_its_own_process_only(entry):
+def test_entry_has_the_files_of_its_policy(entry):
     assert sorted(path.name for path in (entry / "policy").iterdir()) == [
         "gains.txt",
         "toy_gains.py",
@@ -187,7 +187,7 @@ def test_claim_above_the_rerun_with_other_draws_is_refuted(entry):
     assert len(refuted(infinite, reruns(entry, 1.0, 0.5))) == 2
 
 
-def test_entry_is_verified_by_a_rerun_in_a_sandbox_that_carries_its_claims(entry, monkeypatch):
+def test_entry_is_verified_by_a_rerun_in_a_sandbox(entry, monkeypatch):
     monkeypatch.setattr(entries, "sandbox_name", lambda: "bubblewrap 1")
     assert status(entry, reruns(entry, 1.0, 0.5, seed=7)) == "verified"
     assert "1.000 kg claimed" in status(entry, reruns(entry, 0.5, 0.5))
@@ -210,7 +210,7 @@ def test_table_gives_authors_licence_and_status(entry):
     assert "`, unverified" not in markdown(again)
 
 
-def test_policy_of_this_project_and_other_entries_in_the_folder_are_refused(entry):
+def test_policy_of_this_project_is_no_entry(entry):
     with pytest.raises(ValueError, match="belongs to this project"):
         make_entry(entry.parent / "fl", "fl", [ENV_ID], TEXTS)
     with pytest.raises(ValueError, match="has another entry"):

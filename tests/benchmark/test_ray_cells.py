@@ -92,7 +92,7 @@ def test_jobs_use_both_nodes(address, tmp_path):
 
 
 @pytest.mark.slow
-def test_job_of_a_killed_worker_is_repeated_and_a_deadly_one_given_up(address, tmp_path, monkeypatch):
+def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
     jobs = {"killed": partial(killed_at_first, str(tmp_path / "marker")), "deadly": always_killed}
     outcomes = run(address, jobs)

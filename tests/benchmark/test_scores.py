@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -59,7 +58,7 @@ def row(text, policy):
     return [cell.strip() for cell in next(line for line in text.splitlines() if f"`{policy}`" in line).split("|")[2:-1]]
 
 
-def test_score_is_the_fraction_of_the_best_known_payload_of_the_same_motion_and_bounds():
+def test_score_is_the_fraction_of_the_best_known_payload():
     wide = {"position": 0.02, "rotation": 0.01}
     records = [best(2.0), best(8.0, LOOPS[0]), carries("fl", 1.0), carries("fl", 2.0, LOOPS[0])]
     records += [
@@ -71,7 +70,7 @@ def test_score_is_the_fraction_of_the_best_known_payload_of_the_same_motion_and_
     assert [score.best_known for score in scores(records)] == [2.0, 8.0, 2.0, None, 2.0]
 
 
-def test_error_of_a_policy_counts_as_zero_and_a_lost_computation_is_left_out():
+def test_error_of_a_policy_counts_as_zero():
     found_scores = scores([best(2.0), fails("bad"), fails("lost", "no memory", final=False)])
     assert [score.score for score in found_scores] == [0.0, None]
 
@@ -113,7 +112,7 @@ def family(policies, count=RANKED_MOTIONS, env_id=PLANAR):
     return records
 
 
-def test_rank_counts_the_policies_that_are_better_with_confidence_so_that_ties_have_equal_ranks():
+def test_rank_counts_the_policies_better_with_confidence():
     random = np.random.default_rng(0)
     hard = random.uniform(-0.3, 0.3, RANKED_MOTIONS)
     noise = random.normal(0, 0.01, RANKED_MOTIONS)
@@ -152,7 +151,7 @@ def test_motion_counts_only_with_a_best_known_payload():
     assert f"{LOOPS[0]['seed']} counts for no policy on {PLANAR}" in page
 
 
-def test_columns_with_the_most_motions_order_the_rows_and_circle_and_draws_are_columns():
+def test_columns_with_the_most_motions_order_the_rows():
     some = [
         best(2.0),
         carries("a", 1.9),
@@ -187,7 +186,7 @@ def test_error_on_one_motion_counts_as_zero_and_is_named():
     assert text.endswith("worst 0%; errors: 1")
 
 
-def test_interval_of_the_mean_is_that_of_its_normal_approximation():
+def test_interval_of_the_mean_is_nearly_normal():
     values = np.random.default_rng(1).uniform(0.2, 0.8, 40)
     interval = fraction([values])
     error = values.std() / np.sqrt(40)
@@ -198,7 +197,7 @@ def test_interval_of_the_mean_is_that_of_its_normal_approximation():
     assert interval.worst == values.min()
 
 
-def test_stratified_interval_does_not_contain_the_difference_between_environments():
+def test_interval_is_stratified_by_environment():
     easy = np.full(20, 0.9)
     hard = np.full(20, 0.1)
     stratified = fraction([easy, hard])
@@ -224,7 +223,7 @@ def on_axis(name, value, payload, policy="fl"):
     return [record(known, payload=2 * payload, verified=True), record(carried, payload=payload)]
 
 
-def test_map_contains_the_default_cell_and_the_leaderboard_no_other_cell():
+def test_map_contains_the_default_cell():
     records = [*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0), carries("trajopt", 1.9)]
     by_bound, by_bounds, by_duration = payload_maps(
         [*records, *on_axis("bounds", 0.02, 1.75), *on_axis("duration", 2.0, 3.0)]
@@ -288,25 +287,21 @@ def test_page_has_all_results_and_notes():
         assert text in page
 
 
-def test_page_and_terminal_have_the_numbers_of_the_json_file(capsys):
+def test_page_and_terminal_have_the_numbers_of_the_json(capsys):
     results = Results(suite="smoke", command="a command", records=ALL)
     text = results.to_json()
     again = Results.from_json(text)
-    assert again.suite == "smoke"
-    assert again.command == "a command"
-    assert again.board is None
     assert markdown(again) == markdown(results)
     assert again.to_json() == text
-    lost = Results(suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)])
-    assert scores(Results.from_json(lost.to_json()).records)[0].score is None
-    by_policy = {cell["cell"]["policy"]: cell["score"] for cell in json.loads(text)["cells"] if "score" in cell}
-    assert by_policy["limp"] == 0.0
-    assert by_policy["bad"] == 0.0
     print_page(markdown(results))
     printed = capsys.readouterr().out
-    for text in ("2.50, 125%", "fails unloaded, 0%", "CableBot-Planar-v0", "some processor"):
-        assert text in printed
-    assert "Best known payload:" not in printed
+    assert "2.50, 125%" in printed
+    assert "some processor" in printed
+
+
+def test_lost_computation_stays_without_score_in_json():
+    lost = Results(suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)])
+    assert scores(Results.from_json(lost.to_json()).records)[0].score is None
 
 
 def test_page_of_a_board_has_commitment_and_secret():

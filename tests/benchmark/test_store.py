@@ -131,7 +131,7 @@ def test_interrupt_keeps_finished_cells(store):
         (record(source="f" * 16), "different code"),
     ],
 )
-def test_cell_of_a_dead_worker_or_of_other_code_fails_alone_and_is_tried_again(store, tmp_path, outcome, message):
+def test_cell_of_a_dead_worker_is_tried_again(store, tmp_path, outcome, message):
     (bad, good), _ = run(store, {"fl": outcome})
     assert message in bad.error
     assert good.error is None
@@ -148,7 +148,7 @@ def test_longest_cells_start_first(store):
     assert [record.cell for record in records] == [CELL, drawn, best]
 
 
-def test_jobs_with_one_key_run_once_and_chosen_exceptions_are_results():
+def test_jobs_with_one_key_run_once():
     calls = []
     jobs = [Job(key="a", compute=lambda: calls.append(1), kind=0)] * 2 + [Job(key="b", compute=dict().popitem, kind=0)]
     outcomes = dict(run_jobs(jobs, local(1), say=print, returned=(KeyError,)))

@@ -42,7 +42,7 @@ def test_page_follows_from_the_results(results, name):
 
 
 @pytest.mark.parametrize("name", [*PAGES, "library"])
-def test_results_have_the_cells_of_their_suite_and_no_error_but_a_missed_deadline(results, name):
+def test_results_have_the_cells_of_their_suite(results, name):
     stored = results[name]
     suite = find_suite(stored.suite)
     (seed,) = {record.cell.seed for record in stored.records if isinstance(record.cell, PolicyCell)}
@@ -62,7 +62,7 @@ def test_leaderboards_and_maps_leave_out_real_robots(results):
     assert payload_maps(records) == []
 
 
-def test_leaderboard_is_a_board_whose_hidden_motions_follow_from_its_commitment(results):
+def test_leaderboard_follows_from_its_commitment(results):
     leaderboard = results["leaderboard"]
     assert leaderboard.suite == "ranked"
     assert leaderboard.board.motions >= 20
@@ -70,7 +70,7 @@ def test_leaderboard_is_a_board_whose_hidden_motions_follow_from_its_commitment(
 
 
 @pytest.mark.slow
-def test_two_uncertain_payloads_of_the_leaderboard_are_carried_in_fresh_draws(results):
+def test_uncertain_payloads_are_carried_in_fresh_draws(results):
     confirmations = list(confirm(results["leaderboard"].records, local(2), cells=2, draws=256, seed=23, say=print))
     assert [str(confirmation) for confirmation in confirmations if confirmation.success_rate < 0.93] == []
 

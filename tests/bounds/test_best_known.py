@@ -97,7 +97,7 @@ def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
     assert fine.least_tension < coarse.least_tension
 
 
-def test_replay_that_fails_at_a_tenth_of_the_step_is_not_verified(monkeypatch: pytest.MonkeyPatch, line) -> None:
+def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch: pytest.MonkeyPatch, line) -> None:
     case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
     refinements = []
     record = best_known._Case._record
@@ -196,7 +196,7 @@ def test_result_is_reproducible(line) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_unverified_result_says_so_and_a_failed_fine_mesh_is_skipped(
+def test_failed_fine_mesh_is_skipped(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     solve = best_known._solve

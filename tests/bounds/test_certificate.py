@@ -62,7 +62,7 @@ def test_certificate_is_slightly_above_the_best_known_motion() -> None:
 
 
 @pytest.mark.slow
-def test_wider_tube_raises_the_certificate_which_no_policy_exceeds() -> None:
+def test_wider_tube_raises_the_certificate() -> None:
     exact = exact_payload(PLANAR, CIRCLE).total_mass
     masses = [
         exact,
@@ -105,7 +105,7 @@ PULL, SLOPE, INERTIA = (
 """s, k and μ."""
 
 
-def test_multiplier_bounds_the_force_in_every_direction_of_the_tube() -> None:
+def test_multiplier_bounds_the_force_in_the_tube() -> None:
     multiplier = proof()
     rng = np.random.default_rng(0)
     times = rng.uniform(multiplier.start, multiplier.end, 20000)
@@ -197,7 +197,7 @@ def test_invalid_multiplier_proves_nothing(breach: str) -> None:
 
 
 @pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
-def test_bound_of_a_spatial_robot_is_the_payload_that_the_motors_hold_at_the_start_pose(
+def test_spatial_bound_is_the_payload_held_at_the_start(
     robot: Robot,
 ) -> None:
     motion = find_trajectory("circle-spatial", 6)
@@ -213,7 +213,7 @@ def test_bound_of_a_spatial_robot_is_the_payload_that_the_motors_hold_at_the_sta
         assert bool(env.reset(seed=0)[1]["torque_margin"].min() >= 0) is held
 
 
-def test_hold_bounds_nothing_where_it_does_not_depend_on_the_payload_or_the_motion_starts_moving() -> None:
+def test_hold_bounds_nothing_without_weight_or_rest() -> None:
     assert upper_bound(SPATIAL, find_trajectory("paper-spatial", 6)).payload == math.inf
     assert upper_bound(FLEX_PLANAR, find_trajectory("circle-planar", 2)).payload == math.inf
 

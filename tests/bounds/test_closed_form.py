@@ -27,7 +27,7 @@ def with_motors(robot: Robot, **changes: Any) -> Robot:
 # --- by hand ------------------------------------------------------------------------------------------------------
 
 
-def test_static_hang_is_the_vertical_capacity_of_six_cables_with_the_weakest_motor() -> None:
+def test_static_hang_is_limited_by_the_weakest_motor() -> None:
     robot = with_motors(SPATIAL, stall_torque=(10.0, 10.0, 10.0, 3.0, 10.0, 10.0))
     result = exact_payload(robot, find_trajectory("dwell-spatial", 6))
     assert result.payload == pytest.approx(6 * (3 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
@@ -82,7 +82,7 @@ class Jolted:
 
 
 @pytest.mark.parametrize("at", [0.0, 0.998])
-def test_acceleration_along_two_cables_matches_the_triangle_of_forces(at: float) -> None:
+def test_acceleration_matches_the_triangle_of_forces(at: float) -> None:
     # Towards −x cables 1 (210°) and 3 (90°) pull: T_1 cos 30° = M a and T_3 = T_1 / 2. The pulley of cable 1 needs
     # J a cos 30° / r too.
     robot = PLANAR
@@ -143,7 +143,7 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
         (PLANAR, 5.0, 2.07),
     ],
 )
-def test_total_mass_on_the_papers_circle_matches_independent_runs(robot: Robot, minimum: float, total: float) -> None:
+def test_mass_on_the_papers_circle_matches_independent_runs(robot: Robot, minimum: float, total: float) -> None:
     # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial: control instants alone
     # would miss one of them.
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
@@ -280,7 +280,7 @@ def test_bad_argument_is_rejected(arguments: dict[str, float], named: str) -> No
         exact_payload(PLANAR, find_trajectory("paper-spatial", 6))
 
 
-def test_redundant_cables_carry_the_payload_that_the_best_tensions_allow() -> None:
+def test_redundant_cables_have_the_best_tensions() -> None:
     """A linear program finds tensions within both limits just below the payload, and none just above it."""
     start = (0.2, 0.1, 4.0, 0.0, 0.0, 0.0)
     end = (1.5, -0.8, 3.0, 0.1, 0.0, 0.2)

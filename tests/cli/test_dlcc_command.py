@@ -231,7 +231,7 @@ def test_printed_command_repeats_the_failure(cablebot, tmp_path):
     assert f"paper criterion: not carried: {Violation(**violation)}" in ended.out
 
 
-def test_bisection_finds_the_payload_with_few_episodes_and_is_unranked(cablebot):
+def test_bisection_finds_the_payload_and_is_unranked(cablebot):
     scan = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05").data[0]
     bisection = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection").data[0]
     assert scan["ranked"]

@@ -57,7 +57,7 @@ def test_folder_that_hides_the_baselines_is_a_fault(tmp_path):
     assert "BAD policy fl: ModuleNotFoundError" in ran.stdout
 
 
-def test_missing_package_is_a_fault_unless_it_belongs_to_an_extra(monkeypatch):
+def test_missing_package_is_a_fault_but_in_an_extra(monkeypatch):
     version = doctor._version
     monkeypatch.setattr(doctor, "_version", lambda name: None if name == "casadi" else version(name))
     finding = findings()["extra optimal"]

@@ -40,7 +40,7 @@ def test_json_and_text_have_every_name_and_unit(cablebot, data):
     assert {parameter.unit for parameter in PARAMETERS.values()} <= words
 
 
-def test_robots_have_their_kind_and_the_completeness_of_their_sources(data):
+def test_robots_have_their_kind_and_documented_sources(data):
     robots = {robot["name"]: robot for robot in data["robots"]}
     camera = robots["flex-stadium-camera"]
     paper = robots["planar"]

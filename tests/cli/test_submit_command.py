@@ -190,7 +190,7 @@ class Reader(Law):
 
 @in_a_sandbox
 @pytest.mark.slow
-def test_policy_that_works_with_the_files_of_its_author_alone_is_refused(command, source):
+def test_policy_that_needs_files_of_its_author_is_refused(command, source):
     """On the machine of its author it reads a file, and is good; in the sandbox there is none."""
     (source / "mine.py").write_text(LAW + READER, encoding="utf-8")
     sandbox.opt_out()

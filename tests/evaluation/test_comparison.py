@@ -116,7 +116,7 @@ def episode(policy, seed, *, payload=1.5, trajectory=MOVE, uncertainty=UNKNOWN, 
 
 
 @pytest.mark.parametrize(("index", "factor"), [(0, 1.0), (1, 0.9)])
-def test_metrics_equal_those_of_single_episodes_with_the_same_seeds(index, factor):
+def test_metrics_equal_those_of_single_episodes(index, factor):
     measured = compared().metrics[index]
     for draw, seed in enumerate(draw_seeds(3, 5)):
         by_hand = episode(Scaled(factor), seed)
@@ -163,7 +163,7 @@ def test_error_counts_as_constant_after_an_early_termination():
     json.loads(comparison.to_json(), parse_constant=pytest.fail)
 
 
-def test_comparison_ends_when_all_episodes_of_a_policy_have_ended():
+def test_comparison_ends_with_the_last_episode():
     progress = []
     comparison = compare_policies(
         [limp, Scaled(1.0)],
@@ -185,7 +185,7 @@ def test_comparison_ends_when_all_episodes_of_a_policy_have_ended():
     assert 150 in done, "skipped steps of the first policy count"
 
 
-def test_error_counts_as_the_termination_radius_after_a_slack_cable():
+def test_error_after_a_slack_cable_is_the_radius():
     motion = {"name": "dwell-planar", "duration": 0.3}
     (measured,) = compare_policies([lambda _: np.zeros(3)], PLANAR_ID, trajectory=motion).metrics
     assert measured.ended[0]
@@ -216,7 +216,7 @@ def test_interval_of_a_mean_is_students(quantity):
     assert estimate.low < estimate.mean < estimate.high
 
 
-def test_reduction_compares_means_of_paired_draws_with_the_first_policy():
+def test_reduction_compares_means_of_paired_draws():
     # (1, 3) and (1, 1): 1 − 2/4. The resamples give 0, 1/2 or 1 − 1/3.
     fraction = made((1, 3), (1, 1)).reduction(1, "mean_error")
     assert (fraction.mean, fraction.low, fraction.high) == pytest.approx((0.5, 0.0, 2 / 3))

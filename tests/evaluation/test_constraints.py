@@ -125,7 +125,7 @@ def test_uneventful_motion_is_carried(criterion):
         ((-1.3, 1.1, 1.2), 1, 1.5),
     ],
 )
-def test_torque_violation_is_that_of_the_largest_action_at_the_control_instant(action, motor, excess):
+def test_torque_violation_is_that_of_the_largest_action(action, motor, excess):
     violation = judged(third(action=action), "paper").violation
     assert violation.kind == "torque"
     assert violation.index == motor
@@ -139,7 +139,7 @@ def test_slack_violation_names_the_first_slack_cable(slack, cable):
     assert str(violation) == f"cable {cable} is slack at t = 0.006 s"
 
 
-def test_tension_below_its_bound_violates_the_task_criterion_only():
+def test_low_tension_violates_the_task_criterion_only():
     low = third(tension=(1.0, 0.4, 0.7))
     violation = judged(low, "task").violation
     assert violation.kind == "slack"
@@ -152,7 +152,7 @@ def test_tension_below_its_bound_violates_the_task_criterion_only():
     assert judged(low, "task", cable="bilateral").carried, "a bilateral cable may push"
 
 
-def test_motor_that_cannot_hold_the_robot_at_the_start_violates_the_task_criterion_only():
+def test_weak_motor_at_the_start_violates_the_task_criterion():
     start = {"action": (0.1, 0.2, 1.1)}  # margins of 4.5, 4.8 and -0.7 N·m
     violation = judged([{}] * 4, start=start).violation
     assert violation.kind == "torque"
@@ -224,7 +224,7 @@ def test_violations_of_one_step_have_a_fixed_order(criterion, start):
     assert violation.time == pytest.approx((2 if expected == "torque" else 3) * PERIOD)
 
 
-def test_later_violation_does_not_replace_the_first_and_peaks_stop_there():
+def test_later_violation_does_not_replace_the_first():
     script = [
         {"action": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)},
         {"position": 0.02, "rotation": 0.004, "action": (0.1, -0.9, 0.1), "tension": (5, 9, 9)},

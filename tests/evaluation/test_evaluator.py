@@ -497,7 +497,7 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
     np.testing.assert_array_equal(table["tensions_6"], rollout.arrays["tensions"][:, 5])
 
 
-def test_recording_goes_on_after_a_violation_until_the_termination():
+def test_recording_goes_on_until_the_termination():
     rollout = record_rollout(lambda _: np.zeros(6), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.5})
     assert rollout.reason == "tracking_error"
     assert rollout.verdict.violation.kind == "slack"

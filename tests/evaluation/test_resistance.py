@@ -60,7 +60,7 @@ class FailsAlone(Law):
 
 
 @pytest.mark.parametrize("uncertainty", [None, "sensors"])
-def test_payload_that_needs_other_episodes_is_refused_although_actions_are_random(uncertainty):
+def test_random_policy_must_not_need_other_episodes(uncertainty):
     with pytest.raises(PolicyError, match=r"depends on the other.* in 0 of 12 draws alone, in 60 of 60 together"):
         evaluated(FailsAlone(), uncertainty=uncertainty, draws=60)
 
@@ -87,7 +87,7 @@ def test_draws_of_the_check_alone_are_fresh_and_secret(batches):
     assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed_draws > 0
 
 
-def test_one_draw_of_a_stochastic_policy_keeps_its_payload_if_the_recorded_episode_fails():
+def test_failed_recording_keeps_the_payload_of_one_draw():
     result = evaluated(FailsAlone(), draws=1)
     assert result.payload == pytest.approx(evaluated(Law()).payload, abs=0.02)
     assert not result.rollout.verdict.carried
@@ -102,7 +102,7 @@ def test_normalised_observations_are_refused():
     assert evaluated(Law(), normalised_observation=False).payload > 0
 
 
-def test_unsaturated_actions_of_objects_are_declared_whatever_they_call_themselves():
+def test_name_of_an_object_does_not_hide_its_declaration():
     class Installed(Law):
         name = spec = "fl"
 
@@ -113,7 +113,7 @@ def test_unsaturated_actions_of_objects_are_declared_whatever_they_call_themselv
 
 
 @pytest.mark.parametrize("uncertainty", [{}, {"uncertainty": "sensors", "draws": 60}])
-def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(uncertainty):
+def test_dense_check_finds_an_island_of_failures(uncertainty):
     """The narrow gap of failures lies between two payloads of the scan, below the first other failure."""
     scanned = []
 
@@ -158,7 +158,7 @@ def test_rows_have_a_secret_order():
     np.testing.assert_array_equal(*np.sort(orders))
 
 
-def test_scan_of_several_draws_has_other_draws_than_the_confirmation(batches):
+def test_scan_has_other_draws_than_the_confirmation(batches):
     result = evaluated(Dropping(lambda payload: payload > 9), uncertainty="table6", draws=60)
     assert len(batches[0]) == SCAN_POINTS * SEARCH_DRAWS
     assert len({*batches[0]}) == SEARCH_DRAWS
@@ -170,7 +170,7 @@ def test_scan_of_several_draws_has_other_draws_than_the_confirmation(batches):
 # --- discretisation ---------------------------------------------------------------------------------------------------
 
 
-def test_discretisation_compares_the_payload_with_finer_physics_steps():
+def test_discretisation_compares_finer_physics_steps():
     fine = evaluated(Law())
     assert fine.discretisation == 0.0
     assert fine.resolution == pytest.approx(fine.failed_payload - fine.payload)

@@ -112,7 +112,7 @@ def test_payload_is_the_order_statistic_of_the_draws_capacities(draws, probabili
         assert fraction * SEARCH_DRAWS == round(fraction * SEARCH_DRAWS)
 
 
-def test_fresh_draws_carry_the_payload_with_the_required_probability():
+def test_fresh_draws_carry_the_payload_often_enough():
     unknown = spread(platform_mass=0.1)
     result = pulled(unknown, seed=1, resolution=1e-2)
     motion = {"trajectory": {"name": "dwell-spatial", "duration": LONG}, "initial_error": 0.0}
@@ -148,7 +148,7 @@ def test_required_number_agrees_with_scipys_exact_interval(draws, probability, c
 
 
 @pytest.mark.parametrize("draws", [2, 64, 512])
-def test_plausible_number_of_successes_agrees_with_scipys_distribution(draws):
+def test_plausible_successes_agree_with_scipy(draws):
     required, _ = required_successes(draws, 0.95, 0.95)
     low = binomtest(required, draws, alternative="greater").proportion_ci(1 - 1e-4, method="exact").low
     assert plausible_successes(required, draws, 12, 1e-4) == binom.ppf(1e-4, 12, low)
@@ -218,9 +218,7 @@ def test_draws_agree_with_single_episodes():
     kinds = [violation.kind for violation in violations]
     assert result.failures == {kind: kinds.count(kind) for kind in kinds}
     assert next(iter(result.failures.values())) == max(result.failures.values())
-    assert result.violation.time == min(
-        failure.time for failure in violations if failure.kind == result.violation.kind
-    )
+    assert result.violation.time == min(failure.time for failure in violations if failure.kind == result.violation.kind)
     payloads = [payload for payload, _ in result.success]
     assert len(payloads) == SCAN_POINTS
     assert payloads == sorted(payloads)
@@ -264,7 +262,7 @@ def verdict(kind, time):
     return Verdict(carried=kind is None, violation=violation, payload=1.0, **peaks)
 
 
-def test_limiting_violation_is_the_earliest_of_the_most_frequent_kind():
+def test_limiting_violation_is_the_most_frequent_kind():
     failed = [
         ("slack", 0.1),
         ("position", 0.4),
@@ -299,7 +297,7 @@ class Starts:
         pass
 
 
-def test_payloads_share_the_parameters_of_a_draw_and_have_their_own_noise():
+def test_payloads_share_the_parameters_of_a_draw():
     uncertainty = {
         "parameters": {"platform_mass": {"low": -0.1, "high": 0.1}},
         "sensors": {"position": 1e-4},
@@ -366,7 +364,7 @@ def test_progress_is_monotonic_and_complete():
     assert fractions[-1] == 1.0
 
 
-def test_policy_that_fails_unloaded_in_too_many_draws_has_no_payload():
+def test_failing_unloaded_in_many_draws_gives_no_payload():
     # Light platforms are pulled up beyond the bound, whatever the payload below 1 kg.
     unknown = {"parameters": {"platform_mass": {"low": -0.35, "high": 0.0}}}
     result = pulled(unknown, draws=8, probability=0.9, payload_max=1.0, resolution=0.1)

@@ -67,7 +67,7 @@ def test_page_opens_on_the_largest_payload_of_the_first_table():
     assert start["condition"] == "payload known"
 
 
-def test_limiting_violation_is_a_sentence_with_the_bound_of_the_cell():
+def test_limiting_violation_has_the_bound_of_the_cell():
     data = page_data([RESULTS], {})
     rows = {(row["policy"], row["motion"], row["condition"]): row["violation"] for row in data["rows"]}
     sentence = "position error reaches its bound of 10 mm at t = 0.532 s"
@@ -210,7 +210,7 @@ def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
 
 
 @pytest.mark.slow
-def test_rows_are_chosen_by_keyboard_linked_and_show_errors_as_text(opened):
+def test_rows_are_chosen_by_keyboard_and_linked(opened):
     page = opened()
     page.locator("#leaderboard-table tbody button", has_text="fl").focus()
     page.keyboard.press("Enter")

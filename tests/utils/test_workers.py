@@ -133,7 +133,7 @@ def test_interrupt_ends_all_processes(tmp_path):
     assert multiprocessing.active_children() == []
 
 
-def test_interrupt_of_another_thread_is_deferred_while_a_process_starts(monkeypatch):
+def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
     """Python raises it in the main thread, which would lose the process between its start and its registration."""
     go = threading.Event()
     gone = threading.Event()
