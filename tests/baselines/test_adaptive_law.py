@@ -46,7 +46,7 @@ def run(law, env, *, steps=None):
 
 
 @pytest.mark.parametrize("env_id", LAWS)
-def test_estimate_converges_within_a_tenth_of_a_second_of_motion(env_id):
+def test_estimate_converges_within_a_tenth_of_a_second(env_id):
     """At rest the torques of a planar robot do not depend on its payload."""
     law = LAWS[env_id]
     payload = np.array([0.0, 0.4, 1.0])
@@ -57,7 +57,7 @@ def test_estimate_converges_within_a_tenth_of_a_second_of_motion(env_id):
     np.testing.assert_allclose(estimates[-1], law.robot.mass + payload, rtol=2e-3)
 
 
-def test_prior_and_data_have_equal_weight_after_the_prior_s_time():
+def test_prior_and_data_weigh_equally_after_its_time():
     env = gym.make_vec(SPATIAL_ID, num_envs=1, payload=2.0, payload_known=False)
     _, estimates, _ = run(Adaptive(LAWS[SPATIAL_ID], estimator_prior_weight=0.05), env, steps=26)
     assert estimates[-1][0] == pytest.approx(11.0, abs=0.1)

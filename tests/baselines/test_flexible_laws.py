@@ -125,7 +125,7 @@ def test_taylor_motion_equals_its_polynomial() -> None:
         np.testing.assert_allclose(computed, np.tensordot(factors[: 5 - order], values[order:], axes=1), rtol=1e-12)
 
 
-def test_damping_of_the_papers_springs_keeps_its_value_at_500_hz() -> None:
+def test_damping_of_soft_springs_is_the_papers_at_500_hz() -> None:
     robot = with_stiffness(3.0, 10.0)
     np.testing.assert_array_equal(Composite(robot).damping(1 / 500), np.sqrt(robot.stiffness * robot.motor_inertia))
 

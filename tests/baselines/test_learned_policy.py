@@ -219,7 +219,7 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
         np.testing.assert_allclose(law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order)
 
 
-def test_flexible_law_gets_derivatives_of_the_instant_up_to_snap():
+def test_flexible_law_gets_derivatives_up_to_snap():
     action_mapping = Shift(action_period=0.01, degree=5)
     steps = 40
     steering = steering_of(FLEX_PLANAR_ID, base=Base(law="motor-pd"), action_mapping=action_mapping)

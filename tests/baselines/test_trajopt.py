@@ -138,7 +138,7 @@ def test_policy_without_reset_tracks_the_reference_and_warns(caplog):
     assert policy.fallbacks == 0
 
 
-def test_infeasible_plan_is_tried_once_and_the_reference_tracked(monkeypatch, caplog):
+def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
     planner = Mock(side_effect=Infeasible("Restoration_Failed"))
     monkeypatch.setattr(module, "plan_motion", planner)
     policy = make_trajopt(PLANAR)

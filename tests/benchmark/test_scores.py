@@ -75,7 +75,7 @@ def test_error_of_a_policy_counts_as_zero():
     assert [score.score for score in found_scores] == [0.0, None]
 
 
-def test_fractions_are_of_the_task_criterion_without_uncertainty():
+def test_only_certain_payloads_have_a_score():
     records = [
         best(2.0),
         carries("fl", 3.0, criterion="paper"),

@@ -77,7 +77,7 @@ def test_uncertain_payloads_are_carried_in_fresh_draws(results):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", range(10))
-def test_ten_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
+def test_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
     records = [stored for stored in results["leaderboard"].records if isinstance(stored.cell, PolicyCell)]
     record = sorted((stored for stored in records if stored.result.get("payload")), key=lambda stored: stored.seconds)[
         index

@@ -178,7 +178,7 @@ def test_folder_in_place_of_a_file_is_found_before_the_work(benchmark, best, tmp
     assert "it is a folder" in refused.err
 
 
-def test_hidden_suite_needs_a_commitment_to_the_present_policies(benchmark, best):
+def test_hidden_suite_needs_a_commitment(benchmark, best):
     without = benchmark(suite="hidden")
     assert without.status == 2
     assert best == []

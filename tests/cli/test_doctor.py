@@ -110,7 +110,7 @@ def test_damaged_compiled_file_is_a_fault(monkeypatch, tmp_path, damage):
 
 
 @pytest.mark.parametrize("warmed", [True, False])
-def test_read_only_folder_is_a_fault_unless_it_has_compiled_code(monkeypatch, tmp_path, warmed):
+def test_read_only_folder_without_compiled_code_is_a_fault(monkeypatch, tmp_path, warmed):
     if warmed:
         (tmp_path / "code.nbc").write_bytes(hashlib.sha256(b"").digest())
     monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])

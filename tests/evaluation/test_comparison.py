@@ -128,7 +128,7 @@ def test_metrics_equal_those_of_single_episodes(index, factor):
     assert set(QUANTITIES) == set(by_hand) - {"carried", "ended", "error", "rotation"}
 
 
-def test_one_draw_is_the_episode_of_its_seed_and_has_no_interval():
+def test_one_draw_is_the_episode_of_its_seed():
     comparison = compare_policies(
         [Scaled(1.0), Scaled(0.9)],
         SPATIAL_ID,

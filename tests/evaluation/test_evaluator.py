@@ -313,7 +313,7 @@ def test_tasks_contain_public_knowledge_only(known):
         assert set(vars(task)) == names
 
 
-def test_policy_by_name_is_built_for_the_robot_of_the_evaluation():
+def test_policy_by_name_is_built_for_the_given_robot():
     heavy = SPATIAL.replace(mass=12.0)
     keywords = {"trajectory": HANG, "robot": heavy, "resolution": 0.1}
     by_name = evaluate_dlcc("fl", SPATIAL_ID, **keywords)
