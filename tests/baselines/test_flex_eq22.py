@@ -58,26 +58,11 @@ def test_linearised_loop_of_stable_laws_decays():
     assert growth_rate(PaperFlexible(with_friction), with_friction) < -1
 
 
-def test_measured_motor_acceleration_diverges():
-    nominal = robot(2.0, unsaturated_actions=True)
-    law = PaperFlexible(nominal, motor_acceleration="measured")
-    continuous = np.cbrt(2.0 / (4e-4 * PERIOD)) / 2  # of s³ + K/(J′ h) = 0
-    assert growth_rate(law, nominal) == pytest.approx(continuous, rel=0.05)
-    error = peaks(law, nominal, cable="bilateral")[0]
-    assert error > max(0.01, 10 * peaks(PaperFlexible(nominal), nominal, cable="bilateral")[0])
-
-
 def test_motor_friction_stabilises_the_law():
     """Table 4's 0.01 N·m·s/rad in the motors, in the law and, as printed, not; figures of independent runs."""
     plant = robot(3.0, friction=0.01)
     assert peaks(PaperFlexible(plant), plant).max() == pytest.approx(1.8e-3, rel=0.05)
     assert peaks(PaperFlexible(plant, as_printed=True), plant).max() == pytest.approx(7e-3, rel=0.05)
-
-
-def test_law_equals_composite_without_spring_damping():
-    observation, _ = gym.make_vec(ID, num_envs=3, initial_error=np.full(6, 0.01)).reset(seed=0)
-    expected = Composite(FLEX_SPATIAL, spring_damping=0.0).predict(observation)[0]
-    np.testing.assert_allclose(PaperFlexible(FLEX_SPATIAL).predict(observation)[0], expected, rtol=1e-12)
 
 
 # --- the measured acceleration ----------------------------------------------------------------------------------------

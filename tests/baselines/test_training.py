@@ -32,7 +32,6 @@ from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, make_st
 from cablebot_baselines.learned.wrappers.steered import ACTIONS
 from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
-from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.evaluation import evaluate_dlcc
 
 PLANAR = "CableBot-Planar-v0"
@@ -144,18 +143,6 @@ def test_own_training_gives_a_policy(tmp_path):
     assert result.payload == evaluate_dlcc(str(tmp_path / "mine.zip"), PLANAR, **conditions).payload
     with pytest.raises(ValueError, match="must have the environments that it was trained on"):
         trained_policy(PPO("MlpPolicy", "CartPole-v1", device="cpu"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", sorted(set(ENV_IDS) - set(PAPER_ENV_IDS)))
-def test_id_without_its_own_key_trains(env_id, tmp_path):
-    settings = read_yaml(env_id, runs.Path("ppo")) | {"n_envs": 8, "n_steps": 4, "batch_size": 32}
-    path = tmp_path / "ppo.yaml"
-    path.write_text(yaml.safe_dump({env_id: settings}), encoding="utf-8")
-    evaluation = {"search": "bisection", "payload_max": 1.0, "resolution": 1.0}
-    result = training.train(env_id, out=tmp_path / "run", config=path, timesteps=32, evaluation=evaluation)
-    assert result.base_payload_kg is not None
-    assert result.best is not None
 
 
 def test_texts_of_rl_zoo_are_converted():

@@ -34,77 +34,86 @@ class AnyBoard:
         return list(range(2**50, 2**50 + count))
 
 
-def cells(name, names=()):
+def cells_of(name, names=()):
+    """All cells of a suite, with the usual policies or those given."""
     suite = find_suite(name)
     return list(suite_cells(suite, find_policies(names, suite.env_ids), board=AnyBoard()).values())
 
 
 def policy_cells(name, names=()):
-    return [cell for cell in cells(name, names) if isinstance(cell, PolicyCell)]
+    return [cell for cell in cells_of(name, names) if isinstance(cell, PolicyCell)]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("full", "ranked"))) for name in SUITES],
-)
+LARGE = [pytest.param(name, marks=pytest.mark.slow) for name in ("full", "ranked")]
+
+
+@pytest.mark.parametrize("name", [*sorted(set(SUITES) - {"full", "ranked"}), *LARGE])
 def test_cells_of_a_suite_are_valid(name):
-    some = cells(name)
-    best = {motion_key(cell) for cell in some if isinstance(cell, BestKnownCell)}
-    policies = [cell for cell in some if isinstance(cell, PolicyCell)]
-    scored = {motion_key(cell) for cell in policies if cell.criterion == "task" and cell.uncertainty is None}
-    assert best == (scored if find_suite(name).best_known else set())
-    for cell in {canonical([cell.env_id, cell.trajectory, cell.robot_changes]): cell for cell in some}.values():
+    with_best_known = set()
+    with_score = set()
+    motions = {}
+    for cell in cells_of(name):
+        motions[canonical([cell.env_id, cell.trajectory, cell.robot_changes])] = cell
+        if isinstance(cell, BestKnownCell):
+            with_best_known.add(motion_key(cell))
+        elif isinstance(cell, PolicyCell):
+            assert cell.env_id in policy_entries()[cell.policy].env_ids
+            is_random = find_uncertainty(cell.uncertainty, find_robot(env_robot(cell.env_id))).random
+            assert is_random == (cell.draws > 1)
+            if cell.criterion == "task" and cell.uncertainty is None:
+                with_score.add(motion_key(cell))
+    assert with_best_known == (with_score if find_suite(name).best_known else set())
+    for cell in motions.values():
         find_trajectory(dict(cell.trajectory), cell.robot.kind)
-        springs = cell.robot_changes.get("transmission", {}).get("stiffness")
-        assert springs is None or cell.env_id in FLEXIBLE_ENV_IDS
-    for env_id, uncertainty, draws in {(cell.env_id, cell.uncertainty, cell.draws) for cell in policies}:
-        assert find_uncertainty(uncertainty, find_robot(env_robot(env_id))).random == (draws > 1)
-    for env_id, policy in {(cell.env_id, cell.policy) for cell in policies}:
-        assert env_id in policy_entries()[policy].env_ids
+        assert cell.env_id in FLEXIBLE_ENV_IDS or "stiffness" not in cell.robot_changes.get("transmission", {})
 
 
-SHARED = {
-    ("circle", "payload known", None, "task"),
-    ("circle", "payload unknown", "sensors", "task"),
-    ("circle", "payload unknown", "hardware", "task"),
-    ("circle", "payload known", "table6", "task"),
-    ("paper", "payload known", None, "paper"),
-    ("loop", "payload known", None, "task"),
+STANDARD = {
+    ("circle", "payload known", None, "task", 1),
+    ("circle", "payload unknown", "hardware", "task", 512),
+    ("circle", "payload known", "table6", "task", 512),
+    ("paper", "payload known", None, "paper", 1),
+    ("loop", "payload known", None, "task", 1),
 }
+CONDITIONS = {
+    "standard": STANDARD,
+    "ranked": STANDARD | {("circle", "payload unknown", "sensors", "task", 512)},
+}
+"""Motion, payload model, uncertainty, criterion and draws of each suite."""
 
 
 @pytest.mark.parametrize("name", ["standard", "ranked"])
 def test_suite_has_every_fast_policy_under_all_conditions(name):
-    cells_of_policies = policy_cells(name)
-    fast = {
-        (env_id, entry.name)
-        for entry in policy_entries().values()
-        for env_id in set(entry.env_ids) & set(PAPER_ENV_IDS)
-        if name == "ranked" or not entry.slow
-    }
-    assert {(cell.env_id, cell.policy) for cell in cells_of_policies} == fast
-    missing = {condition for condition in SHARED if condition[2] == "sensors"} if name == "standard" else set()
-    for env_id in PAPER_ENV_IDS:
-        env_cells = [cell for cell in cells_of_policies if cell.env_id == env_id]
-        motions = [str(cell.trajectory["name"]).partition("-")[0] for cell in env_cells]
-        conditions = [(cell.payload_model, cell.uncertainty, cell.criterion) for cell in env_cells]
-        assert {(motion, *condition) for motion, condition in zip(motions, conditions, strict=True)} == SHARED - missing
-    assert {cell.draws for cell in cells_of_policies} == {1, 512}
-    seeds = {cell.trajectory["seed"] for cell in cells_of_policies if "seed" in cell.trajectory}
-    assert seeds == (set(held_out_seeds(3)) if name == "standard" else set(AnyBoard().seeds("", 20)))
-    timed = {(cell.env_id, cell.policy) for cell in cells(name) if isinstance(cell, TimingCell)}
+    fast = set()
+    for entry in policy_entries().values():
+        if name == "ranked" or not entry.slow:
+            fast |= {(env_id, entry.name) for env_id in entry.env_ids if env_id in PAPER_ENV_IDS}
+    evaluated = set()
+    conditions = set()
+    seeds = set()
+    for cell in policy_cells(name):
+        evaluated.add((cell.env_id, cell.policy))
+        motion = cell.trajectory["name"].partition("-")[0]
+        conditions.add((cell.env_id, motion, cell.payload_model, cell.uncertainty, cell.criterion, cell.draws))
+        seeds.add(cell.trajectory.get("seed"))
+    assert evaluated == fast
+    expected = {(env_id, *condition) for env_id in PAPER_ENV_IDS for condition in CONDITIONS[name]}
+    assert conditions == expected
+    held_out = held_out_seeds(3) if name == "standard" else AnyBoard().seeds("", 20)
+    assert seeds == {None, *held_out}
+    timed = {(cell.env_id, cell.policy) for cell in cells_of(name) if isinstance(cell, TimingCell)}
     assert timed >= fast
 
 
 def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
-    slow = {name: replace(entry, slow=name == "fl") for name, entry in policy_entries().items()}
+    entries = policy_entries()
+    assert [name for name, entry in entries.items() if entry.slow] == ["nmpc"]
+    assert len(policy_cells("standard", ["fl"])) == 2 * 7
+    slow = {"fl": replace(entries["fl"], slow=True)}
     monkeypatch.setattr("cablebot_gym.benchmark.suites.public_entry", slow.get)
     conditions = {(cell.uncertainty, cell.trajectory["name"][:4]) for cell in policy_cells("ranked", ["fl"])}
     assert conditions == {(None, "loop"), (None, "circ")}
     assert policy_cells("standard", ["fl"]) == []
-    monkeypatch.undo()
-    assert len(policy_cells("standard", ["fl"])) == 2 * 7
-    assert [name for name, entry in policy_entries().items() if entry.slow] == ["nmpc"]
 
 
 def test_real_time_repeats_every_episode():
