@@ -73,44 +73,48 @@ def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **
         (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.01, degree=2, preview=0.05), REFERENCE_FEATURES),
-        (
-            FLEX,
-            "motor-pd",
-            Shift(action_period=0.04, degree=4, preview=0.02),
-            ("time_since_start",),
-        ),
+        (FLEX, "motor-pd", Shift(action_period=0.04, degree=4, preview=0.02), ("time_since_start",)),
     ],
 )
-def test_training_motion_equals_the_reference_that_the_law_gets(env_id, law, action_mapping, features):
+def test_training_motion_equals_the_reference_of_the_law(env_id, law, action_mapping, features):
     """Excludes start poses, anchors, past control points, features or squashing that differ."""
     training = made(env_id, action_mapping, features=features, instants=2)
-    trained, (trajectory,) = training.motion().detach().numpy()[0], training.trajectories
-    steering = Steering(training.robot, base=Base(law=law), action_mapping=action_mapping, features=features)
+    robot = training.robot
+    (trajectory,) = training.trajectories
+    trained = training.motion().detach().numpy()[0]
+    steering = Steering(robot, base=Base(law=law), action_mapping=action_mapping, features=features)
     steering.reset(tasks_of(env_id)[:1])
-    network = training.network
-    memory = None
-    m = training.robot.cables
     law_blocks = {}
     respond = steering.law.respond
     steering.law.respond = lambda blocks, *arguments: law_blocks.update(blocks) or respond(blocks, *arguments)
+    memory = None
     for step in range(200):
-        time = np.array([step / 500])
-        reference = observed_reference(trajectory, time, to_snap=training.robot.flexible)
-        blocks = {name: value[0] for name, value in reference.items()}
-        blocks |= {"pose": blocks["reference_pose"], "velocity": blocks["reference_velocity"]}
-        blocks |= {"model_payload": np.zeros(1), "payload_known": np.ones(1)}
-        blocks |= {"motor_angle": np.zeros(m), "motor_speed": np.zeros(m)}
+        blocks = blocks_on_reference(robot, trajectory, step / 500)
         memory = steering.reset_memory(blocks, memory, False)
-        action = network(steering.observe(blocks, memory))
+        action = training.network(steering.observe(blocks, memory))
         _, memory = steering.respond(blocks, action, memory, False)
         if step % steering.periods == 0:
             decision = trained[step // steering.periods, 0]
             # The first instant lies a billionth of a decision after it: a spline's derivatives jump there.
-            for order, name in enumerate(("pose", "velocity")):
-                np.testing.assert_allclose(law_blocks[f"reference_{name}"], decision[order], rtol=0, atol=1e-6)
-            if training.robot.flexible:
+            np.testing.assert_allclose(law_blocks["reference_pose"], decision[0], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(law_blocks["reference_velocity"], decision[1], rtol=0, atol=1e-6)
+            if robot.flexible:
                 assert law_blocks["reference_snap"] == pytest.approx(decision[4], rel=1e-5, abs=1e-3)
     assert np.abs(trained[:, :, 0] - training._motions.reference[0, :, :, 0].numpy()).max() > 1e-4
+
+
+def blocks_on_reference(robot, trajectory, time):
+    """Blocks of an observation of an unloaded robot on its reference."""
+    reference = observed_reference(trajectory, np.array([time]), to_snap=robot.flexible)
+    blocks = {name: value[0] for name, value in reference.items()}
+    return blocks | {
+        "pose": blocks["reference_pose"],
+        "velocity": blocks["reference_velocity"],
+        "model_payload": np.zeros(1),
+        "payload_known": np.ones(1),
+        "motor_angle": np.zeros(robot.cables),
+        "motor_speed": np.zeros(robot.cables),
+    }
 
 
 def test_violations_equal_the_inverse_dynamics():
@@ -277,34 +281,28 @@ def test_invalid_configuration_is_rejected():
 
 def test_validation_loops_differ_from_training_loops():
     line = {"name": "line-planar", "duration": 2.0}
-    settings = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
-    assert [trajectory.name for trajectory in settings.trajectories] == [
-        "loop-planar",
-        "loop-planar",
-        "paper-planar",
-        "line-planar",
-    ]
-    assert settings.trajectories[-1].motion.duration == 2.0
-    assert [trajectory.motion.seed for trajectory in (*settings.trajectories[:2], *settings.validation)] == [
-        0,
-        1,
-        *VALIDATION,
-    ]
+    config = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
+    *loops, paper, named = config.trajectories
+    assert [loop.motion.seed for loop in loops] == [0, 1]
+    assert paper.name == "paper-planar"
+    assert (named.name, named.motion.duration) == ("line-planar", 2.0)
+    assert [loop.motion.seed for loop in config.validation] == list(VALIDATION)
+
+
+def loop_seeds(trajectories):
+    """Seeds of the random loops among trajectories."""
+    motions = [trajectory.motion for trajectory in trajectories if isinstance(trajectory, BetweenDwells)]
+    return {motion.seed for motion in motions if isinstance(motion, RandomLoop)}
 
 
 @pytest.mark.parametrize("name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)])
 def test_shipped_configurations_use_training_motions_only(name):
-    for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
+    configs = yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8"))
+    for env_id, plain in configs.items():
         config = make_gradient_config(env_id, plain)
         assert shortest_dwell(config.trajectories) == DWELL
-        trained, validation = (
-            {
-                trajectory.motion.seed
-                for trajectory in motions
-                if isinstance(trajectory, BetweenDwells) and isinstance(trajectory.motion, RandomLoop)
-            }
-            for motions in (config.trajectories, config.validation)
-        )
+        trained = loop_seeds(config.trajectories)
+        validation = loop_seeds(config.validation)
         assert max(trained | validation, default=0) < FIRST_HELD_OUT_SEED
         assert trained.isdisjoint(VALIDATION)
         assert bool(trained) == bool(validation) == (name == "gradient-loops")

@@ -41,14 +41,15 @@ def test_note_states_the_verdict_from_its_time_on(carried, lost):
 
 
 def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
-    alone = [VideoPainter([episode], SMALL).array(0.8) for episode in (carried, lost)]
     side_by_side = VideoPainter([carried, lost], SMALL)
+    first_painter = VideoPainter([carried], SMALL)
+    second_painter = VideoPainter([lost], SMALL)
     assert side_by_side.size == (640, 240)
     assert side_by_side.duration == pytest.approx(1.6)
+    alone = [first_painter.array(0.8), second_painter.array(0.8)]
     assert np.array_equal(side_by_side.array(0.8), np.concatenate(alone, axis=1))
-    painter = VideoPainter([carried], SMALL)
-    assert np.array_equal(painter.array(0.8), painter.array(0.8019)), "the last moment that is not later"
-    assert not np.array_equal(painter.array(0.8), painter.array(0.802))
+    assert np.array_equal(first_painter.array(0.8), first_painter.array(0.8019)), "the last moment that is not later"
+    assert not np.array_equal(first_painter.array(0.8), first_painter.array(0.802))
 
 
 def test_speed_scales_the_duration_and_the_last_picture_stays(carried):
@@ -61,33 +62,47 @@ def test_speed_scales_the_duration_and_the_last_picture_stays(carried):
     assert np.all(slow[192:] == pytest.approx(1.6))
 
 
+def read_mp4(path):
+    """Pictures of a video and its duration [s]."""
+    reader = imageio_ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    assert meta["size"] == (640, 240)
+    assert meta["codec"] == "h264"
+    pictures = [np.frombuffer(picture, np.uint8).reshape(240, 640, 3) for picture in reader]
+    return pictures, len(pictures) / meta["fps"]
+
+
+def read_gif(path):
+    """Equal pictures are stored as one with a longer duration."""
+    pictures = []
+    milliseconds = 0
+    with Image.open(path) as image:
+        assert image.size == (640, 240)
+        assert image.info["loop"] == 0
+        for frame in Iterator(image):
+            pictures.append(np.asarray(frame.convert("RGB")))
+            milliseconds += frame.info["duration"]
+    return pictures, milliseconds / 1000
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio_ffmpeg leaves read pipes open
-@pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), pytest.param(".gif", 25, marks=pytest.mark.slow)])
-def test_file_contains_every_picture(tmp_path, lost, suffix, rate):
+@pytest.mark.parametrize(
+    ("suffix", "read", "rate"),
+    [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.slow)],
+)
+def test_file_contains_every_picture(tmp_path, lost, suffix, read, rate):
     path = tmp_path / f"lost{suffix}"
     progress = []
     write_video(path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done))
     painter = VideoPainter([lost, lost], SMALL)
     count = len(painter.times(1.0, rate))
     assert progress == [(done, count) for done in range(1, count + 1)]
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
-    if suffix == ".mp4":
-        pictures = imageio_ffmpeg.read_frames(str(path))
-        meta = next(pictures)
-        assert meta["size"] == (640, 240)
-        assert meta["fps"] == rate
-        assert meta["codec"] == "h264"
-        read = [np.frombuffer(picture, np.uint8).reshape(240, 640, 3) for picture in pictures]
-        assert len(read) == count
-    else:
-        with Image.open(path) as image:  # equal pictures are stored as one with a longer duration
-            assert image.size == (640, 240)
-            assert image.info["loop"] == 0
-            read = [(frame.info["duration"], np.asarray(frame.convert("RGB"))) for frame in Iterator(image)]
-        assert sum(duration for duration, _ in read) == pytest.approx(1000 * count / rate)
-        read = [picture for _, picture in read]
-    assert np.mean(np.abs(read[-1].astype(int) - painter.array(9.0))) < 4  # both formats are lossy
-    assert np.mean(np.abs(read[0].astype(int) - painter.array(9.0))) > 4
+    assert list(tmp_path.iterdir()) == [path]
+    pictures, duration = read(path)
+    assert duration == pytest.approx(count / rate)
+    end = painter.array(9.0)
+    assert np.mean(np.abs(pictures[-1].astype(int) - end)) < 4  # both formats are lossy
+    assert np.mean(np.abs(pictures[0].astype(int) - end)) > 4
 
 
 def test_interrupt_keeps_the_old_file(tmp_path, lost):
@@ -169,21 +184,22 @@ def test_watch_command_plays_in_a_window(cablebot, monkeypatch):
     assert keywords == {"speed": 0.5, "size": (400, 300)}
 
 
-def test_picture_shows_policies_at_a_time_and_the_start_pose(cablebot, tmp_path):
-    common = ("--payload", "1.0", "--size", "320x240")
-    for name, more in {"late": ("--time", "0.8"), "end": ()}.items():
-        status, out, _ = cablebot(
-            "picture", SPATIAL, tmp_path / f"{name}.png", "--policies", "fl,robust", *common, *more
-        )
+def test_picture_shows_policies_at_a_time(cablebot, tmp_path):
+    def picture(name, *options):
+        path = tmp_path / name
+        status, out, _ = cablebot("picture", SPATIAL, path, "--payload", "1.0", "--size", "320x240", *options)
         assert status == 0
-        assert out.count("task criterion: carried") == 2
-    assert cablebot("picture", SPATIAL, tmp_path / "start.png", *common)[0] == 0
-    late, end, start = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("late", "end", "start"))
-    assert late.shape == (240, 640, 3)
-    assert start.shape == (240, 320, 3)
+        with Image.open(path) as image:
+            return np.asarray(image), out
+
+    late, out = picture("late.png", "--policies", "fl,robust", "--time", "0.8")
+    assert out.count("task criterion: carried") == 2
     painter = VideoPainter([(f"fl on {SPATIAL}", record_rollout("fl", SPATIAL, payload=1.0))], SMALL)
     assert np.array_equal(late[:, :320], painter.array(0.8))
-    assert not np.array_equal(late, end)
+    at_the_end, _ = picture("end.png", "--policies", "fl,robust")
+    assert not np.array_equal(late, at_the_end)
+    start_pose, _ = picture("start.png")
+    assert start_pose.shape == (240, 320, 3)
 
 
 @pytest.mark.parametrize(
