@@ -61,7 +61,10 @@ def test_actions_with_springs_equal_difference_quotients(robot: Robot):
         return spring, textbook.pulley_angle(robot, x.position) + spring / robot.stiffness
 
     spring, angle = spring_and_angle(times)
-    two_before, before, after, two_after = (spring_and_angle(times + k * step)[1] for k in (-2, -1, 1, 2))
+    two_before = spring_and_angle(times - 2 * step)[1]
+    before = spring_and_angle(times - step)[1]
+    after = spring_and_angle(times + step)[1]
+    two_after = spring_and_angle(times + 2 * step)[1]
     speed = (two_before - 8 * before + 8 * after - two_after) / (12 * step)
     acceleration = (-two_before + 16 * before - 30 * angle + 16 * after - two_after) / (12 * step**2)
     torques = spring + robot.motor_inertia * acceleration + robot.motor_damping * speed

@@ -67,7 +67,8 @@ def test_filter_is_better_than_forward_kinematics(env_id):
     raw, _ = run(env_id, KinematicEstimator(robot), **noise)
     n = robot.coordinates
     assert 0.3 < squares.mean() / (2 * n) < 2
-    size, raw_size = (np.sqrt((error**2).mean(axis=(0, 1))) for error in (errors, raw))
+    size = np.sqrt((errors**2).mean(axis=(0, 1)))
+    raw_size = np.sqrt((raw**2).mean(axis=(0, 1)))
     assert (size[:n] < raw_size[:n]).all()
     assert (size[n:] < raw_size[n:] / 5).all()
 

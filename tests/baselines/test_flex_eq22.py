@@ -83,7 +83,8 @@ def torque(law, action, observation):
 
 def test_measured_acceleration_is_a_difference_quotient(two_observations):
     before, after = two_observations
-    measured, commanded = (PaperFlexible(FLEX_SPATIAL, motor_acceleration=name) for name in ("measured", "commanded"))
+    measured = PaperFlexible(FLEX_SPATIAL, motor_acceleration="measured")
+    commanded = PaperFlexible(FLEX_SPATIAL, motor_acceleration="commanded")
     action, state = measured.predict(before, state=None, episode_start=np.ones(3, np.bool_))
     np.testing.assert_array_equal(action, commanded.predict(before)[0])
     action, _ = measured.predict(after, state=state, episode_start=np.zeros(3, np.bool_))

@@ -130,7 +130,8 @@ def test_card_belongs_to_its_weights(name):
     assert bundle.card["dwell"] == card.dwell > 0
     assert card.conditions == CONDITIONS[card.policy]
     assert bundle.card["config"] == read_yaml(card.env_id, Path(card.config or card.algorithm))
-    assert all(loop.seed >= FIRST_HELD_OUT_SEED for loop in card.held_out)
+    for loop in card.held_out:
+        assert loop.seed >= FIRST_HELD_OUT_SEED
 
 
 @pytest.mark.slow

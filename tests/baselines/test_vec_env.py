@@ -152,7 +152,8 @@ def test_invalid_options_and_info_keys_raise():
 
 
 def test_attributes_equal_those_of_the_single_environments():
-    env, twin = (make(uncertainty="table6") for make in (ours, dummy))
+    env = ours(uncertainty="table6")
+    twin = dummy(uncertainty="table6")
     for vec_env in (env, twin):
         vec_env.seed(1)
         vec_env.reset()
@@ -179,7 +180,8 @@ def test_wrappers_of_the_batch_take_effect():
         wrapped_observation, _, _, infos = wrapped.step(action)
         np.testing.assert_array_equal(wrapped_observation, observation)
         for env_index in np.flatnonzero(dones):
-            mine, its = (info[env_index]["episode"] for info in (infos, theirs))
+            mine = infos[env_index]["episode"]
+            its = theirs[env_index]["episode"]
             assert mine["l"] == its["l"]
             assert mine["r"] == pytest.approx(its["r"], abs=1e-5)
             ends += 1

@@ -42,7 +42,7 @@ def hidden(motions):
     )
 
 
-def test_commitment_binds_every_field_and_hides_the_secret(tmp_path, policy):
+def test_secret_has_a_file_of_its_own(tmp_path, policy):
     name = policy("def make(robot): ...\n")
     board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
     public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")
@@ -51,17 +51,28 @@ def test_commitment_binds_every_field_and_hides_the_secret(tmp_path, policy):
     assert (tmp_path / boards.SECRET).stat().st_mode & 0o077 == 0
     assert len(board.secret) == 32
     assert boards.read_board(tmp_path) == board
-    changed_hex = f"{int(board.secret, 16) ^ 1:032x}"
-    changes = [{"secret": changed_hex}, {"salt": changed_hex}, {"version": "2"}, {"policies": {name: "0" * 64}}]
-    for change in (*changes, {"motions": 19}, {"entries": {SPATIAL: [name]}}):
-        with pytest.raises(ValueError, match="does not match its commitment"):
-            replace(board, **change).check()
-    with pytest.raises(ValueError, match="not published"):
-        replace(board, secret=None).check()
     with pytest.raises(ValueError, match="has a board"):
         boards.commit(tmp_path, "2", {PLANAR: [name]}, 20)
     with pytest.raises(ValueError, match="add --suite ranked"):
         boards.commit(tmp_path / "other", "2", {PLANAR: [name]}, 0)
+
+
+def test_commitment_binds_every_field(tmp_path, policy):
+    name = policy("def make(robot): ...\n")
+    board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
+    changed_hex = f"{int(board.secret, 16) ^ 1:032x}"
+    for changes in (
+        {"secret": changed_hex},
+        {"salt": changed_hex},
+        {"version": "2"},
+        {"policies": {name: "0" * 64}},
+        {"motions": 19},
+        {"entries": {SPATIAL: [name]}},
+    ):
+        with pytest.raises(ValueError, match="does not match its commitment"):
+            replace(board, **changes).check()
+    with pytest.raises(ValueError, match="not published"):
+        replace(board, secret=None).check()
 
 
 def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, module):
@@ -88,7 +99,8 @@ def test_hidden_motions_depend_on_secret_and_environment(tmp_path):
     board = boards.commit(tmp_path, "1", {}, 20)
     seeds = board.seeds(PLANAR, 20)
     assert len({*seeds, *board.seeds(SPATIAL, 20)}) == 40
-    assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
+    for seed in seeds:
+        assert FIRST_HELD_OUT_SEED <= seed < 2**53
     with pytest.raises(ValueError, match="committed with 20 motions, not 2"):
         board.seeds(PLANAR, 2)
     assert boards.commit(tmp_path / "other", "1", {}, 20).seeds(PLANAR, 20) != seeds
@@ -179,14 +191,12 @@ def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
 def test_seed_of_the_confirmation_chooses_the_cells():
     records = [record(cell(seed=number)) for number in range(30)]
 
-    def chosen(seed):
-        def backend(jobs, say, returned):
-            yield from ((key, 1.0) for key in jobs)
+    def backend(jobs, say, returned):
+        yield from ((key, 1.0) for key in jobs)
 
-        return [
-            confirmation.cell.seed
-            for confirmation in confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)
-        ]
+    def chosen(seed):
+        confirmations = confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)
+        return [confirmation.cell.seed for confirmation in confirmations]
 
     assert len(set(chosen(1))) == 20
     assert chosen(1) == chosen(1) != chosen(2)

@@ -169,7 +169,8 @@ def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
         control_frequency=500.0,
         trajectory={"name": "circle-planar", "dwell": 0.0},
     )
-    in_time, late = (compute(cell).result for cell in (slow, dataclasses.replace(slow, real_time=True, draws=59)))
+    in_time = compute(slow).result
+    late = compute(dataclasses.replace(slow, real_time=True, draws=59)).result
     assert in_time["payload"] > 1.0
     assert late["payload"] is None or late["payload"] < in_time["payload"]
 
@@ -216,18 +217,19 @@ def test_model_payload_factor_scales_the_model_only():
     assert result["total_mass"] == result["payload"] + PLANAR.mass
     wrong = {"parameters": {"payload": {"low": 1 / factor - 1, "high": 1 / factor - 1}}}
     policy = load_policy("fl", PLANAR)
-    for more, carried in ((0.0, True), (result["resolution"], False)):
-        true = result["payload"] + more
-        options = {"payload": factor * true, "uncertainty": wrong, "control_frequency": SLOW}
+    for excess, is_carried in ((0.0, True), (result["resolution"], False)):
+        true_payload = result["payload"] + excess
+        options = {"payload": factor * true_payload, "uncertainty": wrong, "control_frequency": SLOW}
         env = DLCCMonitor(gym.make(PLANAR_ID, max_episode_steps=None, **options))
         observation, info = env.reset(seed=0)
-        assert info["payload"] == pytest.approx(true)
-        assert env.unwrapped.layout.split(observation)["model_payload"] == pytest.approx(factor * true)
-        ended = False
-        while not ended:
+        model_payload = env.unwrapped.layout.split(observation)["model_payload"]
+        assert info["payload"] == pytest.approx(true_payload)
+        assert model_payload == pytest.approx(factor * true_payload)
+        has_ended = False
+        while not has_ended:
             observation, _, terminated, truncated, _ = env.step(policy.predict(observation)[0])
-            ended = terminated or truncated
-        assert env.verdict.carried == carried
+            has_ended = terminated or truncated
+        assert env.verdict.carried == is_carried
 
 
 TOYS = """

@@ -67,13 +67,12 @@ def reruns(folder, exact, drawn, seed=0):
     cells = entry_cells(folder, "tiny", seed=seed, claims_only=True).values()
     records = []
     for cell, payload in zip(cells, (exact, drawn), strict=True):
-        result = {
-            "payload": payload,
-            "resolution": 0.001,
-            "assured": None if cell.uncertainty is None else True,
-        }
-        result |= {"total_mass": None if payload is None else 1 + payload} if not isinstance(payload, str) else {}
-        result = {"error": payload} if isinstance(payload, str) else result
+        if isinstance(payload, str):
+            result = {"error": payload}
+        else:
+            is_assured = None if cell.uncertainty is None else True
+            total_mass = None if payload is None else 1 + payload
+            result = {"payload": payload, "total_mass": total_mass, "resolution": 0.001, "assured": is_assured}
         records.append(Record(cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0))
     return records
 
@@ -172,7 +171,7 @@ def test_claims_under_other_conditions_are_refused(entry, old, new, message):
         read_claims(entry)
 
 
-def test_claim_above_the_rerun_with_other_draws_is_refuted(entry):
+def test_claim_above_the_rerun_is_refuted(entry):
     claims = read_claims(entry)
     for exact, drawn in ((1.0, 0.5), (3.0, 3.0), (0.99, 0.48)):
         assert refuted(claims, reruns(entry, exact, drawn, seed=7)) == []
@@ -181,10 +180,13 @@ def test_claim_above_the_rerun_with_other_draws_is_refuted(entry):
     assert "sensors" in refuted(claims, reruns(entry, 1.0, 0.4))[0]
     assert "it fails unloaded" in refuted(claims, reruns(entry, None, 0.5))[0]
     assert "it lost its file" in refuted(claims, reruns(entry, "it lost its file", 0.5))[0]
-    nothing = replace(claims, records=[replace(claim, result={"payload": None}) for claim in claims.records])
-    assert refuted(nothing, reruns(entry, None, None)) == []
-    infinite = replace(claims, records=[replace(claim, result={"payload": float("nan")}) for claim in claims.records])
-    assert len(refuted(infinite, reruns(entry, 1.0, 0.5))) == 2
+
+
+@pytest.mark.parametrize(("payload", "exact", "count"), [(None, None, 0), (float("nan"), 1.0, 2)])
+def test_claim_without_payload_is_refuted_only_if_it_is_no_number(entry, payload, exact, count):
+    claims = read_claims(entry)
+    records = [replace(claim, result={"payload": payload}) for claim in claims.records]
+    assert len(refuted(replace(claims, records=records), reruns(entry, exact, exact))) == count
 
 
 def test_entry_is_verified_by_a_rerun_in_a_sandbox(entry, monkeypatch):

@@ -120,7 +120,8 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
     force_x = -10 * np.cos(angles).sum()
     force_y = -10 * np.sin(angles).sum()
     # Between cables 1 and 2, T_2 = 10 + w_y + w_x / √3, between 2 and 3 it is 10 + w_y - w_x / √3.
-    low_mass, high_mass = ((sign * math.sqrt(3) * (5 - force_y) - force_x) / 10 for sign in (1, -1))
+    low_mass = (math.sqrt(3) * (5 - force_y) - force_x) / 10
+    high_mass = (-math.sqrt(3) * (5 - force_y) - force_x) / 10
     result = exact_payload(robot, Jolted(at=0.5, acceleration=10.0), minimum_tension=10.0)
     if below:
         assert (result.lowest, result.payload) == pytest.approx((-mass, low_mass - mass), abs=1e-9)

@@ -168,18 +168,6 @@ def test_time_left_counts_work_from_the_first_step_on(clock, capsys):
     assert capsys.readouterr().err.splitlines()[-1] == "task criterion: 5%, 9.4 min elapsed, 95 s left"
 
 
-def test_time_left_shrinks_until_the_next_cell_is_late(clock):
-    watch = console._Clock()
-    texts = []
-    watch.update(0, 5)
-    clock.sleep(40.0)
-    watch.update(1, 5)
-    for _ in range(3):
-        clock.sleep(20.0)
-        texts.append(watch.left)
-    assert texts == ["2.3 min left", "2.0 min left", "2.5 min left"]
-
-
 def test_silent_computation_writes_lines(clock, monkeypatch):
     lines = []
 
@@ -259,7 +247,8 @@ def test_terminal_shows_a_bar_with_the_time_left(tmp_path):
     os.close(terminal)
     out, _ = ran.communicate()
     assert ran.returncode == 0, shown
-    assert all(chunk in shown.decode() for chunk in ("paper criterion", "━", "left"))
+    for chunk in ("paper criterion", "━", "left"):
+        assert chunk in shown.decode()
     assert "\x1b" not in out
 
 
@@ -304,7 +293,8 @@ def test_reproduction_writes_its_files_and_takes_its_options(cablebot, tmp_path)
         "--json",
     )
     rows = json.loads(cablebot(*arguments, "--planar-apex", "left", "--minimum-tension", "2").out)
-    assert all("key" in row for row in rows)
+    for row in rows:
+        assert "key" in row
     expected = {"results.json", "reproduction.md", "reproduction.html", "fig1.png", "fig1.svg"}
     assert set(names(tmp_path / "out")) == expected
     data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))

@@ -54,7 +54,8 @@ def test_out_has_json_and_figure(cablebot, tmp_path):
     assert names(folder) == ["comparison.json", "comparison.png"]
     assert (folder / "comparison.json").read_text(encoding="utf-8") == ended.out
     assert (folder / "comparison.png").read_bytes().startswith(b"\x89PNG")
-    assert all(name in ended.err for name in names(folder))
+    for name in names(folder):
+        assert name in ended.err
 
 
 # --- table ------------------------------------------------------------------------------------------------------------

@@ -271,23 +271,17 @@ def test_json_has_conditions_estimates_and_values_per_draw():
     assert weak["reductions"]["rms_error"] == vars(comparison.reduction(1, "rms_error"))
 
 
-def test_figure_shows_draws_that_end_early_and_bounds(tmp_path):
+def test_figure_shows_draws_that_end_early():
     pytest.importorskip("matplotlib")
-    from cablebot_gym.plotting.comparison import draw_comparison, save_comparison
+    from cablebot_gym.plotting.comparison import draw_comparison
 
     motion = {"name": "dwell-spatial", "duration": 0.3}
-    keywords = {
-        "names": "ab",
-        "uncertainty": "sensors",
-        "draws": 6,
-        "seed": 2,
-        "trajectory": motion,
-    }
+    keywords = {"names": "ab", "uncertainty": "sensors", "draws": 6, "seed": 2, "trajectory": motion}
     comparison = compare_policies([LetsGo(1.0), limp], SPATIAL_ID, error_bounds={"position": 0.005}, **keywords)
-    assert save_comparison(comparison, tmp_path).read_bytes().endswith(b"IEND\xaeB`\x82")
-    drawn = draw_comparison(comparison).axes[0].get_lines()
-    (level,) = (line for line in drawn if line.get_color() == "black")
-    long_line, short_line = (line for line in drawn if line.get_color() != "black")
-    assert set(level.get_ydata()) == {5.0}
-    assert not np.isnan([*long_line.get_ydata(), *short_line.get_ydata()]).any()
+    lines = draw_comparison(comparison).axes[0].get_lines()
+    bound = [line for line in lines if line.get_color() == "black"]
+    long_line, short_line = [line for line in lines if line.get_color() != "black"]
+    assert set(bound[0].get_ydata()) == {5.0}
+    assert np.isfinite(long_line.get_ydata()).all()
+    assert np.isfinite(short_line.get_ydata()).all()
     assert short_line.get_xdata()[-1] < 0.2 < long_line.get_xdata()[-1]

@@ -113,7 +113,8 @@ def test_no_stream_ends_a_command(tmp_path):
     for number, ((stream, typed), status) in enumerate(zip(cases, statuses, strict=True)):
         folder = tmp_path / str(number)
         case = f"{typed!r} with {stream}"
-        out, err = ((folder / name).read_bytes() for name in ("out", "err"))
+        out = (folder / "out").read_bytes()
+        err = (folder / "err").read_bytes()
         assert not (folder / "traceback").exists(), (folder / "traceback").read_text()
         assert b"Traceback" not in out + err, case
         assert b"Exception ignored" not in err, case
