@@ -12,7 +12,7 @@ import pytest
 import torch
 import yaml
 from oracles.platforms import PLATFORMS
-from test_learned_policy import tasks_of
+from steering import tasks_of
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle

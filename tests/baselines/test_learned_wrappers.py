@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker
 from stable_baselines3.common.monitor import Monitor
-from test_learned_policy import network_of
+from steering import network_of
 
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
