@@ -75,7 +75,6 @@ OPTIONS = {
         "environment.trajectory.duration",
         0.25,
     ),
-    ("--criterion", "paper"): ("criterion", "paper"),
     ("--draws", "3"): ("draws", 3),
     ("--probability", "0.7"): ("probability", 0.7),
     ("--confidence", "0.6"): ("confidence", 0.6),
