@@ -116,30 +116,15 @@ def test_one_planar_draw_has_no_interval_and_no_rotation(capsys):
 
 
 def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
-    typed = (
-        "compare",
-        PLANAR,
-        "--policies",
-        "fl,robust",
-        "--payloads",
-        "0:3:1.5",
-        "--out",
-        tmp_path,
-    )
-    rows = [line.split("│") for line in cablebot(*typed).out.splitlines() if "│" in line]
+    pair = PAIR[: PAIR.index("--uncertainty")]
+    typed = (*pair, "--policies", "fl,robust")
+    ended = cablebot(*typed, "--payloads", "0:3:1.5", "--out", tmp_path)
+    rows = [line.split("│") for line in ended.out.splitlines() if "│" in line]
     labels = [(row[1].strip(), row[2].strip()) for row in rows]
-    assert labels == [
-        ("0", "fl"),
-        ("", "robust"),
-        ("1.5", "fl"),
-        ("", "robust"),
-        ("3", "fl"),
-        ("", "robust"),
-    ]
+    assert labels == [("0", "fl"), ("", "robust"), ("1.5", "fl"), ("", "robust"), ("3", "fl"), ("", "robust")]
     data = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
-    alone = cablebot("compare", PLANAR, "--policies", "fl,robust", "--payload", "1.5", "--json").data
     assert data["payloads"] == [0.0, 1.5, 3.0]
-    assert data["comparisons"][1] == alone
+    assert data["comparisons"][1] == cablebot(*typed, "--payload", "1.5", "--json").data
     assert (tmp_path / "comparison.png").is_file()
 
 

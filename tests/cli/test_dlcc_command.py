@@ -157,7 +157,7 @@ def test_policy_that_fails_unloaded_has_no_payload(cablebot, toys):
 
 def test_out_has_json_and_figures(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
-    ended = cablebot("dlcc", PLANAR, "--policy", "fl", "--criterion", "task", "--out", folder, "--json")
+    ended = cablebot(*ONE, "--out", folder)
     assert names(folder) == ["path-task.png", "result.json", "torques-task.png"]
     assert (folder / "result.json").read_text(encoding="utf-8") == ended.out
     for name in ("path-task.png", "torques-task.png"):
