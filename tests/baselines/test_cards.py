@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cards.card import Card, read_cards
-from cards.figure import draw_curves
+from cards.card import Card
 from cards.making import make_card, with_best_known, with_search_results
-from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
 from scipy.stats import trim_mean
-from shipping import APG_CIRCLE, BEST_KNOWN, PLANAR_ID, save_run, script, ship
+from shipping import APG_CIRCLE, BEST_KNOWN, PLANAR_ID, save_run, ship
 
 from cablebot_baselines.learned.runs import BEST
 from cablebot_gym.benchmark.cells import BestKnownCell, Record
@@ -128,39 +125,3 @@ def test_best_known_payloads_of_held_out_loops_are_searched(runs):
     search = Search()
     assert with_search_results(few, search, BEST_KNOWN) == card
     assert search.seeds == [10_004, 10_005]
-
-
-def row_of(page, start):
-    return next(line for line in page.splitlines() if line.startswith(start))
-
-
-def test_page_has_the_numbers_of_the_cards(runs, computed, tmp_path):
-    """The page updates the best known payloads of the cards."""
-    card = ship(runs, tmp_path / "weights")
-    replace(card, best_known=9.0).save(tmp_path / "weights")
-    script.write_page(tmp_path / "weights", tmp_path)
-    assert read_cards(tmp_path / "weights") == [card]
-    page = (tmp_path / "learned.md").read_text(encoding="utf-8")
-    cells = [cell.strip() for cell in row_of(page, "| `apg-circle` | Planar").strip("|").split("|")]
-    summary = card.summary(0)
-    payloads = [f"2.33 [{summary.low:.2f}, {summary.high:.2f}]", "2.40", "1.50", "`fl` 1.90"]
-    assert cells[4:] == [*payloads, "81% of 2.88", "2 of 4", "40% on 3", "62 s"]
-
-
-def test_page_has_no_fraction_of_an_uncertain_payload(runs, computed, tmp_path):
-    """The best known payload is that of the nominal robot."""
-    card = ship(runs, tmp_path / "weights")
-    known, unknown = card.conditions
-    uncertain = replace(card, conditions=(known, replace(unknown, uncertainty="table6")))
-    row = row_of(card_markdown([uncertain]), "|  |  | payload unknown, table6")
-    assert f"{card.draws} draws [kg]" in row
-    assert "%" not in row
-
-
-def test_figure_has_a_curve_for_every_seed(runs, computed, tmp_path):
-    card = ship(runs, tmp_path / "weights")
-    loops = replace(card, policy="apg-loops", motions={"loops": 9})
-    circle, loop = draw_curves([card, loops]).axes[:2]
-    assert len(circle.lines) == 5 + 3
-    assert len(loop.lines) == 5 + 1
-    assert list(circle.lines[0].get_ydata()) == [2.0]

@@ -53,13 +53,9 @@ def changed(robot: Robot, name: str, value: Any) -> Robot:
             300.0,
             "12 m/s at the cable of a robot of 4 m: is it in rad/s",
         ),  # rpm
-        (PLANAR, "motors.free_speed", "×9.55", "is it in rad/s at the pulley"),
         (CAMERA, "motors.stall_torque", "×1000", "over 100 times the weight"),  # N·mm
-        (PLANAR, "motors.stall_torque", "×1000", "over 100 times the weight"),
         (HANGING, "mass", "×1000", "and mass in kg"),  # g
-        (PLANAR, "mass", "×1000", "and mass in kg"),
         (SPATIAL, "inertia", "×1e4", "is inertia in kg·m²"),  # kg·cm²
-        (SPATIAL, "inertia", "×1e6", "is inertia in kg·m²"),  # kg·mm²
         (SPATIAL, "transmission.pulley_inertia", "×1e4", "is transmission.pulley_inertia in kg·m²"),
         (
             FLEX_SPATIAL,

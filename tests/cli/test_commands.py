@@ -9,7 +9,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
@@ -181,33 +180,6 @@ def test_silent_computation_writes_lines(clock, monkeypatch):
         clock.sleep(2.0)
         wait_until(lambda: len(lines) > 2)
     assert lines[:3] == ["starting, 2 s elapsed", "starting, 5 s elapsed", "starting, 8 s elapsed"]
-
-
-def test_preparation_that_announced_itself_writes_no_lines(clock, monkeypatch, capsys):
-    """While numba compiles, for example."""
-    looks = threading.Semaphore(0)
-
-    def time_of_a_look():
-        looks.release()
-        return now
-
-    def look():
-        for _ in range(5):  # the thread looks at the clock more than once for a line
-            looks.acquire()
-
-    now = 0.0
-    monkeypatch.setattr(console.time, "monotonic", time_of_a_look)
-    monkeypatch.setattr(console, "_PULSE", 1e-3)
-    with console.activity():
-        console.PREPARATION.start()
-        now = 100.0
-        look()
-        silent = capsys.readouterr().err
-        console.PREPARATION.end()
-        now = 200.0
-        look()
-    assert silent == ""
-    assert capsys.readouterr().err != ""
 
 
 def test_command_line_is_quoted_and_complete():
