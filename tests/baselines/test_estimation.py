@@ -94,6 +94,7 @@ def test_homing_removes_zero_errors_of_sensors(env_id, law):
     assert np.abs(errors[..., :2]).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_law_behind_the_filter_keeps_its_payload():
     """The tolerance is 1 % of the payload."""
     options = {"search": "bisection", "payload_max": 4.0}
