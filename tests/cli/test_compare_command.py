@@ -122,6 +122,8 @@ def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     rows = [line.split("│") for line in ended.out.splitlines() if "│" in line]
     labels = [(row[1].strip(), row[2].strip()) for row in rows]
     assert labels == [("0", "fl"), ("", "robust"), ("1.5", "fl"), ("", "robust"), ("3", "fl"), ("", "robust")]
+    for row in rows:
+        assert len(row[4:-1]) == 4  # mean and largest error, rotation and torque
     data = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
     assert data["payloads"] == [0.0, 1.5, 3.0]
     assert data["comparisons"][1] == cablebot(*typed, "--payload", "1.5", "--json").data
