@@ -219,6 +219,16 @@ def trained(tmp_path_factory, config):
     return train_gradient(PLANAR, out=tmp_path_factory.mktemp("trained") / "run", config=config, seed=3)
 
 
+@pytest.mark.parametrize(("env_id", "softness"), [(PLANAR, ()), ("CableBot-FlexPlanar-v0", (20.0,))])
+def test_round_raises_the_payload(env_id, softness):
+    mapping = Shift(action_period=0.02, fraction=0.98, degree=4)
+    training = made(env_id, mapping, spread=0.01, rounds=(30.0,), iterations=10, softness=softness)
+    before = training.payloads.mean()
+    training.round(0)
+    assert training.payloads.mean() > before
+
+
+@pytest.mark.slow
 def test_short_run_carries_far_more_than_its_base(trained):
     bundle = Bundle.load(trained.out / BEST)
     policy = LearnedPolicy(bundle, find_robot(env_robot(PLANAR)))
@@ -255,6 +265,7 @@ def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, 
         np.testing.assert_array_equal(weights, expected)
 
 
+@pytest.mark.slow
 def test_run_that_cannot_be_resumed_is_rejected(trained, tmp_path, config):
     out = shutil.copytree(trained.out, tmp_path / "run")
     with pytest.raises(ValueError, match="--resume"):

@@ -53,6 +53,7 @@ def scored(kind, criterion, known=True, position=0.01, rotation=0.01):
         trajectory=f"paper-{kind}",
         payload_known=known,
         error_bounds=ErrorBounds(position=position, rotation=rotation),
+        resolution=0.01,
     )
 
 
