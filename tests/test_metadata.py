@@ -30,7 +30,11 @@ def test_oldest_tested_versions_are_the_lower_bounds():
     for line in [*project["dependencies"], *extras["sb3"], *extras["plot"]]:
         name, version = re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups()
         bounds[name] = (version + ".0.0").split(".")[:3]
-    pins = re.findall(r"^([\w-]+)==(\S+)$", (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8"), re.MULTILINE)
+    pins = re.findall(
+        r"^([\w-]+)==(\S+)$",
+        (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     tested = {name: version.split(".") for name, version in pins}
     assert bounds.keys() == tested.keys()
     del bounds["torch"], tested["torch"]

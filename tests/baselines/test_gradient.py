@@ -73,7 +73,12 @@ def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **
         (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.01, degree=2, preview=0.05), REFERENCE_FEATURES),
-        (FLEX, "motor-pd", Shift(action_period=0.04, degree=4, preview=0.02), ("time_since_start",)),
+        (
+            FLEX,
+            "motor-pd",
+            Shift(action_period=0.04, degree=4, preview=0.02),
+            ("time_since_start",),
+        ),
     ],
 )
 def test_training_motion_equals_the_reference_of_the_law(env_id, law, action_mapping, features):

@@ -175,7 +175,10 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
     poses = [single_task.trajectory(0.0).position for single_task in tasks]
     rows = np.zeros((2, observation_layout(SPATIAL).size))
     blocks = steering.split(rows)
-    blocks["reference_pose"][:], blocks["pose"][:] = poses, [single_task.start_pose for single_task in tasks]
+    blocks["reference_pose"][:], blocks["pose"][:] = (
+        poses,
+        [single_task.start_pose for single_task in tasks],
+    )
     references = []
     memory = None
     steering.law.respond = lambda blocks, *arguments: references.append(blocks) or (np.zeros((2, 6)), None)

@@ -221,7 +221,11 @@ def test_model_payload_factor_scales_the_model_only():
     policy = load_policy("fl", PLANAR)
     for excess, is_carried in ((0.0, True), (result["resolution"], False)):
         true_payload = result["payload"] + excess
-        options = {"payload": factor * true_payload, "uncertainty": wrong, "control_frequency": SLOW}
+        options = {
+            "payload": factor * true_payload,
+            "uncertainty": wrong,
+            "control_frequency": SLOW,
+        }
         env = DLCCMonitor(gym.make(PLANAR_ID, max_episode_steps=None, **options))
         observation, info = env.reset(seed=0)
         model_payload = env.unwrapped.layout.split(observation)["model_payload"]

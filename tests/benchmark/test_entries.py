@@ -72,7 +72,12 @@ def reruns(folder, exact, drawn, seed=0):
         else:
             is_assured = None if cell.uncertainty is None else True
             total_mass = None if payload is None else 1 + payload
-            result = {"payload": payload, "total_mass": total_mass, "resolution": 0.001, "assured": is_assured}
+            result = {
+                "payload": payload,
+                "total_mass": total_mass,
+                "resolution": 0.001,
+                "assured": is_assured,
+            }
         records.append(Record(cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0))
     return records
 

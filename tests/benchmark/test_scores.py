@@ -83,7 +83,10 @@ def test_score_is_the_fraction_of_the_best_known_payload():
 
 
 def test_error_of_a_policy_counts_as_zero():
-    assert score_values([best(2.0), fails("bad"), fails("lost", "no memory", final=False)]) == [0.0, None]
+    assert score_values([best(2.0), fails("bad"), fails("lost", "no memory", final=False)]) == [
+        0.0,
+        None,
+    ]
 
 
 def test_only_certain_payloads_have_a_score():
@@ -219,7 +222,12 @@ def on_axis(name, value, payload):
 
 
 def test_map_contains_the_default_cell():
-    records = [*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0), carries("trajopt", 1.9)]
+    records = [
+        *on_axis("position", 0.02, 1.5),
+        best(2.0),
+        carries("fl", 1.0),
+        carries("trajopt", 1.9),
+    ]
     on_axes = [*records, *on_axis("bounds", 0.02, 1.75), *on_axis("duration", 2.0, 3.0)]
     by_position, by_bounds, by_duration = payload_maps(on_axes)
     assert payloads(by_bounds.policies["fl"]) == [1.0, 1.75]

@@ -29,7 +29,9 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     result = SimpleNamespace(verified=True, to_json=lambda: '{"payload": 1.0}')
     calls = []
     monkeypatch.setattr(
-        best_known, "find_best_known", lambda *positional, **keywords: calls.append((positional, keywords)) or result
+        best_known,
+        "find_best_known",
+        lambda *positional, **keywords: calls.append((positional, keywords)) or result,
     )
     options = (
         "--rotation-bound",

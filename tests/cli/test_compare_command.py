@@ -121,7 +121,14 @@ def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     ended = cablebot(*typed, "--payloads", "0:3:1.5", "--out", tmp_path)
     rows = [line.split("│") for line in ended.out.splitlines() if "│" in line]
     labels = [(row[1].strip(), row[2].strip()) for row in rows]
-    assert labels == [("0", "fl"), ("", "robust"), ("1.5", "fl"), ("", "robust"), ("3", "fl"), ("", "robust")]
+    assert labels == [
+        ("0", "fl"),
+        ("", "robust"),
+        ("1.5", "fl"),
+        ("", "robust"),
+        ("3", "fl"),
+        ("", "robust"),
+    ]
     for row in rows:
         assert len(row[4:-1]) == 4  # mean and largest error, rotation and torque
     data = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))

@@ -276,7 +276,13 @@ def test_figure_shows_draws_that_end_early():
     from cablebot_gym.plotting.comparison import draw_comparison
 
     motion = {"name": "dwell-spatial", "duration": 0.3}
-    keywords = {"names": "ab", "uncertainty": "sensors", "draws": 6, "seed": 2, "trajectory": motion}
+    keywords = {
+        "names": "ab",
+        "uncertainty": "sensors",
+        "draws": 6,
+        "seed": 2,
+        "trajectory": motion,
+    }
     comparison = compare_policies([LetsGo(1.0), limp], SPATIAL_ID, error_bounds={"position": 0.005}, **keywords)
     lines = draw_comparison(comparison).axes[0].get_lines()
     bound = [line for line in lines if line.get_color() == "black"]

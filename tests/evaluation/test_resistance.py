@@ -139,7 +139,10 @@ def test_seed_moves_the_payloads_of_the_scan():
     grids = []
     for seed in (0, 0, 1):
         scanned = []
-        evaluated(Dropping(lambda payload, scanned=scanned: scanned.append(payload) or payload > 9), seed=seed)
+        evaluated(
+            Dropping(lambda payload, scanned=scanned: scanned.append(payload) or payload > 9),
+            seed=seed,
+        )
         grids.append(np.sort(scanned[0]))
     np.testing.assert_array_equal(grids[0], grids[1])
     assert np.all(grids[0][1:-1] != grids[2][1:-1])

@@ -258,7 +258,13 @@ def verdict(kind, time):
 
 
 def test_limiting_violation_is_the_most_frequent_kind():
-    outcomes = [("slack", 0.1), ("position", 0.4), (None, None), ("position", 0.3), ("rotation", 0.2)]
+    outcomes = [
+        ("slack", 0.1),
+        ("position", 0.4),
+        (None, None),
+        ("position", 0.3),
+        ("rotation", 0.2),
+    ]
     verdicts_of_draws = tuple(verdict(kind, time) for kind, time in outcomes)
     trial = Trial(payload=1.0, verdicts=verdicts_of_draws, seeds=tuple(range(5)))
     assert trial.carried == 1

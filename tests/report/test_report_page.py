@@ -129,7 +129,10 @@ def opened(browser, request):
         )
         page.on("pageerror", lambda error: complaints.append(str(error)))
         local = ("file:", "data:", "blob:")
-        page.on("request", lambda requested: requested.url.startswith(local) or complaints.append(requested.url))
+        page.on(
+            "request",
+            lambda requested: requested.url.startswith(local) or complaints.append(requested.url),
+        )
         page.goto(file.as_uri() + at)
         page.wait_for_function("document.getElementById('replay').frames || document.getElementById('replay').hidden")
         return page
