@@ -15,8 +15,24 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 VARIABLES = (
-    *("CABLEBOT_SANDBOX", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "CLICOLOR_FORCE", "TTY_COMPATIBLE"),
-    *("TTY_INTERACTIVE", "TERM", "TERMINAL_WIDTH", "PY_COLORS", "GITHUB_ACTIONS", "MPLBACKEND", "RAY_ADDRESS"),
+    *(
+        "CABLEBOT_SANDBOX",
+        "COLUMNS",
+        "LINES",
+        "NO_COLOR",
+        "FORCE_COLOR",
+        "CLICOLOR_FORCE",
+        "TTY_COMPATIBLE",
+    ),
+    *(
+        "TTY_INTERACTIVE",
+        "TERM",
+        "TERMINAL_WIDTH",
+        "PY_COLORS",
+        "GITHUB_ACTIONS",
+        "MPLBACKEND",
+        "RAY_ADDRESS",
+    ),
 )
 """Environment variables that change what commands print, and where policies and cells run."""
 
@@ -72,7 +88,8 @@ def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Ctrl-C in the third iteration of IPOPT."""
     from cablebot_gym.planning.signals import SolverInterrupt
 
-    requested, iterations = [False], []
+    requested = [False]
+    iterations = []
 
     def read(_: SolverInterrupt) -> bool:
         iterations.append(None)
@@ -81,7 +98,10 @@ def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         return requested[-1]
 
     monkeypatch.setattr(
-        SolverInterrupt, "_requested", property(read, lambda _, value: requested.append(value)), raising=False
+        SolverInterrupt,
+        "_requested",
+        property(read, lambda _, value: requested.append(value)),
+        raising=False,
     )
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -101,7 +121,7 @@ def browser():
     """Chromium; without it a test is skipped, and fails in CI."""
     from playwright.sync_api import sync_playwright
 
-    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    path = next((executable for name in BROWSERS if (executable := shutil.which(name))), None)
     if path is None:
         if os.environ.get("CI"):
             pytest.fail("no Chromium is installed, and CI has to look at the pages: apt-get install chromium")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -46,46 +46,55 @@ ORDER = (
 
 def source_files() -> dict[str, Path]:
     """Files of both packages by module."""
-    found = {}
+    files = {}
     for root, package in ((ROOT, "cablebot_gym"), (ROOT / "baselines", "cablebot_baselines")):
         for path in (root / package).rglob("*.py"):
             name = ".".join(path.relative_to(root).with_suffix("").parts)
-            found[name.removesuffix(".__init__")] = path
-    return found
+            files[name.removesuffix(".__init__")] = path
+    return files
 
 
 FILES = source_files()
 
 
-def imports(module: str) -> Iterator[tuple[str, str]]:
+@cache
+def imports(module: str) -> tuple[tuple[str, str], ...]:
     """Modules of both packages that a module imports anywhere in its code, with the name that it takes from each."""
+    imported = []
     for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, "") for alias in node.names if alias.name in FILES)
+            imported += [(alias.name, "") for alias in node.names if alias.name in FILES]
         elif isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 submodule = f"{node.module}.{alias.name}"
                 if submodule in FILES:
-                    yield submodule, ""
+                    imported.append((submodule, ""))
                 elif node.module in FILES:
-                    yield node.module, alias.name
+                    imported.append((node.module, alias.name))
+    return tuple(imported)
 
 
 def test_imports_form_no_cycle():
     """Lazy imports and those for types alone count too; a module's own packages do not."""
-    graph = {
-        module: {other for other, _ in imports(module) if not f"{module}.".startswith(f"{other}.")} for module in FILES
-    }
+    graph: dict[str, set[str]] = {}
+    for module in FILES:
+        graph[module] = set()
+        for imported, _ in imports(module):
+            if not f"{module}.".startswith(f"{imported}."):
+                graph[module].add(imported)
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
 
 
 @pytest.mark.parametrize("package", ORDER)
 def test_package_imports_only_those_before_it(package):
     allowed = {"", *ORDER[: ORDER.index(package) + 1]}
-    for module in (name for name in FILES if name.startswith("cablebot_gym.") and name.split(".")[1] == package):
-        for other, _ in imports(module):
-            root, _, rest = other.partition(".")
-            assert (root, rest.split(".")[0] in allowed) == ("cablebot_gym", True), f"{module} imports {other}"
+    for module in FILES:
+        if module.split(".")[:2] != ["cablebot_gym", package]:
+            continue
+        for imported, _ in imports(module):
+            root, _, path = imported.partition(".")
+            assert root == "cablebot_gym", f"{module} imports {imported}"
+            assert path.split(".")[0] in allowed, f"{module} imports {imported}"
 
 
 def test_every_package_is_in_the_order():
@@ -96,10 +105,10 @@ def test_baselines_import_only_public_names():
     """They are written as another package would write them."""
     internal = tuple(f"{module}." for module in cablebot_gym.INTERNAL)
     for module in (name for name in FILES if name.startswith("cablebot_baselines")):
-        for other, name in imports(module):
-            if other.startswith("cablebot_gym"):
-                assert not f"{other}.".startswith(internal), f"{module} imports {other}"
-                assert not name.startswith("_"), f"{module} imports {name} from {other}"
+        for imported, name in imports(module):
+            if imported.startswith("cablebot_gym"):
+                assert not f"{imported}.".startswith(internal), f"{module} imports {imported}"
+                assert not name.startswith("_"), f"{module} imports {name} from {imported}"
 
 
 CLOCKS = {"time", "timeit", "sched"}

@@ -16,4 +16,5 @@ def test_every_client_has_a_script_a_section_and_a_result():
     results = json.loads((ROOT / "docs/clients.json").read_text(encoding="utf-8"))
     assert set(re.findall(r"examples/clients/(\w+\.py)", page)) == scripts
     assert {f"use_{name}.py" for name in results} == scripts
-    assert all((ran["error"] is None) == (ran["figure"] is not None) for ran in results.values())
+    for ran in results.values():
+        assert (ran["error"] is None) == (ran["figure"] is not None)

@@ -6,142 +6,159 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
-FAST = ("first_steps",)
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def payloads(lines: list[str]) -> list[float]:
-    """Printed payloads [kg]."""
-    return [
-        float(found[1]) for line in lines if (found := re.search(r"payload (?:known|unknown)[^:]*: ([\d.]+) kg", line))
-    ]
+PAYLOAD = r"payload (?:known|unknown)[^:]*: ([\d.]+) kg"
+FRACTION = r": +(\d+)% of"
+AFTER_COLON = r"(?m)^[^:]*: (-?[\d.]+)"
 
 
-def fractions(lines: list[str]) -> list[float]:
-    """Percentages of lines such as `fl: 40% of the draws`."""
-    return [float(found[1]) for line in lines if (found := re.search(r": +(\d+)% of", line))]
+def numbers(pattern: str, text: str) -> list[float]:
+    return [float(number) for number in re.findall(pattern, text)]
 
 
-def learned_policy_carries_more(lines: list[str], folder: Path) -> bool:
-    fl, learned = payloads(lines)
-    return learned > 1.4 * fl and (folder / "out" / "best.zip").is_file()
+def first_steps(printed: str, folder: Path) -> None:
+    assert printed.endswith("\ncarried\n")
+    assert "reference_pose" in printed
 
 
-def own_controller_carries_more(lines: list[str], folder: Path) -> bool:
-    fl, own = payloads(lines)
-    return own > 1.04 * fl
+def ten_lines(printed: str, folder: Path) -> None:
+    """A learned policy beats the laws."""
+    assert printed.startswith("76 numbers observed, 6 motors\n")
+    laws, adaptive, learned = (float(line.split()[2]) for line in printed.splitlines()[1:])
+    assert laws < adaptive < learned
 
 
-def stronger_motors_carry_more(lines: list[str], folder: Path) -> bool:
-    carried = [float(line.split(": ")[1].split()[0]) for line in lines[:-1]]
-    return carried == sorted(carried) and carried[0] < 0.5 * carried[-1] and lines[-1].startswith("refused: home_pose")
+def your_controller(printed: str, folder: Path) -> None:
+    fl, controller = numbers(PAYLOAD, printed)
+    assert controller > 1.04 * fl
 
 
-def faster_motions_carry_less(lines: list[str], folder: Path) -> bool:
-    carried = payloads(lines)
-    return len(carried) == 3 and carried[0] > 1.3 * carried[1] and carried[1] > 1.3 * carried[2] > 0
+def your_robot(printed: str, folder: Path) -> None:
+    """Stronger motors carry more."""
+    assert printed.splitlines()[-1].startswith("refused: home_pose")
+    carried = numbers(AFTER_COLON, printed)
+    assert carried == sorted(carried)
+    assert carried[0] < 0.5 * carried[-1]
 
 
-def heavier_payloads_earn_less(lines: list[str], folder: Path) -> bool:
-    light, more, most = (float(line.split(": ")[1].split()[0]) for line in lines)
-    return 800 > light > more + 1 > most + 50
+def your_trajectory(printed: str, folder: Path) -> None:
+    """Faster motions carry less."""
+    slow, middle, fast = numbers(PAYLOAD, printed)
+    assert slow > 1.3 * middle > 1.3**2 * fast > 0
 
 
-def heavy_payloads_fail(lines: list[str], folder: Path) -> bool:
-    held = fractions(lines)
-    return len(held) == 8 and held[0] == 100 and held[-1] == 0
+def your_reward(printed: str, folder: Path) -> None:
+    """Heavier payloads earn less."""
+    light, middle, heavy = numbers(AFTER_COLON, printed)
+    assert 800 > light > middle + 1 > heavy + 50
 
 
-def estimating_the_payload_helps(lines: list[str], folder: Path) -> bool:
-    fl, _, adaptive = fractions(lines)
-    return adaptive > fl and payloads(lines)[0] > 2
+def many_at_once(printed: str, folder: Path) -> None:
+    fractions = numbers(FRACTION, printed)
+    assert len(fractions) == 8
+    assert fractions[0] == 100
+    assert fractions[-1] == 0
 
 
-def trained_policy_is_evaluated(lines: list[str], folder: Path) -> bool:
-    return (folder / "out" / "mine.zip").is_file() and payloads(lines)[-1] > 1.9
+def what_if_it_is_heavier(printed: str, folder: Path) -> None:
+    """An estimate of the payload helps."""
+    fl, _, adaptive = numbers(FRACTION, printed)
+    assert adaptive > fl
+    assert numbers(PAYLOAD, printed)[0] > 2
 
 
-def video_is_written(lines: list[str], folder: Path) -> bool:
+def record_a_video(printed: str, folder: Path) -> None:
     with Image.open(folder / "out.gif") as video:
-        return video.size == (800, 300) and video.n_frames > 20
+        assert video.size == (800, 300)
+        assert video.n_frames > 20
 
 
-def figure_is_written(lines: list[str], folder: Path) -> bool:
+def train_in_a_minute(printed: str, folder: Path) -> None:
+    fl, learned = numbers(PAYLOAD, printed)
+    assert learned > 1.4 * fl
+    assert (folder / "out" / "best.zip").is_file()
+
+
+def train_with_sb3(printed: str, folder: Path) -> None:
+    assert numbers(PAYLOAD, printed)[-1] > 1.9
+    assert (folder / "out" / "mine.zip").is_file()
+
+
+def paper_figure(printed: str, folder: Path) -> None:
+    assert "motor 2 reaches its torque limit at t = 0.500 s" in printed
     with Image.open(folder / "out.png") as figure:
-        return min(figure.size) > 600 and "motor 2 reaches its torque limit at t = 0.500 s" in lines[0]
+        assert min(figure.size) > 600
 
 
-def actions_replay_bit_for_bit(lines: list[str], folder: Path) -> bool:
-    returns = [float(line.split()[-1]) for line in lines[1:-1]]  # above 800 without violation
-    kept = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
-    files = [kept / name for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json")]
-    return (
-        all(file.is_file() for file in files)
-        and len(returns) == 8
-        and min(returns) > 800
-        and lines[-1].endswith("at most 0.0")
-    )
+def minari_dataset(printed: str, folder: Path) -> None:
+    """Actions replay bit for bit, without violation."""
+    lines = printed.splitlines()
+    returns = [float(line.split()[-1]) for line in lines[1:-1]]
+    assert len(returns) == 8
+    assert min(returns) > 800
+    assert lines[-1].endswith("at most 0.0")
+    dataset = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
+    for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json"):
+        assert (dataset / name).is_file()
 
 
-def learned_policy_beats_the_laws(lines: list[str], folder: Path) -> bool:
-    carried = [float(line.split()[2]) for line in lines[1:]]
-    return lines[0] == "76 numbers observed, 6 motors" and carried == sorted(carried) and len(carried) == 3
-
-
-RESULTS: dict[str, Callable[[list[str], Path], bool]] = {
-    "first_steps": lambda lines, folder: lines[-1] == "carried" and "reference_pose" in "".join(lines),
-    "ten_lines": learned_policy_beats_the_laws,
-    "your_controller": own_controller_carries_more,
-    "your_robot": stronger_motors_carry_more,
-    "your_trajectory": faster_motions_carry_less,
-    "your_reward": heavier_payloads_earn_less,
-    "many_at_once": heavy_payloads_fail,
-    "what_if_it_is_heavier": estimating_the_payload_helps,
-    "record_a_video": video_is_written,
-    "train_in_a_minute": learned_policy_carries_more,
-    "train_with_sb3": trained_policy_is_evaluated,
-    "paper_figure": figure_is_written,
-    "minari_dataset": actions_replay_bit_for_bit,
-}
-
-
-@pytest.mark.parametrize(
-    "example",
-    [pytest.param(path, id=path.stem, marks=[] if path.stem in FAST else pytest.mark.slow) for path in EXAMPLES],
+FAST = (first_steps,)
+SLOW = (
+    ten_lines,
+    your_controller,
+    your_robot,
+    your_trajectory,
+    your_reward,
+    many_at_once,
+    what_if_it_is_heavier,
+    record_a_video,
+    train_in_a_minute,
+    train_with_sb3,
+    paper_figure,
+    minari_dataset,
 )
-def test_example_prints_its_result(example, tmp_path):
-    ran = subprocess.run(
-        [sys.executable, str(example), str(tmp_path / "out")], capture_output=True, text=True, cwd=tmp_path, check=False
-    )
+"""Checks of what the examples of the same names print."""
+
+
+def run(command: list[str], folder: Path) -> str:
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
     assert ran.returncode == 0, ran.stderr
     assert "Traceback" not in ran.stderr
-    assert RESULTS[example.stem](ran.stdout.splitlines(), tmp_path), ran.stdout
-    assert f"python examples/{example.name}" in example.read_text(encoding="utf-8")
+    return ran.stdout
+
+
+@pytest.mark.parametrize("check", [*FAST, *(pytest.param(check, marks=pytest.mark.slow) for check in SLOW)])
+def test_example_prints_its_result(check, tmp_path):
+    path = EXAMPLES / f"{check.__name__}.py"
+    check(run([sys.executable, str(path), str(tmp_path / "out")], tmp_path), tmp_path)
+    assert f"python examples/{path.name}" in path.read_text(encoding="utf-8")
+
+
+def test_every_example_is_checked():
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {check.__name__ for check in FAST + SLOW}
 
 
 @pytest.mark.slow
 def test_notebook_prints_its_stored_output(tmp_path):
     """Its code runs as one script: tests need no Jupyter. `jupyter nbconvert --execute --inplace` stores outputs."""
-    cells = json.loads((EXAMPLES[0].parent / "tour.ipynb").read_text(encoding="utf-8"))["cells"]
-    code = [cell for cell in cells if cell["cell_type"] == "code"]
-    script = "\n".join("".join(cell["source"]) for cell in code)
-    command = [sys.executable, "-c", script]
-    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert ran.returncode == 0, ran.stderr
-    outputs = [output for cell in code for output in cell["outputs"]]
-    stored = "".join("".join(output["text"]) for output in outputs if "text" in output)
-    assert payloads(ran.stdout.splitlines()) == pytest.approx(payloads(stored.splitlines()), abs=2e-3)
-    assert len(ran.stdout.splitlines()) == len(stored.splitlines())
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == 2
-
-
-def test_own_robot_trajectory_controller_and_reward_take_less_than_30_lines():
-    own = {path.stem: len(path.read_text(encoding="utf-8").splitlines()) for path in EXAMPLES if "your_" in path.name}
-    assert own.keys() >= {"your_robot", "your_trajectory", "your_controller", "your_reward"}
-    assert max(own.values()) < 30, own
+    cells = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))["cells"]
+    scripts = []
+    stored = ""
+    pictures = 0
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            scripts.append("".join(cell["source"]))
+            for output in cell["outputs"]:
+                stored += "".join(output.get("text", ()))
+                pictures += "image/png" in output.get("data", {})
+    printed = run([sys.executable, "-c", "\n".join(scripts)], tmp_path)
+    assert numbers(PAYLOAD, printed) == pytest.approx(numbers(PAYLOAD, stored), abs=2e-3)
+    assert len(printed.splitlines()) == len(stored.splitlines())
+    assert pictures == 2

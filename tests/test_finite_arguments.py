@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,106 +20,118 @@ from cablebot_gym.uncertainty import ParameterDistribution, Uncertainty, draw_si
 
 POSE = np.array([0.01, -0.02, 0.12, 0.05, -0.04, 0.03])
 RATE = np.array([0.1, 0.2, -0.1, 0.3, -0.2, 0.1])
-MOTION = {"pose": POSE, "velocity": RATE, "acceleration": -RATE}
-MASS = {"mass": np.array(12.0)}
-EULER = {"euler": POSE[3:], "rates": RATE[3:]}
-CABLES = {"base": SPATIAL.base, "platform": SPATIAL.platform, "pose": POSE}
-S = textbook.jacobian(SPATIAL, POSE)
-PROBLEM = {
-    "structure": S,
-    "load": np.array([0.0, 0, -117.7, 0, 0, 0]),
+LOAD = np.array([0.0, 0, -117.7, 0, 0, 0])
+HEAVY = find_robot("flex-cogiro")
+LINE = find_trajectory("line-spatial", "spatial")
+CHAIN = find_trajectory("chain-planar", "planar")
+UNIFORM = ParameterDistribution(low=-0.1, high=0.1)
+DRAWN = Uncertainty(parameters={"platform_mass": UNIFORM})
+
+ARGUMENTS = {
+    "pose": POSE,
+    "velocity": RATE,
+    "acceleration": -RATE,
+    "mass": np.array(12.0),
+    "euler": POSE[3:],
+    "rates": RATE[3:],
+    "vectors": SPATIAL.platform,
+    "base": SPATIAL.base,
+    "platform": SPATIAL.platform,
+    "tensions": np.full(6, 20.0),
+    "torques": np.full(6, 20.0),
+    "speed": np.full(6, 2.0),
+    "structure": textbook.jacobian(SPATIAL, POSE),
+    "load": LOAD,
     "lower": np.full(6, 1.0),
     "upper": np.full(6, 900.0),
+    "reference": np.ones(6),
+    "weights": np.ones(6),
+    "slope": np.ones(6),
+    "offset": np.zeros(6),
+    "smoothing": 0.01,
+    "unit_load": LOAD / 12,
+    "largest": np.array(90.0),
+    "least": np.array(0.0),
+    "unit_lower": np.zeros(6),
+    "unit_upper": np.zeros(6),
+    "across": np.array(3.0),
+    "rise": np.array(1.0),
+    "tension": np.array(90.0),
+    "weight": np.array(0.6),
+    "times": np.array([0.1, 0.2]),
 }
-SIX = {"tensions": np.full(6, 20.0), "speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
-CABLE = {"across": np.array(3.0), "rise": np.array(1.0), "tension": np.array(90.0), "weight": np.array(0.6)}
-HEAVY = find_robot("flex-cogiro")
-UNIFORM = ParameterDistribution(low=-0.1, high=0.1)
-LINE = find_trajectory("line-spatial", "spatial")
-REFERENCE = LINE(np.array([0.5, 1.0]))
+"""Valid values by the name of an argument."""
 
-
-def of_robot(function, robot=SPATIAL):
-    return lambda **arguments: function(robot, **arguments)
-
-
-def chosen(values, *names):
-    return {name: values[name] for name in names}
-
-
-FUNCTIONS = {
-    "rotation_matrix": (kinematics.rotation_matrix, chosen(EULER, "euler")),
-    "euler_rate_matrix": (kinematics.euler_rate_matrix, chosen(EULER, "euler")),
-    "euler_rate_matrix_rate": (kinematics.euler_rate_matrix_rate, EULER),
-    "turned": (kinematics.turned, {"pose": POSE, "vectors": SPATIAL.platform}),
-    "cable_vectors": (kinematics.cable_vectors, CABLES),
-    "cable_lengths": (kinematics.cable_lengths, {**CABLES, "swivel": np.full(6, 0.01)}),
-    "structure_jacobian": (kinematics.structure_jacobian, CABLES),
-    "structure_jacobian_rate": (kinematics.structure_jacobian_rate, {**CABLES, "velocity": RATE}),
-    "jacobian_and_rate": (kinematics.jacobian_and_rate, {**CABLES, "velocity": RATE}),
-    "textbook.jacobian": (of_robot(textbook.jacobian), {"pose": POSE}),
-    "mass_matrix": (of_robot(textbook.mass_matrix), {**MASS, "pose": POSE}),
-    "bias": (of_robot(textbook.bias), {**MASS, **chosen(MOTION, "pose", "velocity")}),
-    "load": (of_robot(textbook.load), {**MASS, **MOTION}),
-    "pulley_speed": (of_robot(textbook.pulley_speed), chosen(MOTION, "pose", "velocity")),
-    "pulley_angle": (of_robot(textbook.pulley_angle), {"pose": POSE}),
-    "pulley_acceleration": (of_robot(textbook.pulley_acceleration), MOTION),
-    "static_torque": (of_robot(textbook.static_torque), {**MASS, "pose": POSE}),
-    "rest_angles": (of_robot(textbook.rest_angles, FLEX_SPATIAL), {"tensions": SIX["tensions"], "pose": POSE}),
-    "required_tensions": (of_robot(textbook.required_tensions), {**MASS, **MOTION}),
-    "required_torques": (of_robot(textbook.required_torques), {"tensions": SIX["tensions"], **MOTION}),
-    "motor_torques": (of_robot(textbook.motor_torques), SIX),
-    "coulomb_torque": (of_robot(textbook.coulomb_torque), chosen(SIX, "speed")),
-    "torque_limits": (of_robot(textbook.torque_limits), chosen(SIX, "speed")),
-    "normalised_action": (of_robot(textbook.normalised_action), {"torques": SIX["tensions"], "speed": SIX["speed"]}),
-    "textbook.inverse_dynamics": (of_robot(textbook.inverse_dynamics), {**MASS, **MOTION}),
-    "forward_dynamics": (
-        of_robot(textbook.forward_dynamics),
-        {**MASS, **chosen(MOTION, "pose", "velocity"), "torques": np.ones(6)},
-    ),
-    "inverse_dynamics": (of_robot(inverse_dynamics), {**MASS, **MOTION, "minimum": 1.0}),
+OF_SPATIAL = (
+    textbook.jacobian,
+    textbook.mass_matrix,
+    textbook.bias,
+    textbook.load,
+    textbook.pulley_speed,
+    textbook.pulley_angle,
+    textbook.pulley_acceleration,
+    textbook.static_torque,
+    textbook.required_tensions,
+    textbook.required_torques,
+    textbook.motor_torques,
+    textbook.coulomb_torque,
+    textbook.torque_limits,
+    textbook.normalised_action,
+    textbook.inverse_dynamics,
+    textbook.forward_dynamics,
+)
+PLAIN = (
+    kinematics.rotation_matrix,
+    kinematics.euler_rate_matrix,
+    kinematics.euler_rate_matrix_rate,
+    kinematics.turned,
+    kinematics.cable_vectors,
+    kinematics.cable_lengths,
+    kinematics.structure_jacobian,
+    kinematics.structure_jacobian_rate,
+    kinematics.jacobian_and_rate,
+    distribution.least_norm,
+    distribution.least_largest_action,
+    distribution.feasible,
+    distribution.largest_scale,
+    sag.catenary,
+    sag.parabola,
+)
+OTHER = {
+    "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),
+    "cable_lengths with swivels": (kinematics.cable_lengths, {"swivel": np.full(6, 0.01)}),
+    "rest_angles": (partial(textbook.rest_angles, FLEX_SPATIAL), {}),
     "forward_kinematics": (
-        of_robot(forward_kinematics),
+        partial(forward_kinematics, SPATIAL),
         {"lengths": textbook.cable_lengths(SPATIAL, POSE), "guess": POSE},
     ),
-    "least_norm": (distribution.least_norm, {**PROBLEM, "reference": np.ones(6), "weights": np.ones(6)}),
-    "least_largest_action": (
-        distribution.least_largest_action,
-        {**PROBLEM, "slope": np.ones(6), "offset": np.zeros(6), "smoothing": 0.01, "weights": np.ones(6)},
+    "sag": (partial(sag.sag, HEAVY), {"pose": HEAVY.home, "tensions": np.full(8, 900.0)}),
+    "settle": (
+        partial(sag.settle, HEAVY),
+        {"mass": 91.0, "pose": HEAVY.home, "tensions": np.full(8, 900.0)},
     ),
-    "feasible": (distribution.feasible, PROBLEM),
-    "largest_scale": (
-        distribution.largest_scale,
-        {
-            **PROBLEM,
-            "unit_load": PROBLEM["load"] / 12,
-            "largest": np.array(90.0),
-            "least": np.array(0.0),
-            "unit_lower": np.zeros(6),
-            "unit_upper": np.zeros(6),
-        },
-    ),
-    "catenary": (sag.catenary, CABLE),
-    "parabola": (sag.parabola, CABLE),
-    "sag": (of_robot(sag.sag, HEAVY), {"pose": HEAVY.home, "tensions": np.full(8, 900.0)}),
-    "settle": (of_robot(sag.settle, HEAVY), {"mass": 91.0, "pose": HEAVY.home, "tensions": np.full(8, 900.0)}),
     "exact_payload": (
-        lambda **given: exact_payload(SPATIAL, LINE, **given),
+        partial(exact_payload, SPATIAL, LINE),
         {"minimum_tension": 1.0, "frequency": 100.0, "line_speed": np.ones(6), "grid": 100.0},
     ),
     "tension_bounds": (
-        lambda **given: tension_bounds(SPATIAL, REFERENCE, **given),
+        partial(tension_bounds, SPATIAL, LINE(np.array([0.5, 1.0]))),
         {"minimum": 1.0, "line_speed": np.ones(6)},
     ),
-    "trajectory": (LINE, {"times": np.array([0.1, 0.2])}),
-    "trajectory without dwells": (LINE.motion, {"times": np.array([0.1, 0.2])}),
-    "chain": (find_trajectory("chain-planar", "planar").motion, {"times": np.array([0.1, 0.2])}),
+    "trajectory": (LINE.__call__, {}),
+    "trajectory without dwells": (LINE.motion.__call__, {}),
+    "chain": (CHAIN.motion.__call__, {}),
     "deviation": (UNIFORM.deviation, {"uniform": np.array([0.2])}),
     "applied": (UNIFORM.applied, {"nominal": np.array([2.0]), "deviation": np.array([0.1])}),
     "draw": (
-        of_robot(Uncertainty(parameters={"platform_mass": UNIFORM}).draw),
+        partial(DRAWN.draw, SPATIAL),
         {"payload": np.zeros(2), "uniform": np.full((2, draw_size(SPATIAL)), 0.5)},
     ),
+}
+FUNCTIONS = {
+    **{function.__name__: (function, {}) for function in PLAIN},
+    **{f"textbook.{function.__name__}": (partial(function, SPATIAL), {}) for function in OF_SPATIAL},
+    **OTHER,
 }
 VALID = {("lower", -math.inf), ("upper", math.inf), ("times", -math.inf), ("times", math.inf)}
 """Bounds that exclude nothing, and times before and after a motion."""
@@ -125,7 +139,11 @@ VALID = {("lower", -math.inf), ("upper", math.inf), ("times", -math.inf), ("time
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_function_rejects_a_number_that_is_not_finite(name):
-    function, arguments = FUNCTIONS[name]
+    function, values = FUNCTIONS[name]
+    arguments = dict(values)
+    for argument in inspect.signature(function).parameters:
+        if argument not in values and argument in ARGUMENTS:
+            arguments[argument] = ARGUMENTS[argument]
     function(**arguments)
     for argument, value in arguments.items():
         for bad in (math.nan, math.inf, -math.inf):
@@ -134,16 +152,12 @@ def test_function_rejects_a_number_that_is_not_finite(name):
             changed = {**arguments, argument: broken if np.ndim(value) else float(broken)}
             if (argument, bad) in VALID:
                 function(**changed)
-                continue
-            with pytest.raises(ValueError, match=r"finite|numbers"):
-                function(**changed)
+            else:
+                with pytest.raises(ValueError, match=r"finite|numbers"):
+                    function(**changed)
 
 
 def test_every_public_function_of_tensions_is_in_the_table():
-    defined = {
-        name
-        for name, value in vars(distribution).items()
-        if callable(value) and not name.startswith("_") and getattr(value, "__module__", "") == distribution.__name__
-    }
-    public = {name for name in defined if name[0].islower() and not name.startswith("unchecked")}
-    assert public <= set(FUNCTIONS)
+    for name, value in vars(distribution).items():
+        if inspect.isfunction(value) and value.__module__ == distribution.__name__:
+            assert name.startswith(("_", "unchecked")) or name in FUNCTIONS

@@ -9,19 +9,8 @@ from pathlib import Path
 import pytest
 import release
 
-from cablebot_gym import __version__
-
 yaml = pytest.importorskip("yaml")
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def test_citation_has_the_version_licence_and_address_of_the_package():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert (citation["version"], citation["license"]) == (__version__, project["license"])
-    assert project["dynamic"] == ["version"]
-    assert citation.get("repository-code") == project["urls"].get("Repository")
-    assert citation["title"] == f"{project['name'].replace('-', '_')}: {project['description']}"
 
 
 def test_extras_all_and_test_contain_all_extras_but_docs():
@@ -36,14 +25,20 @@ def test_extras_all_and_test_contain_all_extras_but_docs():
 def test_oldest_tested_versions_are_the_lower_bounds():
     """Otherwise the smoke test would not cover the versions that pip may choose."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = [line for extra in ("sb3", "plot") for line in project["optional-dependencies"][extra]]
-    needed = [line for line in [*project["dependencies"], *extras] if not line.startswith("torch")]
-    pinned = (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8").splitlines()
-    bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups() for line in needed]
-    pins = [line.split("==") for line in pinned if not line.startswith(("#", "torch"))]
-    assert sorted((name, (whole + ".0.0").split(".")[:3]) for name, whole in bounds) == sorted(
-        (name, whole.split(".")) for name, whole in pins
+    extras = project["optional-dependencies"]
+    bounds = {}
+    for line in [*project["dependencies"], *extras["sb3"], *extras["plot"]]:
+        name, version = re.fullmatch(r"([\w-]+)>=([\d.]+),<\d+", line).groups()
+        bounds[name] = (version + ".0.0").split(".")[:3]
+    pins = re.findall(
+        r"^([\w-]+)==(\S+)$",
+        (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
+    tested = {name: version.split(".") for name, version in pins}
+    assert bounds.keys() == tested.keys()
+    del bounds["torch"], tested["torch"]
+    assert bounds == tested
 
 
 CHANGES = "# Changelog\n\n## [0.2.0] - 2026-01-31\n\n- A change.\n\n## [0.1.0] - unreleased\n\n- First.\n"
@@ -61,15 +56,9 @@ ADDRESSES = dict.fromkeys(release.URLS, "https://example.org")
     ],
 )
 def test_release_requires_tag_changelog_and_addresses(tag, version, urls, problem):
-    found = release.problems(tag, version, CHANGES, urls)
-    assert len(found) == (problem is not None)
-    assert problem is None or problem in found[0]
-
-
-def test_changelog_has_a_section_for_the_version():
-    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    found = release.problems(f"v{__version__}", __version__, changelog, ADDRESSES)
-    assert [one for one in found if "no section" in one] == []
+    problems = release.problems(tag, version, CHANGES, urls)
+    assert len(problems) == (problem is not None)
+    assert problem is None or problem in problems[0]
 
 
 def test_readme_on_pypi_links_to_the_files_of_the_tag():

@@ -13,20 +13,13 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_readme_is_short_and_has_python_near_its_top():
-    lines = README.splitlines()
-    assert len(lines) <= 130
-    assert [line for line in lines if len(line) > 120 and not line.startswith("|")] == []
-    assert len(README.split()) <= 1200
-    assert lines.index("```python") < 40
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_python_of_the_readme_runs(index, tmp_path):
     code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[index].replace("400_000", "1_000")  # seconds
     ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (ran.returncode, ran.stderr) == (0, "")
+    assert ran.returncode == 0
+    assert ran.stderr == ""
     assert re.search(r"payload known: \d\.\d+ kg", ran.stdout)
 
 

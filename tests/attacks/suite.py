@@ -78,7 +78,12 @@ ATTACKS = (
     Attack("overwritten", before="4.03 kg"),
     # episodes
     Attack("islands", now=LESS, before="3.81 kg"),
-    Attack("saturating", options=("--criterion", "paper"), now=SCORED, before="4.59 kg (honest: 1.77 kg)"),
+    Attack(
+        "saturating",
+        options=("--criterion", "paper"),
+        now=SCORED,
+        before="4.59 kg (honest: 1.77 kg)",
+    ),
     Attack("large_actions", before="4.03 kg"),
     Attack("lets_go", before="4.03 kg"),
     Attack("noisy", 1, REPEATS, before="3.92 kg", fast=True),
@@ -87,7 +92,13 @@ ATTACKS = (
     Attack("first_row", 1, ROWS, before="fails unloaded", fast=True),
     Attack("slow", now=PRICED, before="4.03 kg"),
     # processes
-    Attack("hangs", 1, "it did not answer within 2 s, the deadline of a call", DEADLINE, before="the run never ended"),
+    Attack(
+        "hangs",
+        1,
+        "it did not answer within 2 s, the deadline of a call",
+        DEADLINE,
+        before="the run never ended",
+    ),
     Attack("hangs_in_reset", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"),
     Attack("stops_itself", 1, "it did not answer within 2 s", DEADLINE, before="the run never ended"),
     Attack("sys_exit", 1, "it raised SystemExit: 0", before=STATUS_0, fast=True),
@@ -95,14 +106,28 @@ ATTACKS = (
     Attack("os_exit", 1, "its process ended with exit status 0", before=STATUS_0),
     Attack("kills_itself", 1, "its process was ended by SIGKILL", before="the run was killed"),
     Attack("crashes", 1, "its process was ended by SIGSEGV", before="the run crashed"),
-    Attack("interrupts", 1, "it raised KeyboardInterrupt", before="the run was interrupted (status 130)"),
-    Attack("long_error", 1, "it raised RuntimeError: lost lost", before="the run did not end within 25 s"),
+    Attack(
+        "interrupts",
+        1,
+        "it raised KeyboardInterrupt",
+        before="the run was interrupted (status 130)",
+    ),
+    Attack(
+        "long_error",
+        1,
+        "it raised RuntimeError: lost lost",
+        before="the run did not end within 25 s",
+    ),
     Attack("own_error", 1, "it raised Own", before=ABORTED, fast=True),
     Attack("false_index", 1, "it lost the row", before=ABORTED, fast=True),
     Attack("recursion", 1, "it raised RecursionError", fast=True, before="refused"),
     Attack("memory", 1, "MemoryError", before="not tried"),
     Attack(
-        "ten_million", 1, "it returned the action 1e+07; actions must be within ± 1e+06", before="status 2", fast=True
+        "ten_million",
+        1,
+        "it returned the action 1e+07; actions must be within ± 1e+06",
+        before="status 2",
+        fast=True,
     ),
     Attack("nan", 1, "it returned NaN or infinity", before="refused", fast=True),
     Attack("wrong_shape", 1, "it returned shape", before="refused", fast=True),
@@ -138,8 +163,25 @@ SANDBOXED = (
 def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
     """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy of cheats.py."""
     criterion = () if "--criterion" in options else ("--criterion", "task")
-    command = [sys.executable, "-m", "cablebot_gym.cli.app", "dlcc", ENV_ID, "--policy", f"cheats:{name}", "--isolate"]
-    settings = ["--json", "--payload-max", "10", "--resolution", str(RESOLUTION), *criterion, *options]
+    command = [
+        sys.executable,
+        "-m",
+        "cablebot_gym.cli.app",
+        "dlcc",
+        ENV_ID,
+        "--policy",
+        f"cheats:{name}",
+        "--isolate",
+    ]
+    settings = [
+        "--json",
+        "--payload-max",
+        "10",
+        "--resolution",
+        str(RESOLUTION),
+        *criterion,
+        *options,
+    ]
     with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as server:
         Path(folder, "secret.json").write_text("{}", encoding="utf-8")
         ended = subprocess.run(
@@ -166,7 +208,13 @@ def page() -> str:
         text = f"“{attack.now}”" if attack.status else attack.now
         what = getattr(cheats, attack.name).__doc__
         lines.append(f"| {what} | {attack.before} | {attack.status} | {text} |")
-    lines += ["", "## In the sandbox", "", SANDBOX_HEAD, "| the policy … | with `--isolate` | and `--sandbox` |"]
+    lines += [
+        "",
+        "## In the sandbox",
+        "",
+        SANDBOX_HEAD,
+        "| the policy … | with `--isolate` | and `--sandbox` |",
+    ]
     lines.append("|---|---|---|")
     for attack in SANDBOXED:
         lines.append(f"| {getattr(cheats, attack.name).__doc__} | “{attack.now}” | {Attack.now} |")

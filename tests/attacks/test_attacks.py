@@ -8,7 +8,18 @@ import sys
 from pathlib import Path
 
 import pytest
-from attacks.suite import ATTACKS, ENV_ID, FOLDER, LESS, SANDBOX, SANDBOXED, SCORED, cheats, page, run
+from attacks.suite import (
+    ATTACKS,
+    ENV_ID,
+    FOLDER,
+    LESS,
+    SANDBOX,
+    SANDBOXED,
+    SCORED,
+    cheats,
+    page,
+    run,
+)
 
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.policies import PolicyError
@@ -19,13 +30,13 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies us
 
 def descendants() -> set[str]:
     """Processes that policies of this suite have left."""
-    found = set()
+    pids = set()
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            found |= {path.parent.name} if b"time.sleep(600)" in path.read_bytes() else set()
+            pids |= {path.parent.name} if b"time.sleep(600)" in path.read_bytes() else set()
         except OSError:
             continue
-    return found
+    return pids
 
 
 @pytest.mark.slow
@@ -38,17 +49,18 @@ def test_attack_on_an_isolated_evaluation(attack):
     assert "Traceback" not in err
     if attack.status:
         assert out == ""
-        last = err.splitlines()[-1]
-        assert last.startswith(f"cablebot: policy 'cheats:{attack.name}'")
-        assert attack.now in last
-        assert len(last) < 2000
+        message = err.splitlines()[-1]
+        assert message.startswith(f"cablebot: policy 'cheats:{attack.name}'")
+        assert attack.now in message
+        assert len(message) < 2000
         return
     (result,) = json.loads(out)
     if attack.now == SCORED:
         assert result["stochastic"] or result["declared"]
         return
     (honest,) = json.loads(run("Law", attack.options)[1])
-    payload, expected = (one["payload"] or 0.0 for one in (result, honest))
+    payload = result["payload"] or 0.0
+    expected = honest["payload"] or 0.0
     tolerance = result["resolution"] + honest["resolution"]
     least, most = (0.0, expected / 2) if attack.now == LESS else (expected, expected)
     assert least - tolerance <= payload <= most + tolerance
@@ -60,7 +72,8 @@ def test_attack_on_an_isolated_evaluation(attack):
 def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
     """Without a sandbox it succeeds, so the attack is one."""
     status, _, err = run(attack.name)
-    assert (status, attack.now in err) == (attack.status, True), err
+    assert status == attack.status, err
+    assert attack.now in err, err
     status, out, err = run(attack.name, SANDBOX)
     assert status == 0, err
     assert json.loads(out)[0]["payload"] == pytest.approx(json.loads(run("Law")[1])[0]["payload"], abs=0.02)
@@ -70,10 +83,11 @@ def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
 @pytest.mark.skipif(sandbox_problem() != "", reason=sandbox_problem())
 @pytest.mark.parametrize("name", ["hidden_daemon", "kills_itself"])
 def test_ends_of_processes_are_the_same_in_a_sandbox(name):
-    (attack,) = (one for one in ATTACKS if one.name == name)
+    (attack,) = (candidate for candidate in ATTACKS if candidate.name == name)
     before = descendants()
     status, _, err = run(name, SANDBOX)
-    assert (status, attack.status == 0 or attack.now in err) == (attack.status, True), err
+    assert status == attack.status, err
+    assert attack.status == 0 or attack.now in err, err
     assert descendants() <= before
 
 
@@ -87,14 +101,19 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
         with pytest.raises(PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"):
             evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
         return
-    result, honest = (evaluate_dlcc(f"cheats:{name}", ENV_ID, **settings) for name in (attack.name, "Law"))
-    assert (result.payload, result.violation, result.margins) == (honest.payload, honest.violation, honest.margins)
+    result = evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
+    honest = evaluate_dlcc("cheats:Law", ENV_ID, **settings)
+    assert result.payload == honest.payload
+    assert result.violation == honest.violation
+    assert result.margins == honest.margins
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():
-    made = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
-    own = {name for name in made if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()}
-    assert own - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
+    documented = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
+    policies = {
+        name for name in documented if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()
+    }
+    assert policies - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
         attack.name for attack in ATTACKS + SANDBOXED
     }
     assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (

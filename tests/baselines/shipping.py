@@ -59,8 +59,12 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "curve": [{"timesteps": 350, "wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)}],
         "base_payload_kg": 1.4,
     }
-    parts = {"base": steering.base, "action_mapping": steering.action_mapping, "features": steering.features}
-    bundle = Bundle(env_id=env_id, network=network, card=card | changes, **parts)
+    settings = {
+        "base": steering.base,
+        "action_mapping": steering.action_mapping,
+        "features": steering.features,
+    }
+    bundle = Bundle(env_id=env_id, network=network, card=card | changes, **settings)
     bundle.save(folder / BEST)
     bundle.save(folder / LAST)
     return folder

@@ -14,7 +14,9 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
-PLANAR_ID, SPATIAL_ID, FLEX_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
+FLEX_ID = "CableBot-FlexSpatial-v0"
 LAWS = {
     PLANAR_ID: FeedbackLinearization(PLANAR),
     SPATIAL_ID: FeedbackLinearization(SPATIAL),
@@ -25,24 +27,29 @@ LAWS = {
 def run(law, env, *, steps=None):
     """Whether each episode kept 10 mm, 10 mrad and taut cables, the mass estimates and the last state."""
     observation, _ = env.reset(seed=0)
-    count, column = env.num_envs, observation_layout(law.robot).slices()["model_payload"]
-    state, start, kept, estimates = None, np.ones(count, np.bool_), np.ones(count, np.bool_), []
+    count = env.num_envs
+    column = observation_layout(law.robot).slices()["model_payload"]
+    state = None
+    start = np.ones(count, np.bool_)
+    is_within = np.ones(count, np.bool_)
+    estimates = []
     for _ in range(steps or env.unwrapped.tasks[0].steps - 1):
         action, state = law.predict(observation, state=state, episode_start=start)
         estimates.append(law.mass(state, law.robot.mass + observation[:, column][:, 0]))
         observation, _, start, _, info = env.step(action)
-        kept &= ~start & ~info["slack"].any(axis=1)
-        kept &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
-    return kept, np.array(estimates), (observation, state)
+        is_within &= ~start & ~info["slack"].any(axis=1)
+        is_within &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
+    return is_within, np.array(estimates), (observation, state)
 
 
 # --- the estimate -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("env_id", LAWS)
-def test_estimate_converges_within_a_tenth_of_a_second_of_motion(env_id):
+def test_estimate_converges_within_a_tenth_of_a_second(env_id):
     """At rest the torques of a planar robot do not depend on its payload."""
-    law, payload = LAWS[env_id], np.array([0.0, 0.4, 1.0])
+    law = LAWS[env_id]
+    payload = np.array([0.0, 0.4, 1.0])
     circle = "paper-planar" if law.robot.planar else "paper-spatial"
     env = gym.make_vec(env_id, num_envs=3, payload=payload, payload_known=False, trajectory=circle)
     _, estimates, _ = run(Adaptive(law, estimator_prior_weight=1e-4), env, steps=50)
@@ -50,7 +57,7 @@ def test_estimate_converges_within_a_tenth_of_a_second_of_motion(env_id):
     np.testing.assert_allclose(estimates[-1], law.robot.mass + payload, rtol=2e-3)
 
 
-def test_prior_and_data_have_equal_weight_after_the_prior_s_time():
+def test_prior_and_data_weigh_equally_after_its_time():
     env = gym.make_vec(SPATIAL_ID, num_envs=1, payload=2.0, payload_known=False)
     _, estimates, _ = run(Adaptive(LAWS[SPATIAL_ID], estimator_prior_weight=0.05), env, steps=26)
     assert estimates[-1][0] == pytest.approx(11.0, abs=0.1)
@@ -80,7 +87,12 @@ def test_new_episode_starts_with_the_model_mass():
 
 def test_estimate_is_frozen_after_the_end_of_the_reference():
     law = Adaptive(LAWS[SPATIAL_ID])
-    keywords = {"payload": 3.0, "payload_known": False, "trajectory": "paper-spatial", "autoreset_mode": "Disabled"}
+    keywords = {
+        "payload": 3.0,
+        "payload_known": False,
+        "trajectory": "paper-spatial",
+        "autoreset_mode": "Disabled",
+    }
     env = gym.make_vec(SPATIAL_ID, num_envs=1, **keywords)
     _, estimates, _ = run(law, env, steps=520)
     assert estimates[501] == estimates[-1]
@@ -90,12 +102,13 @@ def test_estimate_is_frozen_after_the_end_of_the_reference():
 @pytest.mark.parametrize(("entry", "env_id"), [(ADAPTIVE, SPATIAL_ID), (ADAPTIVE_COMPOSITE, FLEX_ID)])
 def test_estimate_and_limits_hold_with_sensor_noise(entry, env_id):
     """White noise of a realistic size, 16 episodes with and without payload."""
-    law, payload = entry.factory(LAWS[env_id].robot), np.repeat([0.0, 3.0], 8)
+    law = entry.factory(LAWS[env_id].robot)
+    payload = np.repeat([0.0, 3.0], 8)
     noise = {"position": 1e-4, "rotation": 2e-4, "velocity": 2e-3, "rotation_rate": 4e-3}
     noise |= {"motor_angle": 1e-3, "motor_speed": 1e-2} if law.robot.flexible else {}
     env = gym.make_vec(env_id, num_envs=16, payload=payload, payload_known=False, uncertainty={"sensors": noise})
-    kept, estimates, _ = run(law, env)
-    assert kept.all()
+    is_within, estimates, _ = run(law, env)
+    assert is_within.all()
     np.testing.assert_allclose(estimates[-1], 10.0 + payload, atol=0.1)
 
 
@@ -106,13 +119,13 @@ def test_allocation_solves_the_bounded_least_squares_problem():
     rng = np.random.default_rng(0)
     slope = rng.normal(size=(100, 6, 6)) + 2 * np.eye(6)
     requested = rng.normal(size=(100, 6)) * rng.uniform(0.3, 3.0, size=(100, 1))
-    found = allocate(requested, slope)
-    for wanted, g, given in zip(requested, slope, found, strict=True):
+    allocated = allocate(requested, slope)
+    for request, g, action in zip(requested, slope, allocated, strict=True):
         inverse = np.linalg.inv(g)
-        expected = lsq_linear(inverse, inverse @ wanted, bounds=(-1, 1), tol=1e-14).x
-        best = np.linalg.norm(inverse @ (expected - wanted))
-        assert np.abs(given).max() <= 1.0
-        assert np.linalg.norm(inverse @ (given - wanted)) == pytest.approx(best, rel=1e-6, abs=1e-9)
+        expected = lsq_linear(inverse, inverse @ request, bounds=(-1, 1), tol=1e-14).x
+        best = np.linalg.norm(inverse @ (expected - request))
+        assert np.abs(action).max() <= 1.0
+        assert np.linalg.norm(inverse @ (action - request)) == pytest.approx(best, rel=1e-6, abs=1e-9)
     within = rng.uniform(-1, 1, size=(5, 6))
     np.testing.assert_allclose(allocate(within, slope[:5]), within, rtol=1e-12)
 
@@ -122,7 +135,8 @@ def test_torque_slope_is_the_derivative_of_the_torques(env_id):
     """Torques are affine in the reference's acceleration."""
     law = LAWS[env_id]
     observation, _ = gym.make(env_id, initial_error=np.array([0.02, 0.01, -0.02, 0.1, 0.1, -0.1])).reset(seed=0)
-    blocks, mass = law.split(observation), np.array(12.0)
+    blocks = law.split(observation)
+    mass = np.array(12.0)
     base = law.torques(blocks, mass)[0]
     columns = [
         law.torques({**blocks, "reference_acceleration": blocks["reference_acceleration"] + unit}, mass)[0] - base
@@ -146,11 +160,16 @@ def test_law_declares_whether_it_saturates_its_actions():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("entry", "env_id", "payload"), [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)]
+    ("entry", "env_id", "payload"),
+    [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
 )
 def test_dlcc_with_unknown_payload(entry, env_id, payload):
     """On the circle as printed, with tensions above 0. Payload known: fl 1.92 and 4.03 kg, fl4 with springs 4.63 kg."""
     robot = LAWS[env_id].robot.replace(minimum_tension=1e-9)
-    keywords = {"trajectory": "paper-planar" if robot.planar else "paper-spatial", "robot": robot, "resolution": 0.02}
+    keywords = {
+        "trajectory": "paper-planar" if robot.planar else "paper-spatial",
+        "robot": robot,
+        "resolution": 0.02,
+    }
     result = evaluate_dlcc(entry.factory(robot), env_id, payload_known=False, **keywords)
     assert result.payload == pytest.approx(payload, abs=0.05)

@@ -38,19 +38,21 @@ def masses(robot: Robot) -> np.ndarray:
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
-def test_tensions_and_actions_equal_the_compiled_inverse_dynamics(robot: Robot):
-    x, mass = motion(robot), masses(robot)
-    needed = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
+def test_actuation_equals_the_compiled_inverse_dynamics(robot: Robot):
+    x = motion(robot)
+    mass = masses(robot)
+    expected = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
     result = required_actuation(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
-    np.testing.assert_allclose(result.tensions.numpy(), needed.tensions, rtol=1e-9, atol=1e-9)
-    action = textbook.normalised_action(robot, needed.torques, needed.speeds)
+    np.testing.assert_allclose(result.tensions.numpy(), expected.tensions, rtol=1e-9, atol=1e-9)
+    action = textbook.normalised_action(robot, expected.torques, expected.speeds)
     np.testing.assert_allclose(result.action.numpy(), action, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
-def test_actions_with_springs_equal_difference_quotients_of_the_motor_angle(robot: Robot):
+def test_actions_with_springs_equal_difference_quotients(robot: Robot):
     reference = find_trajectory("loop-planar" if robot.planar else "loop-spatial", robot.coordinates)
-    times, step = np.linspace(0.2, reference.duration - 0.2, COUNT), 1e-3
+    times = np.linspace(0.2, reference.duration - 0.2, COUNT)
+    step = 1e-3
     mass = robot.mass + 2.0
 
     def spring_and_angle(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +61,10 @@ def test_actions_with_springs_equal_difference_quotients_of_the_motor_angle(robo
         return spring, textbook.pulley_angle(robot, x.position) + spring / robot.stiffness
 
     spring, angle = spring_and_angle(times)
-    two_before, before, after, two_after = (spring_and_angle(times + k * step)[1] for k in (-2, -1, 1, 2))
+    two_before = spring_and_angle(times - 2 * step)[1]
+    before = spring_and_angle(times - step)[1]
+    after = spring_and_angle(times + step)[1]
+    two_after = spring_and_angle(times + 2 * step)[1]
     speed = (two_before - 8 * before + 8 * after - two_after) / (12 * step)
     acceleration = (-two_before + 16 * before - 30 * angle + 16 * after - two_after) / (12 * step**2)
     torques = spring + robot.motor_inertia * acceleration + robot.motor_damping * speed
@@ -73,7 +78,7 @@ def test_actions_with_springs_equal_difference_quotients_of_the_motor_angle(robo
 
 @pytest.mark.parametrize("robot", [PLANAR, pytest.param(FLEX_SPATIAL, marks=pytest.mark.slow)])
 def test_gradients_equal_difference_quotients(robot: Robot):
-    first = [value[:1].clone().requires_grad_(True) for value in tensors(robot, motion(robot))]
+    derivatives_of_one = [value[:1].clone().requires_grad_(True) for value in tensors(robot, motion(robot))]
     mass = torch.tensor(masses(robot)[:1])
 
     def both(*derivatives: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -81,19 +86,26 @@ def test_gradients_equal_difference_quotients(robot: Robot):
         return result.tensions, result.action
 
     # With springs the action contains difference quotients in time, whose rounding is larger.
-    assert torch.autograd.gradcheck(both, first, eps=1e-6, atol=1e-3 if robot.flexible else 1e-5, rtol=1e-4)
+    assert torch.autograd.gradcheck(
+        both, derivatives_of_one, eps=1e-6, atol=1e-3 if robot.flexible else 1e-5, rtol=1e-4
+    )
 
 
 @pytest.mark.slow
 def test_soft_tensions_equal_the_textbook_and_have_gradients():
-    x, mass = motion(FLEX_PLANAR), masses(FLEX_PLANAR)
+    x = motion(FLEX_PLANAR)
+    mass = masses(FLEX_PLANAR)
     soft = required_actuation(FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0)
-    needed = inverse_dynamics(FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
+    required = inverse_dynamics(FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
     structure = textbook.jacobian(FLEX_PLANAR, x.position)
-    expected = textbook.smooth_tension_distribution(structure, needed.tensions, MINIMUM, 10.0)
+    expected = textbook.smooth_tension_distribution(structure, required.tensions, MINIMUM, 10.0)
     np.testing.assert_allclose(soft.tensions.numpy(), expected, rtol=0, atol=1e-8)
     few = [value[:1].clone().requires_grad_(True) for value in tensors(FLEX_PLANAR, x)]
     keywords = {"mass": torch.tensor(mass[:1]), "minimum": MINIMUM, "softness": 10.0}
     assert torch.autograd.gradcheck(
-        lambda *motion: required_actuation(FLEX_PLANAR, motion, **keywords).action, few, eps=1e-6, atol=1e-3, rtol=1e-4
+        lambda *motion: required_actuation(FLEX_PLANAR, motion, **keywords).action,
+        few,
+        eps=1e-6,
+        atol=1e-3,
+        rtol=1e-4,
     )

@@ -27,12 +27,20 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
     """Errors of pose and velocity (steps, N, 2n) in closed loop, and normalised squared errors of the filter."""
     robot = find_robot(env_robot(env_id))
     env = gym.make_vec(
-        env_id, num_envs=count, payload=1.0, measurement=measurement, uncertainty=uncertainty, max_episode_steps=None
+        env_id,
+        num_envs=count,
+        payload=1.0,
+        measurement=measurement,
+        uncertainty=uncertainty,
+        max_episode_steps=None,
     ).unwrapped
     policy = Estimated(load_policy(law, robot), robot, estimator)
     rows, _ = env.reset(seed=0)
     policy.reset(env.tasks)
-    state, errors, squares, last = None, [], [], env.pose
+    state = None
+    errors = []
+    squares = []
+    last_pose = env.pose
     for _ in range(300):
         actions, state = policy.predict(rows, state)
         estimate = state[0]
@@ -44,33 +52,38 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
             inverse = np.linalg.inv(estimate.covariance[:, : 2 * n, : 2 * n])
             squares.append(np.einsum("ij,ijk,ik->i", errors[-1], inverse, errors[-1]))
         else:
-            rate = (estimate - last) / 2e-3 - env._simulation._plant.velocity
+            rate = (estimate - last_pose) / 2e-3 - env._simulation._plant.velocity
             errors.append(np.concatenate([estimate - env.pose, rate], axis=-1))
-            last = estimate
+            last_pose = estimate
         rows = env.step(actions)[0]
     return np.array(errors[50:]), np.array(squares[50:])
 
 
 @pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0"])
-def test_filter_is_consistent_and_better_than_differences_of_forward_kinematics(env_id):
+def test_filter_is_better_than_forward_kinematics(env_id):
     robot = find_robot(env_robot(env_id))
     noise = {"measurement": ENCODERS, "uncertainty": WHITE}
     errors, squares = run(env_id, ExtendedKalmanFilter(robot), **noise)
     raw, _ = run(env_id, KinematicEstimator(robot), **noise)
     n = robot.coordinates
     assert 0.3 < squares.mean() / (2 * n) < 2
-    size, raw_size = (np.sqrt((one**2).mean(axis=(0, 1))) for one in (errors, raw))
+    size = np.sqrt((errors**2).mean(axis=(0, 1)))
+    raw_size = np.sqrt((raw**2).mean(axis=(0, 1)))
     assert (size[:n] < raw_size[:n]).all()
     assert (size[n:] < raw_size[n:] / 5).all()
 
 
 def test_filter_finds_the_pose_behind_the_springs():
-    errors, _ = run("CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite-tuned")
+    errors, _ = run(
+        "CableBot-FlexPlanar-v0",
+        ExtendedKalmanFilter(find_robot("flex-planar")),
+        law="composite-tuned",
+    )
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
 
 @pytest.mark.parametrize(("env_id", "law"), [("CableBot-Planar-v0", "fl"), ("CableBot-FlexPlanar-v0", "motor-pd")])
-def test_homing_removes_the_zero_errors_of_motor_angles_and_load_cells(env_id, law):
+def test_homing_removes_zero_errors_of_sensors(env_id, law):
     errors, _ = run(
         env_id,
         ExtendedKalmanFilter(find_robot(env_robot(env_id)), homing=True),
@@ -81,7 +94,8 @@ def test_homing_removes_the_zero_errors_of_motor_angles_and_load_cells(env_id, l
     assert np.abs(errors[..., :2]).max() < 2e-4
 
 
-def test_law_behind_the_filter_with_exact_sensors_carries_its_payload():
+@pytest.mark.slow
+def test_law_behind_the_filter_keeps_its_payload():
     """The tolerance is 1 % of the payload."""
     options = {"search": "bisection", "payload_max": 4.0}
     full = evaluate_dlcc("fl", "CableBot-Planar-v0", **options)
@@ -109,7 +123,8 @@ def test_diverged_estimate_stops_the_motors_of_its_own_episode():
 
 def readings(robot, count, *, seed=0):
     """Poses, and offsets of the motor angles."""
-    rng, n = np.random.default_rng(seed), robot.coordinates
+    rng = np.random.default_rng(seed)
+    n = robot.coordinates
     poses = robot.home + 0.08 * rng.uniform(-1, 1, (count, n))
     if n > 2:
         poses[:, 2] += 0.25
@@ -118,24 +133,25 @@ def readings(robot, count, *, seed=0):
 
 def test_calibration_recovers_offsets_from_redundant_cables():
     poses, offset = readings(PLANAR, 12)
-    found = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
-    np.testing.assert_allclose(found.offset, offset, atol=1e-8)
-    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+    calibration = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
+    np.testing.assert_allclose(calibration.offset, offset, atol=1e-8)
+    np.testing.assert_allclose(calibration.poses, poses, atol=1e-9)
 
 
 @pytest.mark.parametrize("sensor", ["tensions", "orientation"])
-def test_calibration_of_six_cables_needs_and_uses_a_further_sensor(sensor):
+def test_calibration_of_six_cables_needs_another_sensor(sensor):
     poses, offset = readings(SPATIAL, 10)
-    angles, rest = textbook.pulley_angle(SPATIAL, poses) + offset, np.zeros_like(poses)
+    angles = textbook.pulley_angle(SPATIAL, poses) + offset
+    zero = np.zeros_like(poses)
     with pytest.raises(ValueError, match="do not determine the offsets"):
         calibrate(SPATIAL, angles, poses + 0.005)
-    tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, rest, rest)
+    tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, zero, zero)
     exact = {"tensions": tensions, "orientation": poses[:, 3:]}
-    found = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
-    np.testing.assert_allclose(found.offset, offset, atol=1e-5)
+    calibration = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
+    np.testing.assert_allclose(calibration.offset, offset, atol=1e-5)
 
 
 def test_home_offset_is_the_difference_at_the_known_pose():
     poses, offset = readings(SPATIAL, 1)
-    found = home_offset(SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0])
-    np.testing.assert_allclose(found, offset, atol=1e-12)
+    offset_at_home = home_offset(SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0])
+    np.testing.assert_allclose(offset_at_home, offset, atol=1e-12)

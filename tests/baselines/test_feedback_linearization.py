@@ -22,26 +22,31 @@ GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 each_kind = pytest.mark.parametrize("kind", list(ROBOTS))
 
 SQUARE = PLANAR.replace(
-    name="square", base_anchors=((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)), home_pose=(0.0, 0.0)
+    name="square",
+    base_anchors=((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)),
+    home_pose=(0.0, 0.0),
 )
 """Four cables in the plane."""
 
 
 def random_observations(kind, seed, count, model_payload=None):
     """Observations far enough off the reference for every term to matter."""
-    robot, rng = ROBOTS[kind], np.random.default_rng(seed)
-    layout, n = observation_layout(robot), robot.coordinates
-    at, made = layout.slices(), rng.uniform(0, 1, (count, layout.size))
+    robot = ROBOTS[kind]
+    rng = np.random.default_rng(seed)
+    layout = observation_layout(robot)
+    n = robot.coordinates
+    at = layout.slices()
+    rows = rng.uniform(0, 1, (count, layout.size))
     pose = rng.uniform(-0.1, 0.1, (count, n))
     if kind == "spatial":
         pose[:, 2] += 0.25
-    made[:, at["pose"]] = pose
-    made[:, at["reference_pose"]] = pose + rng.uniform(-0.02, 0.02, (count, n))
-    made[:, at["velocity"]] = rng.uniform(-1, 1, (count, n))
-    made[:, at["reference_velocity"]] = rng.uniform(-1, 1, (count, n))
-    made[:, at["reference_acceleration"]] = rng.uniform(-8, 8, (count, n))
-    made[:, at["model_payload"]] = rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
-    return made
+    rows[:, at["pose"]] = pose
+    rows[:, at["reference_pose"]] = pose + rng.uniform(-0.02, 0.02, (count, n))
+    rows[:, at["velocity"]] = rng.uniform(-1, 1, (count, n))
+    rows[:, at["reference_velocity"]] = rng.uniform(-1, 1, (count, n))
+    rows[:, at["reference_acceleration"]] = rng.uniform(-8, 8, (count, n))
+    rows[:, at["model_payload"]] = rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
+    return rows
 
 
 # --- the law ----------------------------------------------------------------------------------------------------------
@@ -51,7 +56,8 @@ def random_observations(kind, seed, count, model_payload=None):
 @pytest.mark.parametrize(("gains", "minimum"), [(None, 5.0), ((123.0, 4.5), 17.0)])
 def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
     """Eqs. 10–13 (planar) and 16–18 (spatial); on a planar robot the least tension is the minimum."""
-    robot, observation = ROBOTS[kind], random_observations(kind, 3, 40)
+    robot = ROBOTS[kind]
+    observation = random_observations(kind, 3, 40)
     law = FeedbackLinearization(robot, gains=gains, minimum_tension=minimum)
     x, (stiffness, damping) = law.split(observation), gains or GAINS[kind]
     v = (
@@ -67,8 +73,9 @@ def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
 
 
 @each_kind
-def test_law_depends_on_the_present_only_and_leaves_its_actions_unsaturated(kind):
-    observation, state = random_observations(kind, 4, 3, model_payload=100.0), object()
+def test_law_has_no_state_and_unsaturated_actions(kind):
+    observation = random_observations(kind, 4, 3, model_payload=100.0)
+    state = object()
     fl = FeedbackLinearization(ROBOTS[kind])
     assert fl.unsaturated_actions is True
     action, after = fl.predict(observation, state=state, episode_start=np.ones(3, np.bool_), deterministic=True)
@@ -91,7 +98,8 @@ def test_law_uses_the_model_payload_only(kind):
 
 @each_kind
 def test_law_uses_the_motors_of_its_robot(kind):
-    observation, nominal = random_observations(kind, 5, 1)[0], ROBOTS[kind]
+    observation = random_observations(kind, 5, 1)[0]
+    nominal = ROBOTS[kind]
     strong = nominal.replace(motors=Motors(stall_torque=2 * nominal.motors.stall_torque, free_speed=1000 * RPM))
     speed = FeedbackLinearization(nominal).torques(FeedbackLinearization(nominal).split(observation), nominal.mass)[1]
     torque = [
@@ -116,7 +124,8 @@ def test_invalid_gains_and_minimum_tension_raise(gains):
 def test_closed_loop_tracks_the_reference_within_a_millimetre(env_id, robot):
     """Also with four cables in the plane; the plant has the tensions that the law requests."""
     circle = "paper-planar" if robot.planar else "paper-spatial"
-    env, law = gym.make(env_id, robot=robot, trajectory=circle), FeedbackLinearization(robot, minimum_tension=3.0)
+    env = gym.make(env_id, robot=robot, trajectory=circle)
+    law = FeedbackLinearization(robot, minimum_tension=3.0)
     observation, _ = env.reset(seed=0)
     truncated = False
     while not truncated:
@@ -131,11 +140,16 @@ def test_closed_loop_tracks_the_reference_within_a_millimetre(env_id, robot):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "paper", "tuned"), [("planar", (1.92, 0.66), (1.94, 0.79)), ("spatial", (4.03, 0.39), (3.88, 4.15))]
+    ("kind", "paper", "tuned"),
+    [("planar", (1.92, 0.66), (1.94, 0.79)), ("spatial", (4.03, 0.39), (3.88, 4.15))],
 )
 def test_dlcc_with_the_paper_s_and_with_tuned_gains(kind, paper, tuned):
     """Payload known and unknown on the circle as printed, with tensions above 0 [kg]. Known: gains hardly matter."""
-    keywords = {"trajectory": f"paper-{kind}", "resolution": 0.02, "robot": ROBOTS[kind].replace(minimum_tension=1e-9)}
+    keywords = {
+        "trajectory": f"paper-{kind}",
+        "resolution": 0.02,
+        "robot": ROBOTS[kind].replace(minimum_tension=1e-9),
+    }
     for entry, payloads in ((FL, paper), (FL_TUNED, tuned)):
         for known, payload in zip((True, False), payloads, strict=True):
             result = evaluate_dlcc(entry.factory(ROBOTS[kind]), IDS[kind], payload_known=known, **keywords)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import re
 from pathlib import Path
 
 import pytest
 
-from cablebot_baselines.classical.law import flexible_advice
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
 
@@ -38,17 +35,3 @@ def test_rigid_law_on_a_flexible_robot_logs_an_advice(name, robot, caplog):
 def test_law_on_its_kind_of_robot_is_silent(name, robot, caplog):
     load_policy(name, robot)
     assert caplog.records == []
-
-
-def test_recommended_laws_carry_a_payload_on_most_real_robots():
-    stored = json.loads((ROOT / "docs/library/results.json").read_text(encoding="utf-8"))
-    payloads: dict[str, list[float | None]] = {}
-    for cell in stored["cells"]:
-        payloads.setdefault(cell["cell"]["policy"], []).append(cell["result"]["payload"])
-    recommended = re.findall(r"[a-z-]*composite[a-z-]*", flexible_advice(FLEX_SPATIAL))
-    page = (ROOT / "docs/your-own/robot.md").read_text(encoding="utf-8")
-    assert len(recommended) == 2
-    for name in recommended:
-        carried = [payload for payload in payloads[name] if payload is not None]
-        assert len(carried) > 0.8 * len(payloads[name])
-        assert f"`{name}`" in page

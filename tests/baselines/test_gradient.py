@@ -12,7 +12,7 @@ import pytest
 import torch
 import yaml
 from oracles.platforms import PLATFORMS
-from test_learned_policy import tasks_of
+from steering import tasks_of
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
@@ -21,7 +21,14 @@ from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.runs import BEST, HYPERPARAMS, LAST, Interrupted, TrainingResult, shortest_dwell
+from cablebot_baselines.learned.runs import (
+    BEST,
+    HYPERPARAMS,
+    LAST,
+    Interrupted,
+    TrainingResult,
+    shortest_dwell,
+)
 from cablebot_baselines.learned.steering import Shift, Steering
 from cablebot_gym.cli import app as cli
 from cablebot_gym.envs import env_robot
@@ -32,11 +39,19 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import find_robot
-from cablebot_gym.trajectories import DWELL, FIRST_HELD_OUT_SEED, BetweenDwells, RandomLoop, find_trajectory
+from cablebot_gym.trajectories import (
+    DWELL,
+    FIRST_HELD_OUT_SEED,
+    BetweenDwells,
+    RandomLoop,
+    find_trajectory,
+)
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
+FLEX = "CableBot-FlexSpatial-v0"
 
 
 def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **settings):
@@ -58,48 +73,67 @@ def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **
         (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.01, degree=2, preview=0.05), REFERENCE_FEATURES),
-        (FLEX, "motor-pd", Shift(action_period=0.04, degree=4, preview=0.02), ("time_since_start",)),
+        (
+            FLEX,
+            "motor-pd",
+            Shift(action_period=0.04, degree=4, preview=0.02),
+            ("time_since_start",),
+        ),
     ],
 )
-def test_training_motion_equals_the_reference_that_the_law_gets(env_id, law, action_mapping, features):
+def test_training_motion_equals_the_reference_of_the_law(env_id, law, action_mapping, features):
     """Excludes start poses, anchors, past control points, features or squashing that differ."""
     training = made(env_id, action_mapping, features=features, instants=2)
-    trained, (trajectory,) = training.motion().detach().numpy()[0], training.trajectories
-    steering = Steering(training.robot, base=Base(law=law), action_mapping=action_mapping, features=features)
+    robot = training.robot
+    (trajectory,) = training.trajectories
+    trained = training.motion().detach().numpy()[0]
+    steering = Steering(robot, base=Base(law=law), action_mapping=action_mapping, features=features)
     steering.reset(tasks_of(env_id)[:1])
-    network, memory, m, given, respond = training.network, None, training.robot.cables, {}, steering.law.respond
-    steering.law.respond = lambda blocks, *rest: given.update(blocks) or respond(blocks, *rest)
+    law_blocks = {}
+    respond = steering.law.respond
+    steering.law.respond = lambda blocks, *arguments: law_blocks.update(blocks) or respond(blocks, *arguments)
+    memory = None
     for step in range(200):
-        time = np.array([step / 500])
-        reference = observed_reference(trajectory, time, to_snap=training.robot.flexible)
-        blocks = {name: value[0] for name, value in reference.items()}
-        blocks |= {"pose": blocks["reference_pose"], "velocity": blocks["reference_velocity"]}
-        blocks |= {"model_payload": np.zeros(1), "payload_known": np.ones(1)}
-        blocks |= {"motor_angle": np.zeros(m), "motor_speed": np.zeros(m)}
+        blocks = blocks_on_reference(robot, trajectory, step / 500)
         memory = steering.reset_memory(blocks, memory, False)
-        action = network(steering.observe(blocks, memory))
+        action = training.network(steering.observe(blocks, memory))
         _, memory = steering.respond(blocks, action, memory, False)
         if step % steering.periods == 0:
             decision = trained[step // steering.periods, 0]
             # The first instant lies a billionth of a decision after it: a spline's derivatives jump there.
-            for order, name in enumerate(("pose", "velocity")):
-                np.testing.assert_allclose(given[f"reference_{name}"], decision[order], rtol=0, atol=1e-6)
-            if training.robot.flexible:
-                assert given["reference_snap"] == pytest.approx(decision[4], rel=1e-5, abs=1e-3)
+            np.testing.assert_allclose(law_blocks["reference_pose"], decision[0], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(law_blocks["reference_velocity"], decision[1], rtol=0, atol=1e-6)
+            if robot.flexible:
+                assert law_blocks["reference_snap"] == pytest.approx(decision[4], rel=1e-5, abs=1e-3)
     assert np.abs(trained[:, :, 0] - training._motions.reference[0, :, :, 0].numpy()).max() > 1e-4
 
 
-def test_violations_equal_the_inverse_dynamics_with_and_without_payload():
+def blocks_on_reference(robot, trajectory, time):
+    """Blocks of an observation of an unloaded robot on its reference."""
+    reference = observed_reference(trajectory, np.array([time]), to_snap=robot.flexible)
+    blocks = {name: value[0] for name, value in reference.items()}
+    return blocks | {
+        "pose": blocks["reference_pose"],
+        "velocity": blocks["reference_velocity"],
+        "model_payload": np.zeros(1),
+        "payload_known": np.ones(1),
+        "motor_angle": np.zeros(robot.cables),
+        "motor_speed": np.zeros(robot.cables),
+    }
+
+
+def test_violations_equal_the_inverse_dynamics():
     """Excludes demands of another mass, or a limit on one side only."""
     training = made(SPATIAL, Shift(action_period=0.04, degree=3), action_limit=0.5, tension=20.0)
     motion = training.motion().detach().numpy()[training._motions.inside.numpy()]
     broken = [value.detach().numpy() for value in training._violations()]
     robot = training.robot
-    demands, tensions = [], []
+    demands = []
+    tensions = []
     for mass in (robot.mass, robot.mass + training.payloads[0]):
-        needed = inverse_dynamics(robot, mass, *(motion[:, order] for order in range(3)))
-        demands.append(normalised_action(robot, needed.torques, needed.speeds))
-        tensions.append(needed.tensions)
+        actuation = inverse_dynamics(robot, mass, *(motion[:, order] for order in range(3)))
+        demands.append(normalised_action(robot, actuation.torques, actuation.speeds))
+        tensions.append(actuation.tensions)
     assert broken[0] == pytest.approx(np.maximum(np.abs(demands) - 0.5, 0).ravel(), abs=1e-9)
     assert broken[1] == pytest.approx(np.maximum(20.0 - np.array(tensions), 0).ravel() / 20.0, abs=1e-9)
     assert broken[0].max() > 0
@@ -141,7 +175,7 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
     assert carried[20.0, 3.0] > 1.2 * carried[()]
 
 
-def test_motion_that_falls_faster_than_gravity_is_a_violation_of_hanging_cables():
+def test_falling_faster_than_gravity_is_a_violation():
     """The distribution of tensions gives an answer for such a load too, with tensions below the minimum."""
     training = made("CableBot-Point-v0", Shift(action_period=0.02, fraction=0.985, degree=3), spread=3.0)
     falling = training.motion()[training._motions.inside][:, 2, 2] > 9.81
@@ -151,7 +185,7 @@ def test_motion_that_falls_faster_than_gravity_is_a_violation_of_hanging_cables(
 
 
 @pytest.mark.slow
-def test_model_of_rigid_cables_continues_the_search_of_an_elastic_robot():
+def test_model_of_rigid_cables_continues_the_search():
     """With stretch, a kink of redundant tensions is a jump of the action, at which the search stops."""
     carried = []
     for stretch in (True, False):
@@ -190,19 +224,31 @@ def trained(tmp_path_factory, config):
     return train_gradient(PLANAR, out=tmp_path_factory.mktemp("trained") / "run", config=config, seed=3)
 
 
+@pytest.mark.parametrize(("env_id", "softness"), [(PLANAR, ()), ("CableBot-FlexPlanar-v0", (20.0,))])
+def test_round_raises_the_payload(env_id, softness):
+    mapping = Shift(action_period=0.02, fraction=0.98, degree=4)
+    training = made(env_id, mapping, spread=0.01, rounds=(30.0,), iterations=10, softness=softness)
+    before = training.payloads.mean()
+    training.round(0)
+    assert training.payloads.mean() > before
+
+
+@pytest.mark.slow
 def test_short_run_carries_far_more_than_its_base(trained):
     bundle = Bundle.load(trained.out / BEST)
     policy = LearnedPolicy(bundle, find_robot(env_robot(PLANAR)))
     payload = evaluate_dlcc(policy, PLANAR, criterion="task", resolution=0.05).payload
     assert payload == bundle.card["payload_kg"] == trained.best.payload_kg
     assert payload > 1.5 * trained.base_payload_kg > 1.0
-    assert (bundle.card["seed"], bundle.card["planner_output_used"]) == (3, False)
+    assert bundle.card["seed"] == 3
+    assert not bundle.card["planner_output_used"]
     assert bundle.card["command"] == f"cablebot train {PLANAR} --algo gradient --config small.yaml --seed 3 --threads 1"
 
 
 @pytest.mark.slow
 def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, capsys, monkeypatch):
-    out, seconds = tmp_path / "run", []
+    out = tmp_path / "run"
+    seconds = []
 
     def stop(done, total, text):
         if text.startswith("round 2") and not seconds:
@@ -218,10 +264,13 @@ def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, 
         cli.main()
     assert ended.value.code in (0, None)
     assert json.loads(capsys.readouterr().out)["evaluations"][-1]["payload_kg"] == trained.evaluations[-1].payload_kg
-    for one, other in zip(*(Bundle.load(folder / LAST).network.weights for folder in (out, trained.out)), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for weights, expected in zip(
+        *(Bundle.load(folder / LAST).network.weights for folder in (out, trained.out)), strict=True
+    ):
+        np.testing.assert_array_equal(weights, expected)
 
 
+@pytest.mark.slow
 def test_run_that_cannot_be_resumed_is_rejected(trained, tmp_path, config):
     out = shutil.copytree(trained.out, tmp_path / "run")
     with pytest.raises(ValueError, match="--resume"):
@@ -236,52 +285,61 @@ def test_run_that_cannot_be_resumed_is_rejected(trained, tmp_path, config):
 def test_invalid_configuration_is_rejected():
     held_out = {"named": [{"name": "loop-planar", "seed": FIRST_HELD_OUT_SEED}]}
     motions = ({"motions": value} for value in ("circle", {"loops": VALIDATION[0] + 1}, held_out))
-    for change in (*motions, {"tensoin": 3.0}, {"steering": {"kind": "residual"}}, {"features": ["nonsense"]}):
+    for change in (
+        *motions,
+        {"tensoin": 3.0},
+        {"steering": {"kind": "residual"}},
+        {"features": ["nonsense"]},
+    ):
         with pytest.raises(ValueError, match=r"motions|loops|tensoin|kind shift|nonsense"):
             make_gradient_config(PLANAR, SMALL | change)
 
 
 def test_validation_loops_differ_from_training_loops():
     line = {"name": "line-planar", "duration": 2.0}
-    both = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
-    assert [one.name for one in both.trajectories] == ["loop-planar", "loop-planar", "paper-planar", "line-planar"]
-    assert both.trajectories[-1].motion.duration == 2.0
-    assert [one.motion.seed for one in (*both.trajectories[:2], *both.validation)] == [0, 1, *VALIDATION]
+    config = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
+    *loops, paper, named = config.trajectories
+    assert [loop.motion.seed for loop in loops] == [0, 1]
+    assert paper.name == "paper-planar"
+    assert (named.name, named.motion.duration) == ("line-planar", 2.0)
+    assert [loop.motion.seed for loop in config.validation] == list(VALIDATION)
+
+
+def loop_seeds(trajectories):
+    """Seeds of the random loops among trajectories."""
+    motions = [trajectory.motion for trajectory in trajectories if isinstance(trajectory, BetweenDwells)]
+    return {motion.seed for motion in motions if isinstance(motion, RandomLoop)}
 
 
 @pytest.mark.parametrize("name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)])
 def test_shipped_configurations_use_training_motions_only(name):
-    for env_id, plain in yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8")).items():
+    configs = yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8"))
+    for env_id, plain in configs.items():
         config = make_gradient_config(env_id, plain)
         assert shortest_dwell(config.trajectories) == DWELL
-        trained, validation = (
-            {
-                one.motion.seed
-                for one in motions
-                if isinstance(one, BetweenDwells) and isinstance(one.motion, RandomLoop)
-            }
-            for motions in (config.trajectories, config.validation)
-        )
+        trained = loop_seeds(config.trajectories)
+        validation = loop_seeds(config.validation)
         assert max(trained | validation, default=0) < FIRST_HELD_OUT_SEED
         assert trained.isdisjoint(VALIDATION)
         assert bool(trained) == bool(validation) == (name == "gradient-loops")
 
 
 @pytest.mark.parametrize("name", ["turning", "crane"])
-def test_gradient_of_redundant_cables_is_that_of_the_distribution(name):
+def test_gradient_of_redundant_cables_is_exact(name):
     """The tensions are solved for with the active constraints of the compiled solution."""
-    robot, random = PLATFORMS[name], np.random.default_rng(3)
+    robot = PLATFORMS[name]
+    random = np.random.default_rng(3)
     motion = [random.normal(size=(4, robot.coordinates)) * size for size in (0.05, 0.1, 0.2)]
     motion[0] += robot.home
     tensors = [torch.tensor(value, requires_grad=True) for value in motion]
     mass = torch.full((4,), robot.mass + 1.0, dtype=torch.float64)
-    found = required_actuation(robot, tensors, mass, minimum=5.0)
+    actuation = required_actuation(robot, tensors, mass, minimum=5.0)
 
     def expected(pose: np.ndarray) -> np.ndarray:
         return textbook.required_tensions(robot, mass.numpy(), pose, *motion[1:], minimum=5.0)
 
-    np.testing.assert_allclose(found.tensions.detach(), expected(motion[0]), rtol=1e-6)
+    np.testing.assert_allclose(actuation.tensions.detach(), expected(motion[0]), rtol=1e-6)
     direction = random.normal(size=motion[0].shape)
-    found.tensions[:, 0].sum().backward()
+    actuation.tensions[:, 0].sum().backward()
     slope = (expected(motion[0] + 1e-6 * direction) - expected(motion[0] - 1e-6 * direction))[:, 0].sum() / 2e-6
     np.testing.assert_allclose((tensors[0].grad.numpy() * direction).sum(), slope, rtol=1e-4)

@@ -18,7 +18,8 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds
 
-PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
 ROBOTS = {PLANAR_ID: PLANAR, SPATIAL_ID: SPATIAL}
 
 
@@ -32,17 +33,20 @@ def rollout(policy, env, *, steps=None):
     observation, _ = env.reset(seed=0)
     tasks = env.unwrapped.tasks
     policy.reset(tasks)
-    state, start, actions = None, np.ones(env.num_envs, np.bool_), []
-    kept, peak = np.ones(env.num_envs, np.bool_), np.zeros(env.num_envs)
+    state = None
+    start = np.ones(env.num_envs, np.bool_)
+    actions = []
+    is_within = np.ones(env.num_envs, np.bool_)
+    peak = np.zeros(env.num_envs)
     for _ in range(steps or tasks[0].steps):
         action, state = policy.predict(observation, state=state, episode_start=start)
         actions.append(action)
         observation, _, ended, _, info = env.step(action)
         start = np.zeros(env.num_envs, np.bool_)
         peak = np.maximum(peak, info["tracking_error_peak"])
-        kept &= ~ended & ~info["slack"].any(axis=1)
-        kept &= (info["tracking_error_peak"] <= 0.01) & (info["rotation_error_peak"] <= 0.01)
-    return kept, peak, np.array(actions), state
+        is_within &= ~ended & ~info["slack"].any(axis=1)
+        is_within &= (info["tracking_error_peak"] <= 0.01) & (info["rotation_error_peak"] <= 0.01)
+    return is_within, peak, np.array(actions), state
 
 
 def vector(env_id, count, **keywords):
@@ -54,11 +58,11 @@ def vector(env_id, count, **keywords):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("env_id", "payload"), [(PLANAR_ID, 2.7), (SPATIAL_ID, 6.4)])
-def test_payload_far_beyond_adaptive_is_carried_known_and_unknown(policies, env_id, payload):
+def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
     """``adaptive`` has a DLCC of 1.9 kg and 5.0 kg."""
     env = vector(env_id, 3, payload=np.array([0.0, payload, payload]), payload_known=[False, True, False])
-    kept, _, actions, _ = rollout(policies[env_id], env)
-    assert kept.all()
+    is_within, _, actions, _ = rollout(policies[env_id], env)
+    assert is_within.all()
     assert policies[env_id].fallbacks == 0
     assert np.abs(actions).max() < 1.5
 
@@ -81,10 +85,12 @@ def test_actions_are_reproducible(policies):
 
 @pytest.mark.parametrize("env_id", ROBOTS)
 def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
-    policy, env = policies[env_id], vector(env_id, 3, payload=np.array([0.0, 1.0, 2.0]))
+    policy = policies[env_id]
+    env = vector(env_id, 3, payload=np.array([0.0, 1.0, 2.0]))
     observation, _ = env.reset(seed=0)
     policy.reset(env.unwrapped.tasks)
-    together, alone = None, [None] * 3
+    together = None
+    alone = [None] * 3
     for _ in range(2 * STEPS_PER_PLAN + 1):
         action, together = policy.predict(observation, state=together)
         for index in range(3):
@@ -93,18 +99,20 @@ def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
         observation, *_ = env.step(action)
 
 
-def test_new_episode_starts_without_a_plan_and_state_is_not_modified(policies):
+def test_new_episode_starts_without_a_plan(policies):
     """An environment that starts acts like a new policy, and does not disturb the other one."""
-    policy, env = policies[PLANAR_ID], vector(PLANAR_ID, 2, payload=2.0)
-    first, _ = env.reset(seed=0)
+    policy = policies[PLANAR_ID]
+    env = vector(PLANAR_ID, 2, payload=2.0)
+    start_rows, _ = env.reset(seed=0)
     policy.reset(env.unwrapped.tasks)
-    observation, state = first, None
+    observation = start_rows
+    state = None
     for _ in range(STEPS_PER_PLAN):
         action, state = policy.predict(observation, state=state)
         observation, *_ = env.step(action)
-    mixed = np.stack([first[0], observation[1]])
+    mixed = np.stack([start_rows[0], observation[1]])
     anew, _ = policy.predict(mixed, state=state, episode_start=np.array([True, False]))
-    fresh, _ = policy.predict(first[:1])
+    fresh, _ = policy.predict(start_rows[:1])
     onward, _ = policy.predict(observation, state=state)
     np.testing.assert_array_equal(anew[0], fresh[0])
     np.testing.assert_array_equal(anew[1], onward[1])
@@ -118,10 +126,13 @@ def test_new_episode_starts_without_a_plan_and_state_is_not_modified(policies):
 def test_preview_interpolates_the_reference_across_its_jump(policies):
     """From t = 0.31 s on the horizon contains the circle's jump of acceleration, which one observation alone misses by
     2 cm."""
-    policy, env = policies[PLANAR_ID], vector(PLANAR_ID, 1, termination_radius=10.0)
+    policy = policies[PLANAR_ID]
+    env = vector(PLANAR_ID, 1, termination_radius=10.0)
     observation, _ = env.reset(seed=0)
     task = env.unwrapped.tasks[0]
-    ahead, state, errors = np.linspace(0.0, HORIZON, 41), None, []
+    ahead = np.linspace(0.0, HORIZON, 41)
+    state = None
+    errors = []
     for step in range(task.steps):
         action, state = policy.predict(observation, state=state)
         if step % STEPS_PER_PLAN == 0:
@@ -134,10 +145,8 @@ def test_preview_interpolates_the_reference_across_its_jump(policies):
 
 
 def test_preview_rests_after_the_end_of_the_reference(policies):
-    policy, env = (
-        policies[PLANAR_ID],
-        vector(PLANAR_ID, 1, trajectory={"name": "line-planar", "duration": 0.4, "dwell": 0.0}),
-    )
+    policy = policies[PLANAR_ID]
+    env = vector(PLANAR_ID, 1, trajectory={"name": "line-planar", "duration": 0.4, "dwell": 0.0})
     observation, _ = env.reset(seed=0)
     state = None
     for _ in range(199):
@@ -146,7 +155,9 @@ def test_preview_rests_after_the_end_of_the_reference(policies):
     assert info["tracking_error_peak"][0] < 0.01
     blocks = policy.split(observation)
     np.testing.assert_allclose(
-        policy.preview(blocks, state, 0)(HORIZON), env.unwrapped.tasks[0].trajectory(0.4).position, atol=1e-9
+        policy.preview(blocks, state, 0)(HORIZON),
+        env.unwrapped.tasks[0].trajectory(0.4).position,
+        atol=1e-9,
     )
 
 
@@ -155,7 +166,10 @@ def test_preview_rests_after_the_end_of_the_reference(policies):
 
 def test_planned_motion_keeps_the_limits_between_its_instants():
     """By the textbook's inverse dynamics, where the reference asks for more than the motors have."""
-    program, home, zero, mass = HorizonProgram(PLANAR, TUNING["planar"]), np.array([0.1, 0.0]), np.zeros(2), 3.5
+    program = HorizonProgram(PLANAR, TUNING["planar"])
+    home = np.array([0.1, 0.0])
+    zero = np.zeros(2)
+    mass = 3.5
 
     def reference(times):
         return home + 0.02 * np.sin(2 * np.pi * times / HORIZON)[:, None] ** 2 * [0.0, 1.0]
@@ -166,8 +180,8 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
     fine = np.linspace(0.0, HORIZON, 201)
     pose, velocity, acceleration = program.basis(fine) @ plan
     minimum = program.minimum_tension
-    needed = textbook.inverse_dynamics(PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False)
-    action = textbook.normalised_action(PLANAR, needed.torques, needed.speeds)
+    required = textbook.inverse_dynamics(PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False)
+    action = textbook.normalised_action(PLANAR, required.torques, required.speeds)
     assert np.abs(action).max() < 1.02
     assert np.linalg.norm((pose - reference(fine))[:, :3], axis=1).max() < 0.03
     np.testing.assert_allclose(pose[0], home, atol=1e-12)
@@ -178,8 +192,10 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
 def test_plan_exists_from_every_regular_state(policies, env_id):
     """Outside the bounds, moving away, and so fast that braking would take several times the torque."""
     program = policies[env_id].program
-    robot, zero = program.robot, np.zeros(program.robot.coordinates)
-    home, away = np.array(robot.home), np.eye(len(zero))[min(len(zero), 3) - 1]
+    robot = program.robot
+    zero = np.zeros(program.robot.coordinates)
+    home = np.array(robot.home)
+    away = np.eye(len(zero))[min(len(zero), 3) - 1]
     keywords = {"mass": 20.0, "error_bounds": ErrorBounds()}
     still = np.tile(home, (len(program.instants), 1))
     assert np.isfinite(program.plan(still, home - 0.015 * away, -2.0 * away, still, zero, **keywords)).all()
@@ -197,12 +213,13 @@ def test_plan_exists_from_every_regular_state(policies, env_id):
 def failing(monkeypatch):
     """Makes a policy whose plans number ``first`` to ``last`` fail."""
 
-    def make(first, last=10**9):
-        policy, number = NMPC.factory(PLANAR), iter(range(10**9))
+    def make(earliest, latest=10**9):
+        policy = NMPC.factory(PLANAR)
+        number = iter(range(10**9))
         plan = policy.program.plan
 
         def sometimes(*args, **keywords):
-            if first <= next(number) <= last:
+            if earliest <= next(number) <= latest:
                 raise PlanningError("made to fail")
             return plan(*args, **keywords)
 
@@ -212,11 +229,11 @@ def failing(monkeypatch):
     return make
 
 
-def test_policy_without_plans_tracks_the_reference_and_warns_once(failing, caplog):
+def test_policy_without_plans_tracks_the_reference(failing, caplog):
     policy = failing(0)
     with caplog.at_level(logging.WARNING, logger="cablebot_gym"):
-        kept, *_ = rollout(policy, vector(PLANAR_ID, 2, payload=1.0))
-    assert kept.all()
+        is_within, *_ = rollout(policy, vector(PLANAR_ID, 2, payload=1.0))
+    assert is_within.all()
     assert policy.fallbacks == 2 * 160
     assert len(caplog.records) == 1
     assert "made to fail" in caplog.text
@@ -227,8 +244,8 @@ def test_policy_without_plans_tracks_the_reference_and_warns_once(failing, caplo
 def test_last_plan_bridges_failures_until_its_end(failing):
     """With a payload that the reference itself does not allow."""
     policy = failing(20, 24)
-    kept, *_ = rollout(policy, vector(PLANAR_ID, 1, payload=2.5), steps=250)
-    assert kept.all()
+    is_within, *_ = rollout(policy, vector(PLANAR_ID, 1, payload=2.5), steps=250)
+    assert is_within.all()
     assert policy.fallbacks == 5
     policy = failing(1)
     state = rollout(policy, vector(PLANAR_ID, 1), steps=110)[3]
@@ -236,14 +253,16 @@ def test_last_plan_bridges_failures_until_its_end(failing):
 
 
 def test_exception_of_casadi_is_a_fallback(monkeypatch):
-    policy, failure = NMPC.factory(PLANAR), RuntimeError("an assertion of CasADi's")
+    policy = NMPC.factory(PLANAR)
+    failure = RuntimeError("an assertion of CasADi's")
     monkeypatch.setattr(policy.program._quadratic, "_evaluate", Mock(side_effect=failure))
     assert rollout(policy, vector(PLANAR_ID, 1), steps=20)[0].all()
     assert policy.fallbacks == 4
 
 
-def test_platform_far_from_the_reference_is_one_fallback_per_episode(monkeypatch):
-    policy, env = NMPC.factory(PLANAR), vector(PLANAR_ID, 1)
+def test_platform_far_away_is_one_fallback_per_episode(monkeypatch):
+    policy = NMPC.factory(PLANAR)
+    env = vector(PLANAR_ID, 1)
     monkeypatch.setattr(policy.program, "plan", lambda *_, **__: pytest.fail("planned"))
     observation, _ = env.reset(seed=0)
     policy.reset(env.unwrapped.tasks)

@@ -6,12 +6,19 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from cablebot_baselines.classical import PD, Composite, FeedbackLinearization, Robust, RobustComposite, RobustPD
+from cablebot_baselines.classical import (
+    Composite,
+    FeedbackLinearization,
+    Robust,
+    RobustComposite,
+    RobustPD,
+)
 from cablebot_baselines.classical.robust import ROBUST_TUNED
-from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
-ID, FLEX_ID = "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+ID = "CableBot-Spatial-v0"
+FLEX_ID = "CableBot-FlexSpatial-v0"
 GAINS = (30.0, 20.0)
 
 
@@ -20,7 +27,10 @@ def errors_with(outer_loop, mass_factor=1.1, initial_error=(0.0,) * 6, steps=500
     law = FeedbackLinearization(SPATIAL)
     law.outer = outer_loop
     env = gym.make(
-        ID, robot=SPATIAL.replace(mass=10.0 * mass_factor), initial_error=initial_error, trajectory="paper-spatial"
+        ID,
+        robot=SPATIAL.replace(mass=10.0 * mass_factor),
+        initial_error=initial_error,
+        trajectory="paper-spatial",
     )
     observation, _ = env.reset(seed=0)
     record = []
@@ -33,13 +43,6 @@ def errors_with(outer_loop, mass_factor=1.1, initial_error=(0.0,) * 6, steps=500
     return np.array(record).T
 
 
-class WrongSign(RobustPD):
-    """The paper's printed minus sign, which belongs to e = z − z_d."""
-
-    def __call__(self, blocks):
-        return 2 * PD(gains=self.gains)(blocks) - super().__call__(blocks)
-
-
 @pytest.fixture(scope="module")
 def plain_error():
     """Mean position error without the robust term."""
@@ -48,7 +51,8 @@ def plain_error():
 
 @pytest.mark.parametrize(("q", "matrix"), [(7, 7 * np.eye(2)), ([[2.0, -0.3], [-0.3, 0.5]],) * 2])
 def test_lyapunov_matrix_solves_its_equation(q, matrix):
-    a, p = np.array([[0.0, 1.0], [-30.0, -20.0]]), RobustPD(gains=GAINS, q=q).lyapunov
+    a = np.array([[0.0, 1.0], [-30.0, -20.0]])
+    p = RobustPD(gains=GAINS, q=q).lyapunov
     np.testing.assert_allclose(a.T @ p + p @ a, -np.array(matrix), atol=1e-9 * np.abs(p).max())
     assert np.linalg.eigvalsh(p)[0] > 0
 
@@ -59,7 +63,12 @@ def test_term_equals_the_corrected_equations(layer):
     rng = np.random.default_rng(0)
     pose, velocity, acceleration = (rng.normal(size=6) for _ in range(3))
     zero = np.zeros(6)
-    blocks = {"reference_pose": pose, "pose": zero, "reference_velocity": velocity, "velocity": zero}
+    blocks = {
+        "reference_pose": pose,
+        "pose": zero,
+        "reference_velocity": velocity,
+        "velocity": zero,
+    }
     blocks["reference_acceleration"] = acceleration
     loop = RobustPD(gains=GAINS, boundary_layer=layer, zeta=0.3, phi=2.0, q=[[3.0, 0.2], [0.2, 1.0]])
     e = np.stack([pose, velocity], axis=1).ravel()
@@ -83,10 +92,6 @@ def test_lyapunov_function_decreases_outside_the_boundary_layer():
     assert np.all(np.diff(value[: reached + 1]) < 0)
 
 
-def test_printed_sign_increases_the_error(plain_error):
-    assert errors_with(WrongSign(gains=GAINS))[0].mean() > 3 * plain_error
-
-
 @pytest.mark.parametrize(("layer", "reduction"), [(1e-2, 0.19), (1e-3, 0.68)])
 def test_error_decreases_with_the_boundary_layer(layer, reduction, plain_error):
     """Independent runs: 19 and 68 % less mean error at 10 % too much mass."""
@@ -96,9 +101,12 @@ def test_error_decreases_with_the_boundary_layer(layer, reduction, plain_error):
 
 @pytest.mark.parametrize(
     ("law", "plain", "env_id"),
-    [(Robust, FeedbackLinearization(SPATIAL), ID), (RobustComposite, Composite(FLEX_SPATIAL), FLEX_ID)],
+    [
+        (Robust, FeedbackLinearization(SPATIAL), ID),
+        (RobustComposite, Composite(FLEX_SPATIAL), FLEX_ID),
+    ],
 )
-def test_parameters_take_effect_and_an_infinite_layer_removes_the_term(law, plain, env_id):
+def test_parameters_of_the_robust_term_take_effect(law, plain, env_id):
     observation, _ = gym.make_vec(env_id, num_envs=3, initial_error=np.full(6, 1e-4)).reset(seed=0)
 
     def action(**parameters):
@@ -127,20 +135,9 @@ def test_invalid_parameters_raise(name, value, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("law", "payload"), [(Robust(SPATIAL, zeta=0.3, phi=3.0), 2.85), (ROBUST_TUNED.factory(SPATIAL), 4.58)]
+    ("law", "payload"),
+    [(Robust(SPATIAL, zeta=0.3, phi=3.0), 2.85), (ROBUST_TUNED.factory(SPATIAL), 4.58)],
 )
 def test_dlcc_with_unknown_payload_is_that_of_independent_runs(law, payload):
     result = evaluate_dlcc(law, ID, payload_known=False, trajectory="paper-spatial", resolution=0.02)
     assert result.payload == pytest.approx(payload, abs=0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("law", "robot"), [(Robust, SPATIAL), (RobustComposite, FLEX_SPATIAL)])
-def test_error_reduction_with_the_papers_uncertainty(law, robot):
-    """Table 6 with a known payload of 1 kg: the paper's "more than 60 %" less, at ε = 1e-3."""
-    plain = Composite(robot) if robot.flexible else FeedbackLinearization(robot)
-    env_id = FLEX_ID if robot.flexible else ID
-    keywords = {"uncertainty": "table6", "payload": 1.0, "draws": 200, "trajectory": "paper-spatial"}
-    compared = compare_policies([plain, law(robot)], env_id, names=["plain", "robust"], **keywords)
-    assert compared.reduction(1, "mean_error").mean == pytest.approx(0.67, abs=0.03)
-    assert compared.reduction(1, "max_error").mean == pytest.approx(0.65, abs=0.03)

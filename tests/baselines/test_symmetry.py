@@ -29,17 +29,18 @@ def training(**settings):
 
 
 @pytest.mark.parametrize("robot", [PLANAR, FLEX_PLANAR], ids=lambda robot: robot.name)
-def test_transformed_motion_needs_the_same_actions_of_permuted_motors(robot):
+def test_transformed_motion_permutes_the_motors(robot):
     transforms = symmetries(robot)
     assert sorted(np.linalg.det(transforms).round(9)) == [-1, -1, -1, 1, 1, 1]
     motion = find_trajectory(LOOP, 2)(np.linspace(0.1, 1.0, 20))
 
     def actions(transform):
-        parts = (blocks @ transform.T for blocks in (motion.position, motion.velocity, motion.acceleration))
-        needed = inverse_dynamics(robot, 3.0, *parts, minimum=5.0)
-        return normalised_action(robot, needed.torques, needed.speeds)
+        derivatives = (blocks @ transform.T for blocks in (motion.position, motion.velocity, motion.acceleration))
+        required = inverse_dynamics(robot, 3.0, *derivatives, minimum=5.0)
+        return normalised_action(robot, required.torques, required.speeds)
 
-    permutations, before = set(), actions(np.eye(2))
+    permutations = set()
+    before = actions(np.eye(2))
     for transform in transforms:
         after = actions(transform)
         permutation = [int(np.abs(before - column[:, None]).max(axis=0).argmin()) for column in after.T]
@@ -61,15 +62,16 @@ def test_number_of_symmetries_of_irregular_robots():
 
 
 @pytest.mark.parametrize(
-    ("hidden", "iterations"), [((), 0), ((3, 2, 5), 0), pytest.param((3, 3), 6, marks=pytest.mark.slow)]
+    ("hidden", "iterations"),
+    [((), 0), ((3, 2, 5), 0), pytest.param((3, 3), 6, marks=pytest.mark.slow)],
 )
 def test_network_is_equivariant_before_and_after_training(hidden, iterations):
-    made = training(hidden=hidden, iterations=max(iterations, 1))
-    before = made.network
+    trainer = training(hidden=hidden, iterations=max(iterations, 1))
+    before = trainer.network
     if iterations:
-        made.round(0)
-        assert np.abs(made.network.weights[1] - before.weights[1]).max() > 1e-4
-    network = made.network
+        trainer.round(0)
+        assert np.abs(trainer.network.weights[1] - before.weights[1]).max() > 1e-4
+    network = trainer.network
     inputs = network.mean + network.scale * np.random.default_rng(0).normal(size=(6, network.inputs))
     outputs = network(inputs)
     assert np.abs(outputs).min() > 1e-4

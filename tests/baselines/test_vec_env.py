@@ -14,7 +14,8 @@ from cablebot_baselines.learned.vec_env import CableBotVecEnv, make_sb3_vec_env
 from cablebot_gym.envs import PAPER_ENV_IDS
 
 PLANAR_ID = "CableBot-Planar-v0"
-COUNT, LIMIT = 5, 7
+COUNT = 5
+LIMIT = 7
 
 
 def failing(env_id):
@@ -44,31 +45,34 @@ def random_actions(env, steps, seed=0):
     return np.repeat(drawn, 4, axis=0)[:steps]
 
 
-def check_same_dict(one, other):
-    assert one.keys() == other.keys()
-    for key, value in other.items():
-        assert type(one[key]) is type(value), key
-        assert getattr(one[key], "dtype", None) == getattr(value, "dtype", None), key
-        np.testing.assert_array_equal(one[key], value, err_msg=key)
+def check_same_dict(infos, expected):
+    assert infos.keys() == expected.keys()
+    for key, value in expected.items():
+        assert type(infos[key]) is type(value), key
+        assert getattr(infos[key], "dtype", None) == getattr(value, "dtype", None), key
+        np.testing.assert_array_equal(infos[key], value, err_msg=key)
 
 
 def check_same_run(env, twin, actions):
     """Compares transitions and infos; returns how many episodes failed, and how many the time limit ended."""
     failed = limited = 0
     for action in actions:
-        one, other = env.step(action), twin.step(action)
-        for mine, its in zip(one[:3], other[:3], strict=True):
-            np.testing.assert_array_equal(mine, its, strict=True)
-        for mine, its in zip(one[3] + env.reset_infos, other[3] + twin.reset_infos, strict=True):
-            check_same_dict(mine, its)
-        limit = np.array([info["TimeLimit.truncated"] for info in other[3]])
-        failed, limited = failed + (other[2] & ~limit).sum(), limited + limit.sum()
+        results = env.step(action)
+        expected = twin.step(action)
+        for result, expected_result in zip(results[:3], expected[:3], strict=True):
+            np.testing.assert_array_equal(result, expected_result, strict=True)
+        for result, expected_result in zip(results[3] + env.reset_infos, expected[3] + twin.reset_infos, strict=True):
+            check_same_dict(result, expected_result)
+        limit = np.array([info["TimeLimit.truncated"] for info in expected[3]])
+        failed = failed + (expected[2] & ~limit).sum()
+        limited = limited + limit.sum()
     return failed, limited
 
 
 @pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
-def test_transitions_and_infos_equal_those_of_dummy_vec_env_bit_for_bit(env_id):
-    env, twin = ours(env_id, info_keys=None), dummy(env_id)
+def test_transitions_equal_those_of_dummy_vec_env(env_id):
+    env = ours(env_id, info_keys=None)
+    twin = dummy(env_id)
     assert env.observation_space == twin.observation_space
     assert env.action_space == twin.action_space
     assert env.seed(7) == twin.seed(7)
@@ -81,15 +85,16 @@ def test_transitions_and_infos_equal_those_of_dummy_vec_env_bit_for_bit(env_id):
 
 def test_info_keys_select_the_info_of_the_episode_that_ended():
     """Ended episodes also have the final keys; the info of the next episode is in ``reset_infos`` only."""
-    env, twin = ours(seed=1, info_keys=("time", "slack")), dummy()
+    env = ours(seed=1, info_keys=("time", "slack"))
+    twin = dummy()
     twin.seed(1)
     env.reset(), twin.reset()
     for action in random_actions(env, 40):
         _, _, dones, infos = env.step(action)
-        for done, mine, its in zip(dones, infos, twin.step(action)[3], strict=True):
+        for done, info, full_info in zip(dones, infos, twin.step(action)[3], strict=True):
             final = {"terminal_observation", "termination_reason", "payload"} if done else set()
-            assert mine.keys() == {"TimeLimit.truncated", "time", "slack"} | final
-            check_same_dict(mine, {key: its[key] for key in mine})
+            assert info.keys() == {"TimeLimit.truncated", "time", "slack"} | final
+            check_same_dict(info, {key: full_info[key] for key in info})
 
 
 @pytest.mark.parametrize(("limit", "by_limit"), [(10, True), (11, False), (12, False)])
@@ -106,7 +111,8 @@ def test_failure_at_the_last_step_is_not_a_truncation(limit, by_limit):
 
 def test_results_may_be_overwritten_by_the_caller():
     """VecNormalize and callbacks write into what they get."""
-    env, twin = ours(seed=2), ours(seed=2)
+    env = ours(seed=2)
+    twin = ours(seed=2)
     env.reset(), twin.reset()
     np.testing.assert_array_equal(env.action_space.sample(), twin.action_space.sample())
     for action in random_actions(env, 16):
@@ -116,15 +122,16 @@ def test_results_may_be_overwritten_by_the_caller():
             value[:] = 1
 
 
-def test_options_apply_to_one_episode_and_leave_the_draws_unchanged():
-    env, twin = ours(info_keys=None), dummy()
-    for one in (env, twin):
-        one.seed(5)
-        one.set_options({"payload": 1.5, "payload_known": False})
+def test_options_apply_to_one_episode():
+    env = ours(info_keys=None)
+    twin = dummy()
+    for vec_env in (env, twin):
+        vec_env.seed(5)
+        vec_env.set_options({"payload": 1.5, "payload_known": False})
     for _ in range(2):
         np.testing.assert_array_equal(env.reset(), twin.reset())
-        for mine, its in zip(env.reset_infos, twin.reset_infos, strict=True):
-            check_same_dict(mine, its)
+        for info, expected in zip(env.reset_infos, twin.reset_infos, strict=True):
+            check_same_dict(info, expected)
     check_same_run(env, twin, random_actions(env, 12))
     env.set_options({"payload": np.arange(5.0)})
     env.reset()
@@ -145,11 +152,12 @@ def test_invalid_options_and_info_keys_raise():
 
 
 def test_attributes_equal_those_of_the_single_environments():
-    env, twin = (make(uncertainty="table6") for make in (ours, dummy))
-    for one in (env, twin):
-        one.seed(1)
-        one.reset()
-        one.step(random_actions(one, 1)[0])
+    env = ours(uncertainty="table6")
+    twin = dummy(uncertainty="table6")
+    for vec_env in (env, twin):
+        vec_env.seed(1)
+        vec_env.reset()
+        vec_env.step(random_actions(vec_env, 1)[0])
     for name in ("pose", "action_space", "observation_space", "render_mode", "np_random_seed"):
         np.testing.assert_equal(env.get_attr(name), twin.get_attr(name))
     np.testing.assert_equal(env.get_attr("pose", indices=[3, 1]), twin.get_attr("pose", indices=[3, 1]))
@@ -162,17 +170,20 @@ def test_attributes_equal_those_of_the_single_environments():
 def test_wrappers_of_the_batch_take_effect():
     """Also the episode statistics of Gymnasium's wrapper, which SB3 reads."""
     halved = TransformAction(RecordEpisodeStatistics(ours().env), lambda actions: 0.5 * actions)
-    plain, wrapped = VecMonitor(ours(seed=0)), CableBotVecEnv(halved)
+    plain = VecMonitor(ours(seed=0))
+    wrapped = CableBotVecEnv(halved)
     wrapped.seed(0)
     np.testing.assert_array_equal(plain.reset(), wrapped.reset())
     ends = 0
     for action in random_actions(plain, 30):
         observation, _, dones, theirs = plain.step(0.5 * action)
-        given, _, _, infos = wrapped.step(action)
-        np.testing.assert_array_equal(given, observation)
+        wrapped_observation, _, _, infos = wrapped.step(action)
+        np.testing.assert_array_equal(wrapped_observation, observation)
         for env_index in np.flatnonzero(dones):
-            mine, its = (info[env_index]["episode"] for info in (infos, theirs))
-            assert (mine["l"], mine["r"]) == (its["l"], pytest.approx(its["r"], abs=1e-5))
+            mine = infos[env_index]["episode"]
+            its = theirs[env_index]["episode"]
+            assert mine["l"] == its["l"]
+            assert mine["r"] == pytest.approx(its["r"], abs=1e-5)
             ends += 1
     assert ends > COUNT
     assert wrapped.env_is_wrapped(TransformAction) == wrapped.env_is_wrapped(RecordEpisodeStatistics) == [True] * COUNT

@@ -15,7 +15,8 @@ from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
 from cablebot_gym.benchmark.verification import Confirmation, broken, confirm
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 
 
 @pytest.fixture
@@ -33,11 +34,15 @@ def policy(module):
 def hidden(motions):
     """A suite of hidden motions."""
     return Suite(
-        name="s", summary="", env_ids=(PLANAR,), blocks=(Block(motion="hidden", motions=motions),), best_known=False
+        name="s",
+        summary="",
+        env_ids=(PLANAR,),
+        blocks=(Block(motion="hidden", motions=motions),),
+        best_known=False,
     )
 
 
-def test_secret_has_a_file_of_its_own_and_the_commitment_binds_everything(tmp_path, policy):
+def test_secret_has_a_file_of_its_own(tmp_path, policy):
     name = policy("def make(robot): ...\n")
     board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
     public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")
@@ -46,17 +51,28 @@ def test_secret_has_a_file_of_its_own_and_the_commitment_binds_everything(tmp_pa
     assert (tmp_path / boards.SECRET).stat().st_mode & 0o077 == 0
     assert len(board.secret) == 32
     assert boards.read_board(tmp_path) == board
-    other = f"{int(board.secret, 16) ^ 1:032x}"
-    changes = [{"secret": other}, {"salt": other}, {"version": "2"}, {"policies": {name: "0" * 64}}]
-    for change in (*changes, {"motions": 19}, {"entries": {SPATIAL: [name]}}):
-        with pytest.raises(ValueError, match="does not match its commitment"):
-            replace(board, **change).check()
-    with pytest.raises(ValueError, match="not published"):
-        replace(board, secret=None).check()
     with pytest.raises(ValueError, match="has a board"):
         boards.commit(tmp_path, "2", {PLANAR: [name]}, 20)
     with pytest.raises(ValueError, match="add --suite ranked"):
         boards.commit(tmp_path / "other", "2", {PLANAR: [name]}, 0)
+
+
+def test_commitment_binds_every_field(tmp_path, policy):
+    name = policy("def make(robot): ...\n")
+    board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
+    changed_hex = f"{int(board.secret, 16) ^ 1:032x}"
+    for changes in (
+        {"secret": changed_hex},
+        {"salt": changed_hex},
+        {"version": "2"},
+        {"policies": {name: "0" * 64}},
+        {"motions": 19},
+        {"entries": {SPATIAL: [name]}},
+    ):
+        with pytest.raises(ValueError, match="does not match its commitment"):
+            replace(board, **changes).check()
+    with pytest.raises(ValueError, match="not published"):
+        replace(board, secret=None).check()
 
 
 def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, module):
@@ -79,11 +95,12 @@ def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, m
         boards.commit(tmp_path / "other", "1", {PLANAR: ["toy_flat:make"]}, 20)
 
 
-def test_hidden_motions_are_held_out_and_depend_on_secret_and_environment(tmp_path):
+def test_hidden_motions_depend_on_secret_and_environment(tmp_path):
     board = boards.commit(tmp_path, "1", {}, 20)
     seeds = board.seeds(PLANAR, 20)
     assert len({*seeds, *board.seeds(SPATIAL, 20)}) == 40
-    assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
+    for seed in seeds:
+        assert FIRST_HELD_OUT_SEED <= seed < 2**53
     with pytest.raises(ValueError, match="committed with 20 motions, not 2"):
         board.seeds(PLANAR, 2)
     assert boards.commit(tmp_path / "other", "1", {}, 20).seeds(PLANAR, 20) != seeds
@@ -104,7 +121,7 @@ def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
         boards.run_seed(tmp_path)
 
 
-def test_results_with_other_policies_or_motions_than_those_of_the_board_are_rejected(tmp_path, monkeypatch):
+def test_results_of_other_motions_than_the_board_are_rejected(tmp_path, monkeypatch):
     board = boards.commit(tmp_path, "1", {PLANAR: ["fl"]}, 3)
     suite = hidden(3)
     records = [record(cell) for cell in suite_cells(suite, {PLANAR: ("fl",)}, board=board).values()]
@@ -116,7 +133,10 @@ def test_results_with_other_policies_or_motions_than_those_of_the_board_are_reje
         replace(results, records=[easy, *records[1:]]).check_board()
     with pytest.raises(ValueError, match="are not those of board"):
         replace(results, records=records[:2]).check_board()
-    for folder, committed in (("policy", {PLANAR: ["fl", "robust"]}), ("id", {PLANAR: ["fl"], SPATIAL: ["robust"]})):
+    for folder, committed in (
+        ("policy", {PLANAR: ["fl", "robust"]}),
+        ("id", {PLANAR: ["fl"], SPATIAL: ["robust"]}),
+    ):
         more = boards.commit(tmp_path / folder, "1", committed, 3)
         with pytest.raises(ValueError, match="differ in robust on"):
             replace(results, board=more).check_board()
@@ -126,13 +146,18 @@ def test_results_with_other_policies_or_motions_than_those_of_the_board_are_reje
 
 
 def record(cell, payload=1.0, **result):
-    made = {"payload": payload, "assured": True, **result}
-    return Record(cell=cell, source="a", versions={}, result=made, seconds=0.0)
+    outcome = {"payload": payload, "assured": True, **result}
+    return Record(cell=cell, source="a", versions={}, result=outcome, seconds=0.0)
 
 
 def cell(**more):
-    usual = {"env_id": PLANAR, "trajectory": {"name": "circle-planar"}, "policy": "fl", "uncertainty": "table6"}
-    return PolicyCell(**(usual | {"draws": 512} | more))
+    conditions = {
+        "env_id": PLANAR,
+        "trajectory": {"name": "circle-planar"},
+        "policy": "fl",
+        "uncertainty": "table6",
+    }
+    return PolicyCell(**(conditions | {"draws": 512} | more))
 
 
 def rates(*values):
@@ -146,30 +171,32 @@ def test_promises_hold_for_18_of_20_cells_and_none_far_below():
 
 
 def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
-    kept, too_much = record(cell(), 0.3), record(cell(policy="fl-tuned"), 2.1)
-    others = [
+    feasible = record(cell(), 0.3)
+    too_much = record(cell(policy="fl-tuned"), 2.1)
+    unpromised = [
         record(cell(uncertainty=None, draws=1), assured=None),
         record(cell(policy="robust"), None),
         record(cell(seed=1), 9.9, assured=False),
     ]
-    found = confirm([kept, too_much, *others], local(1), cells=20, draws=60, seed=5, say=print)
-    by_policy = {one.cell.policy: one for one in found}
+    confirmations = confirm([feasible, too_much, *unpromised], local(1), cells=20, draws=60, seed=5, say=print)
+    by_policy = {confirmation.cell.policy: confirmation for confirmation in confirmations}
     assert set(by_policy) == {"fl", "fl-tuned"}
     assert by_policy["fl"].success_rate == 1.0
     assert by_policy["fl-tuned"].success_rate < 0.5
     assert "2.100 kg in at least 95% of all draws" in str(by_policy["fl-tuned"])
     with pytest.raises(ValueError, match="no payload under uncertainty"):
-        list(confirm(others, local(1), cells=20, draws=60, seed=5, say=print))
+        list(confirm(unpromised, local(1), cells=20, draws=60, seed=5, say=print))
 
 
 def test_seed_of_the_confirmation_chooses_the_cells():
     records = [record(cell(seed=number)) for number in range(30)]
 
-    def chosen(seed):
-        def backend(jobs, say, returned):
-            yield from ((key, 1.0) for key in jobs)
+    def backend(jobs, say, returned):
+        yield from ((key, 1.0) for key in jobs)
 
-        return [one.cell.seed for one in confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)]
+    def chosen(seed):
+        confirmations = confirm(records, backend, cells=20, draws=1024, seed=seed, say=print)
+        return [confirmation.cell.seed for confirmation in confirmations]
 
     assert len(set(chosen(1))) == 20
     assert chosen(1) == chosen(1) != chosen(2)

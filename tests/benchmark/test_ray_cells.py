@@ -75,13 +75,13 @@ def run(address, computations, returned=(WorkerDied,)):
 
 @pytest.mark.slow
 def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
-    said = []
-    store = Store(tmp_path, say=said.append)
+    messages = []
+    store = Store(tmp_path, say=messages.append)
     cells = {cell.key: cell for cell in CELLS}
-    records = run_cells(cells, store, on_ray(address), progress=lambda *step: None, say=said.append)
+    records = run_cells(cells, store, on_ray(address), progress=lambda *step: None, say=messages.append)
     assert [record.result for record in records] == [compute(cell).result for cell in CELLS]
     assert len({record.result["payload"] for record in records}) > 2
-    assert said == []
+    assert messages == []
     assert len(list((tmp_path / "cells").iterdir())) == len(CELLS)
 
 
@@ -92,13 +92,13 @@ def test_jobs_use_both_nodes(address, tmp_path):
 
 
 @pytest.mark.slow
-def test_job_of_a_killed_worker_is_repeated_and_a_deadly_one_given_up(address, tmp_path, monkeypatch):
+def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
     jobs = {"killed": partial(killed_at_first, str(tmp_path / "marker")), "deadly": always_killed}
-    found = run(address, jobs)
-    assert found["killed"] == "computed"
-    assert isinstance(found["deadly"], WorkerDied)
-    assert "died" in str(found["deadly"])
+    outcomes = run(address, jobs)
+    assert outcomes["killed"] == "computed"
+    assert isinstance(outcomes["deadly"], WorkerDied)
+    assert "died" in str(outcomes["deadly"])
 
 
 @pytest.mark.slow

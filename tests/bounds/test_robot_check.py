@@ -27,23 +27,35 @@ def test_payload_limit_is_the_closed_form(robot):
 
 def test_payload_is_held_up_to_the_limit():
     limit = check_motion(CAMERA).limit
-    assert [check_motion(CAMERA, payload=limit.largest + side).held for side in (-0.01, 0.01)] == [True, False]
+    assert [check_motion(CAMERA, payload=limit.largest + side).held for side in (-0.01, 0.01)] == [
+        True,
+        False,
+    ]
     assert "2, 3 at the torque limit" in limit.reason
     pose = np.array([[*limit.pose]])
-    assert [bool(holds(CAMERA, pose, payload)[0]) for payload in (limit.largest, 200.0)] == [True, False]
+    assert [bool(holds(CAMERA, pose, payload)[0]) for payload in (limit.largest, 200.0)] == [
+        True,
+        False,
+    ]
 
 
 def test_infeasible_motion_names_the_cause():
     """Near the mast, the other cables cannot have their minimum tension."""
     tight = CAMERA.replace(minimum_tension=900.0)
     check = check_motion(tight)
-    assert (check.held, check.limit.largest, check.cables, check.settled) == (False, -math.inf, (), None)
+    assert not check.held
+    assert check.limit.largest == -math.inf
+    assert check.cables == ()
+    assert check.settled is None
     assert "at the minimum tension of 900 N" in check.limit.reason
 
 
 @pytest.mark.parametrize(
     ("duration", "payload", "cause"),
-    [(1.3, 0.0, "cable 2 at the minimum tension of 1 N"), (4.0, 9.0, "cable 2 at the torque limit")],
+    [
+        (1.3, 0.0, "cable 2 at the minimum tension of 1 N"),
+        (4.0, 9.0, "cable 2 at the torque limit"),
+    ],
 )
 def test_limit_is_that_which_excludes_the_payload(duration, payload, cause):
     """On a fast circle with jumps, a light platform slackens a cable; that a heavier one needs torque is no cause."""
@@ -65,10 +77,12 @@ def test_limit_is_that_which_excludes_the_payload(duration, payload, cause):
 def test_softest_mode_of_a_camera_is_a_mass_on_springs():
     """Up and down, all cables stretch alike: k = Σ EA/l (h/q)²."""
     robot = find_robot("flex-stadium-camera")
-    height, length = 18.0, math.hypot(60, 40, 18)
+    height = 18.0
+    length = math.hypot(60, 40, 18)
     stiffness = 4 * 320e3 / (length + 30) * (height / length) ** 2
     softest = modes(robot)[0]
-    assert (softest.locked, softest.direction) == (True, "z")
+    assert softest.locked
+    assert softest.direction == "z"
     assert 2 * math.pi * softest.frequency == pytest.approx(math.sqrt(stiffness / 14), rel=1e-9)
     assert modes(CAMERA) == []
 
@@ -84,8 +98,8 @@ def test_segment_distance_is_the_least_over_points():
     generator = np.random.default_rng(0)
     ends = generator.normal(size=(4, 50, 3))
     steps = np.linspace(0, 1, 201)[:, None, None]
-    first, second = (a + steps * (b - a) for a, b in (ends[:2], ends[2:]))
-    brute = np.linalg.norm(first[:, None] - second[None], axis=-1).min(axis=(0, 1))
-    found = segment_distance(*ends)
-    assert np.all(found <= brute + 1e-12)
-    np.testing.assert_allclose(found, brute, atol=2e-2)
+    points_of_one, points_of_two = (a + steps * (b - a) for a, b in (ends[:2], ends[2:]))
+    brute = np.linalg.norm(points_of_one[:, None] - points_of_two[None], axis=-1).min(axis=(0, 1))
+    distances = segment_distance(*ends)
+    assert np.all(distances <= brute + 1e-12)
+    np.testing.assert_allclose(distances, brute, atol=2e-2)

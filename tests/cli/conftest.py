@@ -83,12 +83,15 @@ class Ended:
     @property
     def data(self):
         """Standard output as JSON; asserts that there are neither messages nor NaN or infinity."""
-        assert (self.status, self.err) == (0, "")
+        assert self.status == 0
+        assert self.err == ""
         return json.loads(self.out, parse_constant=pytest.fail)
 
     def message(self, status):
         """The only line on standard error of a command that failed with a status."""
-        assert (self.status, self.out, self.err.count("\n")) == (status, "", 1), self.err
+        assert self.status == status, self.err
+        assert self.out == "", self.err
+        assert self.err.count("\n") == 1, self.err
         assert self.err.startswith("cablebot: ")
         return self.err
 
@@ -124,7 +127,11 @@ def toys(tmp_path, monkeypatch):
 @pytest.fixture
 def no_work(monkeypatch):
     """Fails the test when anything is evaluated or recorded."""
-    for name in ("evaluator.evaluate_dlcc", "comparison.compare_policies", "rollout.record_rollout"):
+    for name in (
+        "evaluator.evaluate_dlcc",
+        "comparison.compare_policies",
+        "rollout.record_rollout",
+    ):
         monkeypatch.setattr(f"cablebot_gym.evaluation.{name}", lambda *_, **__: pytest.fail("found after the work"))
 
 

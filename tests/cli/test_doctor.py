@@ -20,29 +20,37 @@ from cablebot_gym.policies import ENTRY_POINT_GROUP
 PLANAR = "CableBot-Planar-v0"
 
 
+@pytest.fixture
+def no_self_tests(monkeypatch):
+    """The self-tests of the environments take most of the time."""
+    monkeypatch.setattr(doctor, "_statics_test", lambda env_id: "as it is")
+
+
 def findings():
     return {finding.name: finding for finding in examine()}
 
 
 def test_installation_has_no_fault():
-    found = findings()
-    assert all(finding.ok for finding in found.values())
-    assert [name for name in found if name.startswith("self-test")] == [f"self-test {env_id}" for env_id in ENV_IDS]
-    assert re.search(r"numba \d.*numpy 2", found["requirements"].text)
-    assert "torch 2" in found["extra sb3"].text
-    assert not {"extra all", "extra docs", "extra test"} & set(found)
+    by_name = findings()
+    for finding in by_name.values():
+        assert finding.ok, finding
+    assert {f"self-test {env_id}" for env_id in ENV_IDS} <= set(by_name)
+    assert re.search(r"numba \d.*numpy 2", by_name["requirements"].text)
+    assert "torch 2" in by_name["extra sb3"].text
+    assert not {"extra all", "extra docs", "extra test"} & set(by_name)
     names = sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))
-    assert found["policies"].text == f"{len(names)} load: {', '.join(names)}"
+    assert by_name["policies"].text == f"{len(names)} load: {', '.join(names)}"
 
 
+@pytest.mark.usefixtures("no_self_tests")
 def test_policy_that_fails_to_load_is_a_fault(monkeypatch):
     broken = EntryPoint("broken", "cablebot_baselines.nowhere:POLICY", ENTRY_POINT_GROUP)
     listed = doctor.entry_points
     monkeypatch.setattr(doctor, "entry_points", lambda *, group: [*listed(group=group), broken])
-    found = findings()
-    assert found["policy broken"].ok is False
-    assert "No module named 'cablebot_baselines.nowhere'" in found["policy broken"].text
-    assert found["policies"].ok
+    by_name = findings()
+    assert by_name["policy broken"].ok is False
+    assert "No module named 'cablebot_baselines.nowhere'" in by_name["policy broken"].text
+    assert by_name["policies"].ok
 
 
 @pytest.mark.slow
@@ -57,26 +65,33 @@ def test_folder_that_hides_the_baselines_is_a_fault(tmp_path):
     assert "BAD policy fl: ModuleNotFoundError" in ran.stdout
 
 
-def test_missing_package_is_a_fault_unless_it_belongs_to_an_extra(monkeypatch):
+@pytest.mark.usefixtures("no_self_tests")
+@pytest.mark.parametrize(
+    ("package", "name", "ok", "install"),
+    [
+        ("casadi", "extra optimal", None, "'cablebot-gym[optimal]'"),
+        ("scipy", "requirements", False, "cablebot-gym"),
+    ],
+)
+def test_missing_package_is_a_fault_but_in_an_extra(monkeypatch, package, name, ok, install):
     version = doctor._version
-    monkeypatch.setattr(doctor, "_version", lambda name: None if name == "casadi" else version(name))
-    finding = findings()["extra optimal"]
-    assert finding.ok is None
-    assert finding.text == "casadi not installed. To install: pip install 'cablebot-gym[optimal]'"
-    monkeypatch.setattr(doctor, "_version", lambda name: None if name == "scipy" else version(name))
-    text = "scipy not installed. To install: pip install cablebot-gym"
-    assert findings()["requirements"] == Finding(name="requirements", ok=False, text=text)
+    monkeypatch.setattr(doctor, "_version", lambda asked: None if asked == package else version(asked))
+    text = f"{package} not installed. To install: pip install {install}"
+    assert findings()[name] == Finding(name=name, ok=ok, text=text)
 
 
 def test_plant_that_moves_under_static_torques_is_a_fault(monkeypatch):
     statics = doctor.static_torque
-    monkeypatch.setattr(doctor, "static_torque", lambda *given, **more: 1.000001 * statics(*given, **more))
-    wrong = [finding for finding in examine() if finding.ok is False]
-    assert [finding.name for finding in wrong if "Spatial" in finding.name] == [
-        "self-test CableBot-Spatial-v0",
-        "self-test CableBot-FlexSpatial-v0",
-    ]
-    assert all("moves by" in finding.text for finding in wrong)
+
+    def wrong(*arguments, **keywords):
+        return 1.000001 * statics(*arguments, **keywords)
+
+    monkeypatch.setattr(doctor, "static_torque", wrong)
+    monkeypatch.setattr(doctor, "ENV_IDS", ("CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"))
+    for env_id in doctor.ENV_IDS:
+        finding = findings()[f"self-test {env_id}"]
+        assert finding.ok is False
+        assert "moves by" in finding.text
 
 
 def test_check_that_raises_is_a_fault_and_the_others_follow(monkeypatch):
@@ -85,12 +100,12 @@ def test_check_that_raises_is_a_fault_and_the_others_follow(monkeypatch):
 
     for name in ("_packages", "code_folders", "cache_folder", "_policies", "_statics_test"):
         monkeypatch.setattr(doctor, name, lambda *_: unreadable())
-    found = findings()
-    assert found["python"].ok
+    by_name = findings()
+    assert by_name["python"].ok
     names = {"packages", "compiled code", "plans and best known payloads", "policies"}
     for name in names | {f"self-test {env_id}" for env_id in ENV_IDS}:
-        assert found[name].ok is False
-        assert found[name].text == "PermissionError: [Errno 13] Permission denied: '/folder'"
+        assert by_name[name].ok is False
+        assert by_name[name].text == "PermissionError: [Errno 13] Permission denied: '/folder'"
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty"])
@@ -100,14 +115,15 @@ def test_damaged_compiled_file_is_a_fault(monkeypatch, tmp_path, damage):
     (tmp_path / "damaged.nbc").write_bytes(content[:-1] if damage == "truncated" else b"")
     monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])
     good, bad = doctor._compiled_code()
-    assert (good.ok, good.text) == (True, f"{tmp_path}: 2 compiled files")
+    assert good.ok
+    assert good.text == f"{tmp_path}: 2 compiled files"
     assert not bad.ok
     assert str(tmp_path / "damaged.nbc") in bad.text
     assert "good.nbc" not in bad.text
 
 
 @pytest.mark.parametrize("warmed", [True, False])
-def test_read_only_folder_is_a_fault_unless_it_has_compiled_code(monkeypatch, tmp_path, warmed):
+def test_read_only_folder_without_compiled_code_is_a_fault(monkeypatch, tmp_path, warmed):
     if warmed:
         (tmp_path / "code.nbc").write_bytes(hashlib.sha256(b"").digest())
     monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])
@@ -125,7 +141,10 @@ def test_unknown_id_to_compile_is_refused(cablebot):
 
 @pytest.mark.slow
 def test_compiled_id_needs_no_compilation_afterwards(tmp_path):
-    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "compiled"), "CABLEBOT_CACHE": str(tmp_path / "plans")}
+    env = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path / "compiled"),
+        "CABLEBOT_CACHE": str(tmp_path / "plans"),
+    }
     command = [sys.executable, "-m", "cablebot_gym.cli.app"]
 
     def run(*arguments):

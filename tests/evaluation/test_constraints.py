@@ -45,7 +45,8 @@ class Scripted(gym.Env):
     def __init__(self, script, *, start=None, steps=None, **changes):
         self.action_space = gym.spaces.Box(-1, 1, (3,))
         self.observation_space = gym.spaces.Box(-1, 1, (1,), dtype=np.float64)
-        self.script, self.start = script, start or {}
+        self.script = script
+        self.start = start or {}
         self.task = HandMadeTask(len(script) if steps is None else steps, **changes)
 
     def reset(self, *, seed=None, options=None):
@@ -60,7 +61,16 @@ class Scripted(gym.Env):
         return np.zeros(1), 0.0, terminated, False, info_of(self.step_, **change)
 
 
-def info_of(step, *, payload=1.5, position=0.001, rotation=0.001, action=(0.1, -0.2, 0.3), slack=(), tension=(9, 8, 7)):
+def info_of(
+    step,
+    *,
+    payload=1.5,
+    position=0.001,
+    rotation=0.001,
+    action=(0.1, -0.2, 0.3),
+    slack=(),
+    tension=(9, 8, 7),
+):
     """Info of one step of a single environment."""
     return {
         "time": step * PERIOD,
@@ -108,11 +118,17 @@ def test_uneventful_motion_is_carried(criterion):
 
 @pytest.mark.parametrize(
     ("action", "motor", "excess"),
-    [((1.1, 0.0, 0.0), 1, 0.5), ((0.0, -1.1, 0.0), 2, 0.6), ((1.1, -1.3, 1.2), 2, 1.8), ((-1.3, 1.1, 1.2), 1, 1.5)],
+    [
+        ((1.1, 0.0, 0.0), 1, 0.5),
+        ((0.0, -1.1, 0.0), 2, 0.6),
+        ((1.1, -1.3, 1.2), 2, 1.8),
+        ((-1.3, 1.1, 1.2), 1, 1.5),
+    ],
 )
-def test_torque_violation_is_that_of_the_largest_action_at_the_control_instant(action, motor, excess):
+def test_torque_violation_is_that_of_the_largest_action(action, motor, excess):
     violation = judged(third(action=action), "paper").violation
-    assert (violation.kind, violation.index) == ("torque", motor)
+    assert violation.kind == "torque"
+    assert violation.index == motor
     assert (violation.excess, violation.time) == pytest.approx((excess, 2 * PERIOD))
 
 
@@ -123,20 +139,25 @@ def test_slack_violation_names_the_first_slack_cable(slack, cable):
     assert str(violation) == f"cable {cable} is slack at t = 0.006 s"
 
 
-def test_tension_below_its_bound_violates_the_task_criterion_only():
+def test_low_tension_violates_the_task_criterion_only():
     low = third(tension=(1.0, 0.4, 0.7))
     violation = judged(low, "task").violation
-    assert (violation.kind, violation.index, violation.bound, violation.excess) == ("slack", 2, 1.0, 0.6)
+    assert violation.kind == "slack"
+    assert violation.index == 2
+    assert violation.bound == 1.0
+    assert violation.excess == 0.6
     assert str(violation) == "cable 2 falls below its tension bound of 1 N at t = 0.006 s"
     assert judged(third(tension=(1.0, 1.0, 1.0)), "task").carried
     assert judged(low, "paper").carried
     assert judged(low, "task", cable="bilateral").carried, "a bilateral cable may push"
 
 
-def test_motor_that_cannot_hold_the_robot_at_the_start_violates_the_task_criterion_only():
+def test_weak_motor_at_the_start_violates_the_task_criterion():
     start = {"action": (0.1, 0.2, 1.1)}  # margins of 4.5, 4.8 and -0.7 N·m
     violation = judged([{}] * 4, start=start).violation
-    assert (violation.kind, violation.index, violation.time) == ("torque", 3, 0.0)
+    assert violation.kind == "torque"
+    assert violation.index == 3
+    assert violation.time == 0.0
     assert violation.excess == pytest.approx(0.7)
     assert str(violation) == "motor 3 cannot hold the robot at rest at t = 0.000 s"
     assert judged([{}] * 4, start=start, starts_at_rest=False).carried
@@ -150,16 +171,21 @@ def test_judge_reads_the_task_only_at_the_reset():
     object.__setattr__(env.env.task, "steps", 1)
     for _ in range(5):
         env.step(np.zeros(3))
-    assert (env.verdict.carried, env.verdict.violation.kind) == (False, "position")
+    assert not env.verdict.carried
+    assert env.verdict.violation.kind == "position"
 
 
 def test_error_violations_state_bound_and_time():
     for criterion in ("task", "paper"):
         position = judged(third(position=0.013), criterion).violation
-        assert (position.kind, position.index, position.bound) == ("position", None, 0.01)
+        assert position.kind == "position"
+        assert position.index is None
+        assert position.bound == 0.01
         assert (position.time, position.excess) == pytest.approx((3 * PERIOD, 0.003))
     rotation = judged(third(rotation=0.025), "task").violation
-    assert (rotation.kind, rotation.bound, rotation.excess) == ("rotation", 0.02, pytest.approx(0.005))
+    assert rotation.kind == "rotation"
+    assert rotation.bound == 0.02
+    assert rotation.excess == pytest.approx(0.005)
     assert str(rotation) == "rotation error reaches its bound of 20 mrad at t = 0.006 s"
 
 
@@ -186,43 +212,60 @@ EVENTS = {
 """Changes by kind, in the order of the checks within one step."""
 
 
-@pytest.mark.parametrize("first", range(len(EVENTS)))
+@pytest.mark.parametrize("start", range(len(EVENTS)))
 @each_criterion
-def test_violations_of_one_step_have_a_fixed_order(criterion, first):
+def test_violations_of_one_step_have_a_fixed_order(criterion, start):
     assert tuple(EVENTS) == KINDS
-    together = {key: value for change in list(EVENTS.values())[first:] for key, value in change.items()}
     unchecked = {"task": "torque", "paper": "rotation"}[criterion]
-    expected = next(kind for kind in list(EVENTS)[first:] if kind != unchecked)
+    kinds = KINDS[start:]
+    together = {}
+    for kind in kinds:
+        together |= EVENTS[kind]
+    expected = next(kind for kind in kinds if kind != unchecked)
     violation = judged(third(**together), criterion).violation
-    assert (violation.kind, violation.time) == (expected, pytest.approx((2 if expected == "torque" else 3) * PERIOD))
+    assert violation.kind == expected
+    assert violation.time == pytest.approx((2 if expected == "torque" else 3) * PERIOD)
 
 
-def test_later_violation_does_not_replace_the_first_and_peaks_stop_there():
+def test_later_violation_does_not_replace_the_first():
     script = [
         {"action": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)},
         {"position": 0.02, "rotation": 0.004, "action": (0.1, -0.9, 0.1), "tension": (5, 9, 9)},
-        {"position": 0.09, "rotation": 0.9, "action": (4.0, 4.0, 4.0), "tension": (0, 0, 0), "slack": (1,)},
+        {
+            "position": 0.09,
+            "rotation": 0.9,
+            "action": (4.0, 4.0, 4.0),
+            "tension": (0, 0, 0),
+            "slack": (1,),
+        },
     ]
     verdict = judged(script)
-    assert (verdict.violation.kind, verdict.violation.time) == ("position", 2 * PERIOD)
+    assert verdict.violation.kind == "position"
+    assert verdict.violation.time == 2 * PERIOD
     assert verdict.violation.excess == pytest.approx(0.01)
     assert verdict.peak_action == (0.5, 0.9, 0.1)
-    assert (verdict.position_peak, verdict.rotation_peak, verdict.least_tension) == (0.02, 0.004, 5.0)
+    assert verdict.position_peak == 0.02
+    assert verdict.rotation_peak == 0.004
+    assert verdict.least_tension == 5.0
 
 
 def test_errors_at_the_start_count():
     for criterion in ("task", "paper"):
         position = judged([{}] * 4, criterion, start={"position": 0.011}).violation
-        assert (position.kind, position.time, position.excess) == ("position", 0.0, pytest.approx(0.001))
+        assert position.kind == "position"
+        assert position.time == 0.0
+        assert position.excess == pytest.approx(0.001)
     rotation = judged([{}] * 4, "task", start={"rotation": 0.03}).violation
-    assert (rotation.kind, rotation.time) == ("rotation", 0.0)
+    assert rotation.kind == "rotation"
+    assert rotation.time == 0.0
     assert judged([{}] * 4, "paper", start={"rotation": 0.03}).carried
 
 
 def test_tensions_and_actions_of_the_reset_do_not_count():
     """No control period has passed at the reset, where an environment returns zeros."""
     verdict = judged([{}] * 4, "paper", start={"tension": (0, 0, 0), "action": (0, 0, 0)})
-    assert (verdict.carried, verdict.least_tension) == (True, 7.0)
+    assert verdict.carried
+    assert verdict.least_tension == 7.0
 
 
 # --- batches ----------------------------------------------------------------------------------------------------------
@@ -233,7 +276,8 @@ def stacked(*infos):
 
 
 def test_episodes_of_a_batch_are_independent():
-    judge, none = Judge("task", 3, 3), np.zeros(3, np.bool_)
+    judge = Judge("task", 3, 3)
+    none = np.zeros(3, np.bool_)
     judge.reset(stacked(*(info_of(0, payload=p) for p in (1.0, 2.0, 3.0))), HandMadeTask(3))
     judge.observe(stacked(info_of(1), info_of(1, position=0.03), info_of(1)), none)
     judge.observe(stacked(info_of(2, position=0.004), info_of(2, position=0.05), info_of(2, slack=(2,))), none)
@@ -244,14 +288,19 @@ def test_episodes_of_a_batch_are_independent():
     assert judge.carried.tolist() == [verdict.carried for verdict in verdicts] == [True, False, False]
     assert [verdict.payload for verdict in verdicts] == [1.0, 2.0, 3.0]
     assert [verdict.position_peak for verdict in verdicts] == [0.004, 0.03, 0.001]
-    assert [(v.violation.kind, v.violation.index) for v in verdicts[1:]] == [("position", None), ("slack", 2)]
+    assert [(v.violation.kind, v.violation.index) for v in verdicts[1:]] == [
+        ("position", None),
+        ("slack", 2),
+    ]
 
 
 def test_restarted_episodes_have_their_own_bounds_and_motion():
-    judge, none = Judge("task", 3, 2), np.zeros(2, np.bool_)
+    judge = Judge("task", 3, 2)
+    none = np.zeros(2, np.bool_)
     judge.reset(stacked(info_of(0), info_of(0)), HandMadeTask(4))
     judge.observe(stacked(info_of(1, position=0.005), info_of(1, position=0.02)), none)
-    second, restarted = np.array([False, True]), ErrorBounds(position=0.03)
+    second = np.array([False, True])
+    restarted = ErrorBounds(position=0.03)
     judge.reset(
         stacked(info_of(1, position=0.5), info_of(0, payload=9.0)),
         replace(HandMadeTask(1), error_bounds=restarted),
@@ -263,7 +312,8 @@ def test_restarted_episodes_have_their_own_bounds_and_motion():
     assert judge.carried.tolist() == [False, True]
     judge.observe(stacked(info_of(3, position=0.02), info_of(2, position=0.9)), none)
     assert judge.failed.tolist() == [True, False], "the motion of the second has ended"
-    assert (judge.verdict(0).payload, judge.verdict(1).payload) == (1.5, 9.0)
+    assert judge.verdict(0).payload == 1.5
+    assert judge.verdict(1).payload == 9.0
 
 
 # --- the monitor ------------------------------------------------------------------------------------------------------
@@ -285,12 +335,9 @@ def test_reset_starts_a_new_verdict():
     assert [env.step(np.zeros(3))[4]["dlcc_carried"] for _ in range(5)] == [False] * 5
     assert env.verdict.violation.kind == "slack"
     env.reset()
-    assert (env.verdict.carried, env.verdict.violation, env.verdict.peak_action) == (False, None, (0, 0, 0))
-
-
-def test_monitor_rejects_an_unknown_criterion():
-    with pytest.raises(ValueError, match="choose one of task, paper"):
-        DLCCMonitor(gym.make(IDS["planar"]), criterion="both")
+    assert not env.verdict.carried
+    assert env.verdict.violation is None
+    assert env.verdict.peak_action == (0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -305,20 +352,22 @@ def test_bounds_of_the_monitor_replace_those_of_the_episode(bounds, carried):
 
 
 def test_bounds_of_the_reset_option_reach_the_monitor():
-    env, short = DLCCMonitor(gym.make(IDS["planar"])), {"name": "line-planar", "duration": 0.7}
+    env = DLCCMonitor(gym.make(IDS["planar"]))
+    short = {"name": "line-planar", "duration": 0.7}
     for options, carried in (({}, True), ({"error_bounds": {"position": 1e-5}}, False), ({}, True)):
         assert play(env, FeedbackLinearization(PLANAR), {"trajectory": short} | options).carried is carried
 
 
 def test_monitor_only_adds_to_info():
-    plain, watched = gym.make(IDS["spatial"]), DLCCMonitor(gym.make(IDS["spatial"]))
-    pairs = [(plain.reset(seed=3), watched.reset(seed=3))]
+    plain = gym.make(IDS["spatial"])
+    watched = DLCCMonitor(gym.make(IDS["spatial"]))
     action = np.full(6, 0.4)
-    pairs += [(plain.step(action), watched.step(action)) for _ in range(3)]
-    for one, other in pairs:
-        np.testing.assert_array_equal(one[0], other[0])
-        assert one[1:-1] == other[1:-1]
-        assert set(other[-1]) - set(one[-1]) == {"dlcc_carried"}
+    expected = [plain.reset(seed=3), plain.step(action), plain.step(action)]
+    results = [watched.reset(seed=3), watched.step(action), watched.step(action)]
+    for (*values, info), (*watched_values, watched_info) in zip(expected, results, strict=True):
+        for value, watched_value in zip(values, watched_values, strict=True):
+            np.testing.assert_array_equal(watched_value, value)
+        assert set(watched_info) - set(info) == {"dlcc_carried"}
 
 
 @pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "paper"), ("spatial", "task")])
@@ -330,11 +379,10 @@ def test_monitor_agrees_with_the_evaluator(kind, criterion):
     env = DLCCMonitor(gym.make(IDS[kind], trajectory=trajectory), criterion=criterion)
     below = play(env, fl, {"payload": result.payload})
     above = play(env, fl, {"payload": result.failed_payload})
-    assert (below.carried, above.carried) == (True, False)
-    assert (below.payload, above.payload) == (result.payload, result.failed_payload)
-    assert (above.violation.kind, above.violation.index) == (result.violation.kind, result.violation.index)
-    assert above.violation.time == result.violation.time
-    assert above.violation.excess == pytest.approx(result.violation.excess, rel=1e-6)
+    assert below.carried
+    assert not above.carried
+    excess = pytest.approx(result.violation.excess, rel=1e-6)
+    assert above.violation == replace(result.violation, excess=excess)
     assert 1 - max(below.peak_action) == pytest.approx(result.margins["torque"], abs=1e-12)
     assert 1 - below.position_peak / 0.01 == pytest.approx(result.margins["position"], abs=1e-9)
     assert below.least_tension == pytest.approx(result.margins["tension"])

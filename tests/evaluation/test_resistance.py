@@ -43,7 +43,9 @@ def evaluated(policy, **keywords):
 
 def test_declared_stochastic_policy_is_scored_over_repeats():
     result = evaluated(cheats.declared_noise(SPATIAL), draws=60)
-    assert (result.stochastic, result.draws, result.assured) == (True, 60, True)
+    assert result.stochastic
+    assert result.draws == 60
+    assert result.assured
     assert "stochastic policy" in str(result)
     assert str(result).endswith("(95/95 lower tolerance bound, 60 draws)")
 
@@ -58,7 +60,7 @@ class FailsAlone(Law):
 
 
 @pytest.mark.parametrize("uncertainty", [None, "sensors"])
-def test_payload_that_needs_other_episodes_is_refused_although_actions_are_random(uncertainty):
+def test_random_policy_must_not_need_other_episodes(uncertainty):
     with pytest.raises(PolicyError, match=r"depends on the other.* in 0 of 12 draws alone, in 60 of 60 together"):
         evaluated(FailsAlone(), uncertainty=uncertainty, draws=60)
 
@@ -66,25 +68,26 @@ def test_payload_that_needs_other_episodes_is_refused_although_actions_are_rando
 @pytest.fixture
 def batches(monkeypatch):
     """Seeds of the rows of each batch without an observer."""
-    found, honest = [], Batch.run
+    seeds_of_batches = []
+    honest = Batch.run
 
     def run(self, rows, **keywords):
         if "observer" not in keywords:
-            found.append([seed for _, seed in rows])
+            seeds_of_batches.append([seed for _, seed in rows])
         return honest(self, rows, **keywords)
 
     monkeypatch.setattr(Batch, "run", run)
-    return found
+    return seeds_of_batches
 
 
 def test_draws_of_the_check_alone_are_fresh_and_secret(batches):
     results = [evaluated(Law(), uncertainty="sensors", draws=60) for _ in range(2)]
     alone = [seeds[0] for seeds in batches if len(seeds) == 1]
-    needed = plausible_successes(60, 60, ALONE, RISK)
-    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed > 0
+    needed_draws = plausible_successes(60, 60, ALONE, RISK)
+    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed_draws > 0
 
 
-def test_one_draw_of_a_stochastic_policy_keeps_its_payload_if_the_recorded_episode_fails():
+def test_failed_recording_keeps_the_payload_of_one_draw():
     result = evaluated(FailsAlone(), draws=1)
     assert result.payload == pytest.approx(evaluated(Law()).payload, abs=0.02)
     assert not result.rollout.verdict.carried
@@ -99,7 +102,7 @@ def test_normalised_observations_are_refused():
     assert evaluated(Law(), normalised_observation=False).payload > 0
 
 
-def test_unsaturated_actions_of_objects_are_declared_whatever_they_call_themselves():
+def test_name_of_an_object_does_not_hide_its_declaration():
     class Installed(Law):
         name = spec = "fl"
 
@@ -110,7 +113,7 @@ def test_unsaturated_actions_of_objects_are_declared_whatever_they_call_themselv
 
 
 @pytest.mark.parametrize("uncertainty", [{}, {"uncertainty": "sensors", "draws": 60}])
-def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(uncertainty):
+def test_dense_check_finds_an_island_of_failures(uncertainty):
     """The narrow gap of failures lies between two payloads of the scan, below the first other failure."""
     scanned = []
 
@@ -121,9 +124,13 @@ def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(unc
     evaluated(Dropping(spy), **uncertainty)
     grid = scanned[0]
     widest = 2 + int(np.diff(grid[2:9]).argmax())
-    low, high = grid[widest] + 1e-3, grid[widest + 1] - 1e-3
+    low = grid[widest] + 1e-3
+    high = grid[widest + 1] - 1e-3
     assert high - low > 0.25
-    result = evaluated(Dropping(lambda payload: ((payload > low) & (payload < high)) | (payload > 3)), **uncertainty)
+    result = evaluated(
+        Dropping(lambda payload: ((payload > low) & (payload < high)) | (payload > 3)),
+        **uncertainty,
+    )
     assert low - 0.011 <= result.payload <= low
     assert result.feasible[0] == (0.0, result.payload)
 
@@ -131,28 +138,33 @@ def test_island_between_the_payloads_of_the_scan_is_found_by_the_dense_check(unc
 def test_seed_moves_the_payloads_of_the_scan():
     grids = []
     for seed in (0, 0, 1):
-        seen = []
-        evaluated(Dropping(lambda payload, seen=seen: seen.append(payload) or payload > 9), seed=seed)
-        grids.append(np.sort(seen[0]))
+        scanned = []
+        evaluated(
+            Dropping(lambda payload, scanned=scanned: scanned.append(payload) or payload > 9),
+            seed=seed,
+        )
+        grids.append(np.sort(scanned[0]))
     np.testing.assert_array_equal(grids[0], grids[1])
     assert np.all(grids[0][1:-1] != grids[2][1:-1])
-    assert (grids[2][0], grids[2][-1]) == (0, 20)
+    assert grids[2][0] == 0
+    assert grids[2][-1] == 20
     assert np.diff(grids[2]).max() <= 1.5 * 20 / (SCAN_POINTS - 1)
 
 
 def test_rows_have_a_secret_order():
     orders = []
     for _ in range(2):
-        seen = []
-        evaluated(Dropping(lambda payload, seen=seen: seen.append(payload.copy()) or payload > 9))
-        orders.append(seen[0])
+        scanned = []
+        evaluated(Dropping(lambda payload, scanned=scanned: scanned.append(payload.copy()) or payload > 9))
+        orders.append(scanned[0])
     assert np.any(orders[0] != orders[1])
     np.testing.assert_array_equal(*np.sort(orders))
 
 
-def test_scan_of_several_draws_has_other_draws_than_the_confirmation(batches):
+def test_scan_has_other_draws_than_the_confirmation(batches):
     result = evaluated(Dropping(lambda payload: payload > 9), uncertainty="table6", draws=60)
-    assert (len(batches[0]), len({*batches[0]})) == (SCAN_POINTS * SEARCH_DRAWS, SEARCH_DRAWS)
+    assert len(batches[0]) == SCAN_POINTS * SEARCH_DRAWS
+    assert len({*batches[0]}) == SEARCH_DRAWS
     assert len({*result.draw_seeds}) == 60
     assert not {*batches[0]} & {*result.draw_seeds}
     assert {*batches[2]} <= {*result.draw_seeds}
@@ -161,7 +173,7 @@ def test_scan_of_several_draws_has_other_draws_than_the_confirmation(batches):
 # --- discretisation ---------------------------------------------------------------------------------------------------
 
 
-def test_discretisation_compares_the_payload_with_finer_physics_steps():
+def test_discretisation_compares_finer_physics_steps():
     fine = evaluated(Law())
     assert fine.discretisation == 0.0
     assert fine.resolution == pytest.approx(fine.failed_payload - fine.payload)
@@ -192,7 +204,8 @@ class Slow(Law):
 
     def __init__(self, clock):
         super().__init__()
-        self.clock, self.calls = clock, 0
+        self.clock = clock
+        self.calls = 0
 
     def reset(self, tasks):
         self.clock.sleep(1.0)

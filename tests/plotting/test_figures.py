@@ -17,7 +17,8 @@ figure_module = pytest.importorskip("matplotlib.figure")
 
 from cablebot_gym.plotting import comparison, draw_robot, figures  # noqa: E402
 
-PLANAR_ID, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR_ID = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
 SMALL = {"payload_max": 1.0, "resolution": 0.5}
 
 
@@ -40,7 +41,8 @@ def springs():
 
 def test_springs_have_their_deflections(springs):
     """At rest the deflection times K is the torque of the motor."""
-    rollout, robot = springs.rollout, springs.task.robot
+    rollout = springs.rollout
+    robot = springs.task.robot
     deflection = rollout.start["spring_deflection"]
     np.testing.assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
     pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
@@ -74,48 +76,61 @@ def panels(figure):
 
 
 def test_each_motor_has_its_torques_and_limits(result):
-    robot, arrays = result.task.robot, result.rollout.arrays
+    robot = result.task.robot
+    arrays = result.rollout.arrays
     drawn = panels(figures.draw_torques(result))
-    assert [axes.get_title() for axes in drawn] == [f"motor {motor + 1}" for motor in range(robot.cables)]
+    assert len(drawn) == robot.cables
     for motor, axes in enumerate(drawn):
-        upper, lower, requested, applied = (line.get_ydata() for line in axes.get_lines()[:4])
+        assert axes.get_title() == f"motor {motor + 1}"
+        stall = robot.stall_torque[motor]
         drop = robot.speed_slope[motor] * arrays["motor_speeds"][:, motor]
+        action = arrays["commanded_action"][:, motor]
+        upper, lower, requested, applied = (line.get_ydata() for line in axes.get_lines()[:4])
         np.testing.assert_array_equal(axes.get_lines()[3].get_xdata(), arrays["action_time"])
         np.testing.assert_array_equal(applied, arrays["torques"][:, motor])
-        np.testing.assert_allclose(upper, robot.stall_torque[motor] - drop, rtol=1e-12)
-        np.testing.assert_allclose(lower, -robot.stall_torque[motor] - drop, rtol=1e-12)
-        action = arrays["commanded_action"][:, motor]
-        np.testing.assert_allclose(requested, robot.stall_torque[motor] * action - drop, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(upper, stall - drop, rtol=1e-12)
+        np.testing.assert_allclose(lower, -stall - drop, rtol=1e-12)
+        np.testing.assert_allclose(requested, stall * action - drop, rtol=1e-12, atol=1e-12)
         assert np.array_equal(np.isclose(requested, applied, atol=1e-9), np.abs(action) <= 1)
 
 
 def test_mark_is_at_the_least_torque_margin(result):
-    arrays, axes = result.rollout.arrays, panels(figures.draw_torques(result))
-    ((motor, dot),) = [(motor, dot) for motor, one in enumerate(axes) for dot in one.get_lines()[4:]]
+    arrays = result.rollout.arrays
     margins = 1 - np.abs(arrays["commanded_action"])
-    step = int(np.argmin(margins.min(axis=1)))
-    assert motor == int(np.argmin(margins[step]))
-    assert dot.get_xydata().tolist() == [[arrays["action_time"][step], arrays["torques"][step, motor]]]
-    (note,) = axes[motor].texts
-    assert f"t = {arrays['action_time'][step]:.3f} s" in note.get_text()
-    assert ("beyond" in note.get_text()) == (margins.min() < 0)
+    step, motor = np.unravel_index(np.argmin(margins), margins.shape)
+    for index, axes in enumerate(panels(figures.draw_torques(result))):
+        marks = axes.get_lines()[4:]
+        assert len(marks) == (index == motor)
+        if marks:
+            time = arrays["action_time"][step]
+            assert marks[0].get_xydata().tolist() == [[time, arrays["torques"][step, motor]]]
+            (note,) = axes.texts
+            assert f"t = {time:.3f} s" in note.get_text()
+            assert ("beyond" in note.get_text()) == (margins.min() < 0)
 
 
-def test_path_is_drawn_with_its_tube_errors_and_bounds(result):
-    plane, *errors = figures.draw_path(result).axes
-    true_pose, planar = result.rollout.arrays["true_pose"], result.task.robot.planar
+def test_path_is_drawn_with_its_tube(result):
+    plane, *_ = figures.draw_path(result).axes
     travelled, reference = plane.get_lines()
-    np.testing.assert_array_equal(travelled.get_xydata(), true_pose[:, :2])
-    times, millimetres = errors[0].get_lines()[0].get_data()
-    offset = true_pose - result.task.trajectory(times).position
-    distance = 1e3 * np.linalg.norm(offset[:, : 2 if planar else 3], axis=1)
-    np.testing.assert_allclose(millimetres, distance, atol=1e-9)
+    np.testing.assert_array_equal(travelled.get_xydata(), result.rollout.arrays["true_pose"][:, :2])
     (tube,) = plane.collections
-    np.testing.assert_allclose([tube.get_widths(), tube.get_heights()], 2 * result.error_bounds["position"])
+    diameter = 2 * result.error_bounds["position"]
+    np.testing.assert_allclose(tube.get_widths(), diameter)
+    np.testing.assert_allclose(tube.get_heights(), diameter)
     assert tube.get_linewidth() == 0  # the edge would add to the radius
     np.testing.assert_array_equal(tube.get_offsets(), reference.get_xydata())
+
+
+def test_errors_are_drawn_with_their_bounds(result):
+    planar = result.task.robot.planar
+    _, *errors = figures.draw_path(result).axes
     assert len(errors) == (1 if planar else 2)
-    assert [axes.get_lines()[1].get_ydata()[0] for axes in errors] == [10.0] * len(errors)
+    times, millimetres = errors[0].get_lines()[0].get_data()
+    offset = result.rollout.arrays["true_pose"] - result.task.trajectory(times).position
+    distance = 1e3 * np.linalg.norm(offset[:, : 2 if planar else 3], axis=1)
+    np.testing.assert_allclose(millimetres, distance, atol=1e-9)
+    for axes in errors:
+        assert axes.get_lines()[1].get_ydata()[0] == 10.0
 
 
 def test_limits_are_those_of_the_true_motors():
@@ -127,7 +142,13 @@ def test_limits_are_those_of_the_true_motors():
 
 def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
     motion = {"name": "dwell-spatial", "duration": 0.05}
-    options = {"uncertainty": "table6", "draws": 60, "probability": 0.3, "trajectory": motion, **SMALL}
+    options = {
+        "uncertainty": "table6",
+        "draws": 60,
+        "probability": 0.3,
+        "trajectory": motion,
+        **SMALL,
+    }
     drawn = evaluate_dlcc("fl", SPATIAL_ID, **options)
     lines = {line.get_label(): line for line in figures.draw_success(drawn).axes[0].get_lines()}
     np.testing.assert_array_equal(lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.success)
@@ -140,14 +161,15 @@ def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
 
 def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    odd = dataclasses.replace(results["violent"], policy="runs/$a_{/" + "long/" * 30 + "model_$.zip")
-    written = figures.save_figures(odd, tmp_path / "new") + figures.save_figures(results["planar"], tmp_path / "new")
-    assert [path.name for path in written] == [
-        *("torques-task.png", "path-task.png"),
-        *("torques-paper.png", "path-paper.png"),
-    ]
-    assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in written)
-    assert sorted((tmp_path / "new").iterdir()) == sorted(written)
+    folder = tmp_path / "new"
+    odd_name = dataclasses.replace(results["violent"], policy="runs/$a_{/" + "long/" * 30 + "model_$.zip")
+    task = figures.save_figures(odd_name, folder)
+    paper = figures.save_figures(results["planar"], folder)
+    assert [path.name for path in task] == ["torques-task.png", "path-task.png"]
+    assert [path.name for path in paper] == ["torques-paper.png", "path-paper.png"]
+    assert sorted(folder.iterdir()) == sorted(task + paper)
+    for path in task + paper:
+        assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
 
 
 def test_comparison_shows_errors_and_their_distribution():

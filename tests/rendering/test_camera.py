@@ -18,7 +18,8 @@ ANGLES = [(0.0, math.pi / 2), (0.4, 0.5), (2.5, 0.0), (-1.0, 1.2)]
 def test_fitted_points_fill_the_window(azimuth, elevation):
     camera = fit_camera(CLOUD, WINDOW, azimuth=azimuth, elevation=elevation)
     page = camera.project(CLOUD)
-    low, high = page.min(axis=0), page.max(axis=0)
+    low = page.min(axis=0)
+    high = page.max(axis=0)
     assert np.all(low >= np.array(WINDOW[:2]) - 1e-6)
     assert np.all(high <= np.array(WINDOW[:2]) + WINDOW[2:] + 1e-6)
     assert np.max((high - low) / WINDOW[2:]) > 0.999

@@ -16,7 +16,8 @@ from cablebot_gym.report.replay import LEVELS, RATE, batch_key, platform_points,
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
-PLANAR, SPATIAL_ID = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL_ID = "CableBot-Spatial-v0"
 
 
 def cell(env_id=SPATIAL_ID, policy="fl", **more):
@@ -27,10 +28,15 @@ def cell(env_id=SPATIAL_ID, policy="fl", **more):
 def unpack_channels(replay):
     """The channels of a replay as arrays (frames, components)."""
     steps = np.frombuffer(zlib.decompress(base64.b64decode(replay.data)), "<i2").reshape(-1, replay.frames)
-    low, high = np.array(replay.low), np.array(replay.high)
+    low = np.array(replay.low)
+    high = np.array(replay.high)
     values = low + np.cumsum(steps.astype(np.int64), axis=1).T / LEVELS * (high - low)
     return dict(
-        zip(replay.channels, np.split(values, np.cumsum([*replay.channels.values()])[:-1], axis=1), strict=True)
+        zip(
+            replay.channels,
+            np.split(values, np.cumsum([*replay.channels.values()])[:-1], axis=1),
+            strict=True,
+        )
     )
 
 
@@ -38,14 +44,27 @@ def unpack_channels(replay):
 def episodes():
     """Two episodes of each cell, from one batch; the motions differ in length."""
     loop = {"name": "loop-spatial", "seed": 10000}
-    cells = [cell(), cell(trajectory=loop), cell(payload_known=False), cell(uncertainty="table6", draws=3)]
-    return dict(zip(("known", "loop", "unknown", "drawn"), replays([(one, 4.0) for one in cells]), strict=True))
+    cells = [
+        cell(),
+        cell(trajectory=loop),
+        cell(payload_known=False),
+        cell(uncertainty="table6", draws=3),
+    ]
+    return dict(
+        zip(
+            ("known", "loop", "unknown", "drawn"),
+            replays([(queried, 4.0) for queried in cells]),
+            strict=True,
+        )
+    )
 
 
 def test_frames_are_those_of_the_rollout(episodes):
-    rollout, every = record_rollout("fl", SPATIAL_ID, payload=4.0, trajectory="paper-spatial"), 500 // RATE
+    rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, trajectory="paper-spatial")
+    every = 500 // RATE
     frames = unpack_channels(episodes["known"][0])
-    assert (episodes["known"][0].frames, episodes["known"][0].end) == (101, pytest.approx(1.0))
+    assert episodes["known"][0].frames == 101
+    assert episodes["known"][0].end == pytest.approx(1.0)
     positions = np.array([rollout.moment(index).pose[:3] for index in range(0, 501, every)])
     assert frames["position"] == pytest.approx(positions, abs=1e-5)
     peaks = rollout.arrays["tracking_error_peak"].reshape(-1, every).max(axis=1)
@@ -66,7 +85,8 @@ def test_batch_gives_each_cell_its_own_conditions(episodes, name, options):
     seed = 0 if name != "drawn" else int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11
     rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, seed=seed, **{"trajectory": "paper-spatial"} | options)
     replay = episodes[name][0]
-    assert (replay.carried, replay.payload) == (rollout.verdict.carried, rollout.payload)
+    assert replay.carried == rollout.verdict.carried
+    assert replay.payload == rollout.payload
     assert replay.end == rollout.arrays["time"][-1]
     assert unpack_channels(replay)["position"][-1] == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
 
@@ -82,10 +102,15 @@ def test_drawn_cables_end_at_the_platform(episodes):
 
 def test_second_episode_states_how_the_margin_shrinks(episodes):
     carried, beyond = episodes["known"]
-    assert (carried.payload, carried.carried, carried.violation, carried.violation_time) == (4.0, True, "", None)
-    assert (beyond.payload, beyond.carried) == (pytest.approx(4.2), False)
+    assert carried.payload == 4.0
+    assert carried.carried
+    assert carried.violation == ""
+    assert carried.violation_time is None
+    assert beyond.payload == pytest.approx(4.2)
+    assert not beyond.carried
     rollout = record_rollout("fl", SPATIAL_ID, payload=4.2, trajectory="paper-spatial")
-    time, error = rollout.verdict.violation.time, rollout.arrays["rotation_error_peak"]
+    time = rollout.verdict.violation.time
+    error = rollout.arrays["rotation_error_peak"]
     steps = [round((time - before) * 500) - 1 for before in (0.1, 0.05, 0.02)]
     percent = ", ".join(f"{value:.0f}" for value in 100 * error[steps] / 0.01)
     assert beyond.violation_time == pytest.approx(time)
@@ -95,12 +120,17 @@ def test_second_episode_states_how_the_margin_shrinks(episodes):
 
 def test_cell_without_dlcc_has_one_unloaded_episode():
     ((only,),) = replays([(cell(PLANAR), None)])
-    assert (only.payload, only.radius) == (0.0, 0.0)
+    assert only.payload == 0.0
+    assert only.radius == 0.0
 
 
 def test_robot_of_a_cell_reaches_the_environment():
     def largest_error(stiffness):
-        changed = cell("CableBot-FlexPlanar-v0", "motor-pd", robot_changes={"transmission": {"stiffness": stiffness}})
+        changed = cell(
+            "CableBot-FlexPlanar-v0",
+            "motor-pd",
+            robot_changes={"transmission": {"stiffness": stiffness}},
+        )
         return unpack_channels(replays([(changed, 1.0)])[0][0])["position_error"].max()
 
     assert largest_error(100.0) < 0.5 * largest_error(1.0)
@@ -108,7 +138,8 @@ def test_robot_of_a_cell_reaches_the_environment():
 
 def test_constant_channels_are_finite():
     still = cell(PLANAR, trajectory={"name": "dwell-planar", "duration": 0.1})
-    assert all(np.isfinite(values).all() for values in unpack_channels(replays([(still, 0.0)])[0][0]).values())
+    for values in unpack_channels(replays([(still, 0.0)])[0][0]).values():
+        assert np.isfinite(values).all()
 
 
 def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch):
@@ -116,16 +147,16 @@ def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch
     cells = [cell(PLANAR, trajectory=still), cell(PLANAR, trajectory=still, payload_known=False)]
     assert batch_key(cells[0]) == batch_key(cells[1])
     wrong = cell(PLANAR, "nobody", trajectory=still)
-    queries = {str(index): (one, 1.0) for index, one in enumerate([*cells, wrong])}
-    first = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
-    assert first["2"].startswith("No episode: unknown policy 'nobody'")
+    queries = {str(index): (queried, 1.0) for index, queried in enumerate([*cells, wrong])}
+    recorded = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
+    assert recorded["2"].startswith("No episode: unknown policy 'nobody'")
     assert len(list(tmp_path.iterdir())) == 2
     broken = min(tmp_path.iterdir())
     broken.write_text("{", encoding="utf-8")
-    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == first
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == recorded
     monkeypatch.setattr("cablebot_gym.report.recording.replays", None)
     del queries["2"]
-    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {key: first[key] for key in queries}
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {key: recorded[key] for key in queries}
 
 
 def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
@@ -138,6 +169,6 @@ def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
         "good": (cell(PLANAR, "fragile:make", trajectory=still), 1.0),
         "bad": (cell(PLANAR, "fragile:make", trajectory=still, uncertainty="nothing"), 1.0),
     }
-    found = dict(record_all(queries, tmp_path / "episodes", workers=1, say=pytest.fail))
-    assert found["bad"].startswith("No episode: unknown uncertainty 'nothing'")
-    assert found["good"][0].frames == 11
+    recorded = dict(record_all(queries, tmp_path / "episodes", workers=1, say=pytest.fail))
+    assert recorded["bad"].startswith("No episode: unknown uncertainty 'nothing'")
+    assert recorded["good"][0].frames == 11

@@ -21,9 +21,23 @@ pytestmark = [
 ]
 
 PAGES = (
-    *("index", "getting-started", "environments", "policies", "dlcc", "leaderboard", "learned", "errata", "commands"),
+    *(
+        "index",
+        "getting-started",
+        "environments",
+        "policies",
+        "dlcc",
+        "leaderboard",
+        "learned",
+        "errata",
+        "commands",
+    ),
     *("faq", "uncertainty", "training", "your-own/policy", "reproduction/reproduction"),
-    *("generated/environments/CableBot-Spatial-v0", "generated/policies/fl", "generated/api/gym/cablebot_gym.robots"),
+    *(
+        "generated/environments/CableBot-Spatial-v0",
+        "generated/policies/fl",
+        "generated/api/gym/cablebot_gym.robots",
+    ),
 )
 """One page of every kind, and those with much code."""
 
@@ -81,7 +95,7 @@ def test_search_finds_the_words_of_users(opened, word):
     page.wait_for_selector("#search-results .search-summary:not(:empty)")
     page.wait_for_selector("#search-results li a")
     results = page.eval_on_selector_all("#search-results li > a", "all => all.map(one => one.getAttribute('href'))")
-    assert any(found.split(".html")[0].endswith(FOUND[word]) for found in results[:FIRST]), results[:FIRST]
+    assert any(address.split(".html")[0].endswith(FOUND[word]) for address in results[:FIRST]), results[:FIRST]
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -99,8 +113,7 @@ def test_code_fits_on_a_laptop(opened, page):
 @pytest.mark.parametrize("page", ["dlcc", "reproduction/reproduction", "learned", "index"])
 def test_figures_follow_the_theme(opened, page):
     filters = "all => [...new Set(all.map(one => getComputedStyle(one).filter))]"
-    light, dark = (
-        opened(f"{page}.html", scheme=one).eval_on_selector_all("article img", filters) for one in ("light", "dark")
-    )
+    light = opened(f"{page}.html", scheme="light").eval_on_selector_all("article img", filters)
+    dark = opened(f"{page}.html", scheme="dark").eval_on_selector_all("article img", filters)
     assert light == ["none"]
     assert dark == ["invert(0.92) hue-rotate(180deg)"]

@@ -8,7 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, unknown_name_error, whole
+from cablebot_gym.utils.checks import (
+    choice,
+    mapping,
+    number,
+    numbers,
+    record,
+    unknown_name_error,
+    whole,
+)
 
 
 @dataclasses.dataclass
@@ -20,11 +28,11 @@ class Point:
 def test_valid_values_are_returned_in_one_type():
     assert repr(number("x", np.int64(3), least=3, most=3)) == "3.0"
     assert repr(whole("x", np.int64(3), least=3, most=3)) == "3"
-    given = np.array([1, 2])
-    found = numbers("x", given, shapes=[(2,)], above=0, below=3)
-    assert found.dtype == float
-    found[0] = 9  # a new array
-    assert given.tolist() == [1, 2]
+    array = np.array([1, 2])
+    checked = numbers("x", array, shapes=[(2,)], above=0, below=3)
+    assert checked.dtype == float
+    checked[0] = 9  # a new array
+    assert array.tolist() == [1, 2]
     assert mapping("x", {"a": 1}, ["a", "b"]) == {"a": 1}
     assert choice("robot", "b", ["a", "b"]) == "b"
     point = Point(x=1.0)
@@ -36,12 +44,24 @@ def test_valid_values_are_returned_in_one_type():
     ("check", "message"),
     [
         (lambda: number("x", "3"), "x must be a finite number, not '3'"),
-        (lambda: number("x", math.nan, above=0, unit="kg"), "x must be a finite number greater than 0 kg, not nan"),
-        (lambda: number("x", 2, least=0, below=2), "x must be a finite number at least 0 and less than 2, not 2"),
+        (
+            lambda: number("x", math.nan, above=0, unit="kg"),
+            "x must be a finite number greater than 0 kg, not nan",
+        ),
+        (
+            lambda: number("x", 2, least=0, below=2),
+            "x must be a finite number at least 0 and less than 2, not 2",
+        ),
         (lambda: whole("x", 1.0), "x must be an integer of at least 0, not 1.0"),
-        (lambda: whole("x", 4, least=1, most=3), "x must be an integer of at least 1 and at most 3, not 4"),
+        (
+            lambda: whole("x", 4, least=1, most=3),
+            "x must be an integer of at least 1 and at most 3, not 4",
+        ),
         (lambda: numbers("x", [1, [2]]), "x must be numbers, not [1, [2]]"),
-        (lambda: numbers("x", 1.0, shapes=[(2,)]), "x must be an array of shape (2,), not an array of shape ()"),
+        (
+            lambda: numbers("x", 1.0, shapes=[(2,)]),
+            "x must be an array of shape (2,), not an array of shape ()",
+        ),
         (lambda: numbers("x", [1, math.inf]), "x must be finite, not [1, inf]"),
         (lambda: mapping("x", 3, ["a", "b"]), "x must be a dict with the keys a, b, not 3"),
         (lambda: mapping("x", {"c": 1}, ["a"]), "unknown key of x 'c'; choose one of a"),

@@ -29,7 +29,8 @@ def test_previous_file_exists_until_the_new_one_is_complete(tmp_path):
     atomic_write(path, lambda temporary: temporary.write_text("old", encoding="utf-8"))
 
     def write(temporary):
-        assert (temporary.parent, temporary.suffix) == (path.parent, ".png")
+        assert temporary.parent == path.parent
+        assert temporary.suffix == ".png"
         temporary.write_text("new", encoding="utf-8")
         assert path.read_text(encoding="utf-8") == "old"
 

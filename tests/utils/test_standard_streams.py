@@ -91,7 +91,15 @@ COMMANDS = {"toy": 0, "list --json": 0, "dlcc nosuch": 2}
 TABLES = ("list", "dlcc --help")
 
 STREAMS = (
-    *("full", "full-error", "reader-gone", "closed-stdin", "closed-stdout", "closed-stderr", "all-closed"),
+    *(
+        "full",
+        "full-error",
+        "reader-gone",
+        "closed-stdin",
+        "closed-stdout",
+        "closed-stderr",
+        "all-closed",
+    ),
     *("encoding ascii", "encoding latin-1", "encoding cp1252", "encoding utf-16", "narrow", "dumb"),
 )
 
@@ -103,8 +111,10 @@ def test_no_stream_ends_a_command(tmp_path):
     command = [sys.executable, "-c", RUN, str(tmp_path), json.dumps(cases)]
     statuses = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     for number, ((stream, typed), status) in enumerate(zip(cases, statuses, strict=True)):
-        folder, case = tmp_path / str(number), f"{typed!r} with {stream}"
-        out, err = ((folder / name).read_bytes() for name in ("out", "err"))
+        folder = tmp_path / str(number)
+        case = f"{typed!r} with {stream}"
+        out = (folder / "out").read_bytes()
+        err = (folder / "err").read_bytes()
         assert not (folder / "traceback").exists(), (folder / "traceback").read_text()
         assert b"Traceback" not in out + err, case
         assert b"Exception ignored" not in err, case
@@ -125,7 +135,8 @@ class Raw:
     """A stream of the operating system that gives one answer after the other."""
 
     def __init__(self, *answers):
-        self.answers, self.written = list(answers), b""
+        self.answers = list(answers)
+        self.written = b""
 
     def fileno(self):
         return sys.__stdout__.fileno()
@@ -147,12 +158,13 @@ def test_full_pipe_that_does_not_block_gets_everything(monkeypatch):
 
 
 def test_results_of_a_full_disk_go_to_the_other_stream():
-    other = io.BytesIO()
-    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), other)
+    fallback = io.BytesIO()
+    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), fallback)
     with io.BufferedWriter(output) as stream:
         stream.write(b"1.911 kg")
         stream.flush()
-        assert (other.getvalue(), output.problem) == (b"1 kg", "No space left on device")
+        assert fallback.getvalue() == b"1 kg"
+        assert output.problem == "No space left on device"
 
 
 def test_characters_without_an_encoding_stay_valid_json():

@@ -62,12 +62,12 @@ def started(tasks, *, workers=2, say=print, **keywords):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_belong_to_their_keys_and_messages_appear_once(workers):
-    said = []
+    messages = []
     tasks = {f"{number} squared": partial(square, number) for number in range(7)}
-    assert dict(started(tasks, workers=workers, say=said.append)) == {
+    assert dict(started(tasks, workers=workers, say=messages.append)) == {
         f"{number} squared": number**2 for number in range(7)
     }
-    assert said == (["compiling once"] if workers > 1 else [])
+    assert messages == (["compiling once"] if workers > 1 else [])
     assert dict(started({}, workers=workers)) == {}
 
 
@@ -77,9 +77,9 @@ def test_exceptions_are_raised_or_returned(workers, error):
     with pytest.raises(type(error), match="lost") as caught:
         dict(started(tasks, workers=workers))
     assert workers == 1 or "in raises" in caught.value.__notes__[0]
-    found = dict(started(tasks, workers=workers, returned=(type(error),)))
-    assert isinstance(found["bad"], type(error))
-    assert found["good"] == 4
+    outcomes = dict(started(tasks, workers=workers, returned=(type(error),)))
+    assert isinstance(outcomes["bad"], type(error))
+    assert outcomes["good"] == 4
 
 
 @pytest.mark.parametrize("function", [raises_unpicklable, returns_unpicklable])
@@ -91,10 +91,10 @@ def test_unpicklable_outcome_raises(function):
 def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     tasks = {str(number): partial(square, number) for number in range(5)}
     tasks |= {"killed": partial(dies, tmp_path / "marker"), "deadly": partial(dies)}
-    found = dict(started(tasks, returned=(WorkerDied,)))
-    assert "died 2 times" in str(found["deadly"])
-    assert "-9" in str(found.pop("deadly"))
-    assert found == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
+    outcomes = dict(started(tasks, returned=(WorkerDied,)))
+    assert "died 2 times" in str(outcomes["deadly"])
+    assert "-9" in str(outcomes.pop("deadly"))
+    assert outcomes == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
     with pytest.raises(WorkerDied):
         dict(started({"deadly": partial(dies), "good": partial(square, 2)}))
 
@@ -103,9 +103,9 @@ def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
 def test_computation_that_exits_costs_its_own_result(workers):
     """With one worker, ``sys.exit(0)`` of a policy ended a benchmark with status 0 and no table."""
     tasks = {"exits": partial(exits), "good": partial(square, 2)}
-    found = dict(started(tasks, workers=workers, returned=(WorkerDied,)))
-    assert str(found["exits"]) == "it raised SystemExit: 0"
-    assert found["good"] == 4
+    outcomes = dict(started(tasks, workers=workers, returned=(WorkerDied,)))
+    assert str(outcomes["exits"]) == "it raised SystemExit: 0"
+    assert outcomes["good"] == 4
     with pytest.raises(WorkerDied, match="SystemExit"):
         dict(started(tasks, workers=workers))
 
@@ -133,9 +133,11 @@ def test_interrupt_ends_all_processes(tmp_path):
     assert multiprocessing.active_children() == []
 
 
-def test_interrupt_of_another_thread_is_deferred_while_a_process_starts(monkeypatch):
+def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
     """Python raises it in the main thread, which would lose the process between its start and its registration."""
-    go, gone, processes = threading.Event(), threading.Event(), []
+    go = threading.Event()
+    gone = threading.Event()
+    processes = []
 
     def interrupt():
         go.wait()
@@ -163,7 +165,14 @@ def test_interrupt_of_another_thread_is_deferred_while_a_process_starts(monkeypa
 def test_one_computation_of_each_kind_starts_first():
     tasks = {f"{kind}{number}": partial(square, number) for kind in "ab" for number in range(3)}
     kinds = {id(task): key[0] for key, task in tasks.items()}
-    assert leaders_first(tasks, lambda task: kinds[id(task)]) == ["a0", "b0", "a1", "a2", "b1", "b2"]
+    assert leaders_first(tasks, lambda task: kinds[id(task)]) == [
+        "a0",
+        "b0",
+        "a1",
+        "a2",
+        "b1",
+        "b2",
+    ]
 
 
 def test_number_of_workers_is_positive():

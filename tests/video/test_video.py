@@ -16,7 +16,8 @@ from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.rendering.window import Window
 from cablebot_gym.video.recording import VideoPainter, note, play, write_video
 
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
 SMALL = (320, 240)
 
 
@@ -33,53 +34,75 @@ def lost():
 def test_note_states_the_verdict_from_its_time_on(carried, lost):
     assert [note(carried[1], index) for index in (0, 799, 800)] == ["", "", "carried"]
     rollout = lost[1]
-    first = next(index for index in range(len(rollout)) if note(rollout, index))
+    index_of_note = next(index for index in range(len(rollout)) if note(rollout, index))
     violation = rollout.verdict.violation
-    assert rollout.moment(first).time == pytest.approx(violation.time)
-    assert note(rollout, first) == note(rollout, len(rollout) - 1) == f"not carried: {violation}"
+    assert rollout.moment(index_of_note).time == pytest.approx(violation.time)
+    assert note(rollout, index_of_note) == note(rollout, len(rollout) - 1) == f"not carried: {violation}"
 
 
 def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
-    alone = [VideoPainter([one], SMALL).array(0.8) for one in (carried, lost)]
-    both = VideoPainter([carried, lost], SMALL)
-    assert (both.size, both.duration) == ((640, 240), pytest.approx(1.6))
-    assert np.array_equal(both.array(0.8), np.concatenate(alone, axis=1))
-    painter = VideoPainter([carried], SMALL)
-    assert np.array_equal(painter.array(0.8), painter.array(0.8019)), "the last moment that is not later"
-    assert not np.array_equal(painter.array(0.8), painter.array(0.802))
+    side_by_side = VideoPainter([carried, lost], SMALL)
+    first_painter = VideoPainter([carried], SMALL)
+    second_painter = VideoPainter([lost], SMALL)
+    assert side_by_side.size == (640, 240)
+    assert side_by_side.duration == pytest.approx(1.6)
+    alone = [first_painter.array(0.8), second_painter.array(0.8)]
+    assert np.array_equal(side_by_side.array(0.8), np.concatenate(alone, axis=1))
+    assert np.array_equal(first_painter.array(0.8), first_painter.array(0.8019)), "the last moment that is not later"
+    assert not np.array_equal(first_painter.array(0.8), first_painter.array(0.802))
 
 
 def test_speed_scales_the_duration_and_the_last_picture_stays(carried):
     painter = VideoPainter([carried], SMALL)
-    slow, real = painter.times(0.25, 30), painter.times(1.0, 30)
-    assert (len(slow), len(real)) == (193 + 30, 49 + 30)
+    slow = painter.times(0.25, 30)
+    real = painter.times(1.0, 30)
+    assert len(slow) == 193 + 30
+    assert len(real) == 49 + 30
     assert slow[:3] == pytest.approx([0, 0.25 / 30, 0.5 / 30])
     assert np.all(slow[192:] == pytest.approx(1.6))
 
 
+def read_mp4(path):
+    """Pictures of a video and its duration [s]."""
+    reader = imageio_ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    assert meta["size"] == (640, 240)
+    assert meta["codec"] == "h264"
+    pictures = [np.frombuffer(picture, np.uint8).reshape(240, 640, 3) for picture in reader]
+    return pictures, len(pictures) / meta["fps"]
+
+
+def read_gif(path):
+    """Equal pictures are stored as one with a longer duration."""
+    pictures = []
+    milliseconds = 0
+    with Image.open(path) as image:
+        assert image.size == (640, 240)
+        assert image.info["loop"] == 0
+        for frame in Iterator(image):
+            pictures.append(np.asarray(frame.convert("RGB")))
+            milliseconds += frame.info["duration"]
+    return pictures, milliseconds / 1000
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio_ffmpeg leaves read pipes open
-@pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), pytest.param(".gif", 25, marks=pytest.mark.slow)])
-def test_file_contains_every_picture(tmp_path, lost, suffix, rate):
-    path, progress = tmp_path / f"lost{suffix}", []
+@pytest.mark.parametrize(
+    ("suffix", "read", "rate"),
+    [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.slow)],
+)
+def test_file_contains_every_picture(tmp_path, lost, suffix, read, rate):
+    path = tmp_path / f"lost{suffix}"
+    progress = []
     write_video(path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done))
     painter = VideoPainter([lost, lost], SMALL)
     count = len(painter.times(1.0, rate))
     assert progress == [(done, count) for done in range(1, count + 1)]
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
-    if suffix == ".mp4":
-        pictures = imageio_ffmpeg.read_frames(str(path))
-        meta = next(pictures)
-        assert (meta["size"], meta["fps"], meta["codec"]) == ((640, 240), rate, "h264")
-        read = [np.frombuffer(picture, np.uint8).reshape(240, 640, 3) for picture in pictures]
-        assert len(read) == count
-    else:
-        with Image.open(path) as image:  # equal pictures are stored as one with a longer duration
-            assert (image.size, image.info["loop"]) == ((640, 240), 0)
-            read = [(one.info["duration"], np.asarray(one.convert("RGB"))) for one in Iterator(image)]
-        assert sum(duration for duration, _ in read) == pytest.approx(1000 * count / rate)
-        read = [picture for _, picture in read]
-    assert np.mean(np.abs(read[-1].astype(int) - painter.array(9.0))) < 4  # both formats are lossy
-    assert np.mean(np.abs(read[0].astype(int) - painter.array(9.0))) > 4
+    assert list(tmp_path.iterdir()) == [path]
+    pictures, duration = read(path)
+    assert duration == pytest.approx(count / rate)
+    end = painter.array(9.0)
+    assert np.mean(np.abs(pictures[-1].astype(int) - end)) < 4  # both formats are lossy
+    assert np.mean(np.abs(pictures[0].astype(int) - end)) > 4
 
 
 def test_interrupt_keeps_the_old_file(tmp_path, lost):
@@ -96,7 +119,8 @@ def test_interrupt_keeps_the_old_file(tmp_path, lost):
 
 
 def test_keys_pause_step_restart_and_quit(monkeypatch, lost):
-    shown, typed = [], iter([[], [], ["space"], [], ["right"], ["left"], ["r"], ["space"], [], ["q"]])
+    shown = []
+    typed = iter([[], [], ["space"], [], ["right"], ["left"], ["r"], ["space"], [], ["q"]])
     monkeypatch.setattr(VideoPainter, "surfaces", lambda self, time: shown.append(time) or iter([]))
     monkeypatch.setattr(Window, "show", lambda self, picture, rate: next(typed))
     play([lost], speed=1.0, size=SMALL)
@@ -124,7 +148,8 @@ def test_video_command_shows_two_policies(cablebot, tmp_path):
     out = tmp_path / "new" / "both.mp4"
     arguments = ("--policies", "fl, robust", "--payload", "3", "--speed", "4", "--size", "320x240")
     status, printed, err = cablebot("video", SPATIAL, out, *arguments)
-    assert (status, imageio_ffmpeg.count_frames_and_secs(str(out))[0]) == (0, 13 + 30)
+    assert status == 0
+    assert imageio_ffmpeg.count_frames_and_secs(str(out))[0] == 13 + 30
     assert re.fullmatch(rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*", printed.splitlines()[1])
     assert f"wrote {out}" in err.replace("\n", "")
 
@@ -141,7 +166,8 @@ def test_video_command_shows_two_policies(cablebot, tmp_path):
 def test_mistake_is_reported_in_one_line(cablebot, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     status, printed, err = cablebot("video", SPATIAL, *arguments)
-    assert (status, printed) == (2, "")
+    assert status == 2
+    assert printed == ""
     assert message in err
     assert len(err.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
@@ -153,22 +179,27 @@ def test_watch_command_plays_in_a_window(cablebot, monkeypatch):
     arguments = ("--policy", "fl", "--payload", "1.5", "--speed", "0.5", "--size", "400x300")
     assert cablebot("watch", PLANAR, *arguments)[0] == 0
     [([(title, rollout)], keywords)] = calls
-    assert (title, rollout.payload, keywords) == (f"fl on {PLANAR}", 1.5, {"speed": 0.5, "size": (400, 300)})
+    assert title == f"fl on {PLANAR}"
+    assert rollout.payload == 1.5
+    assert keywords == {"speed": 0.5, "size": (400, 300)}
 
 
-def test_picture_shows_policies_at_a_time_and_the_start_pose(cablebot, tmp_path):
-    common = ("--payload", "1.0", "--size", "320x240")
-    for name, more in {"late": ("--time", "0.8"), "end": ()}.items():
-        status, out, _ = cablebot(
-            "picture", SPATIAL, tmp_path / f"{name}.png", "--policies", "fl,robust", *common, *more
-        )
-        assert (status, out.count("task criterion: carried")) == (0, 2)
-    assert cablebot("picture", SPATIAL, tmp_path / "start.png", *common)[0] == 0
-    late, end, start = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("late", "end", "start"))
-    assert (late.shape, start.shape) == ((240, 640, 3), (240, 320, 3))
+def test_picture_shows_policies_at_a_time(cablebot, tmp_path):
+    def picture(name, *options):
+        path = tmp_path / name
+        status, out, _ = cablebot("picture", SPATIAL, path, "--payload", "1.0", "--size", "320x240", *options)
+        assert status == 0
+        with Image.open(path) as image:
+            return np.asarray(image), out
+
+    late, out = picture("late.png", "--policies", "fl,robust", "--time", "0.8")
+    assert out.count("task criterion: carried") == 2
     painter = VideoPainter([(f"fl on {SPATIAL}", record_rollout("fl", SPATIAL, payload=1.0))], SMALL)
     assert np.array_equal(late[:, :320], painter.array(0.8))
-    assert not np.array_equal(late, end)
+    at_the_end, _ = picture("end.png", "--policies", "fl,robust")
+    assert not np.array_equal(late, at_the_end)
+    start_pose, _ = picture("start.png")
+    assert start_pose.shape == (240, 320, 3)
 
 
 @pytest.mark.parametrize(
@@ -182,4 +213,5 @@ def test_picture_shows_policies_at_a_time_and_the_start_pose(cablebot, tmp_path)
 def test_mistake_in_a_picture_is_reported(cablebot, tmp_path, monkeypatch, out, more, message):
     monkeypatch.chdir(tmp_path)
     status, _, err = cablebot("picture", PLANAR, out, "--policy", "fl", *more)
-    assert (status, message in err) == (2, True)
+    assert status == 2
+    assert message in err

@@ -1,0 +1,212 @@
+"""Steering of a base law: spline, memory and features."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from steering import (
+    FLEX_PLANAR_ID,
+    FLEX_SPATIAL_ID,
+    PERIOD,
+    PLANAR_ID,
+    RESIDUAL_FEATURES,
+    SPATIAL_ID,
+    line,
+    observations,
+    steer,
+    steering_of,
+    tasks_of,
+)
+
+from cablebot_baselines.learned.base import Base
+from cablebot_baselines.learned.features import RBF_COUNT, TIME_CONSTANTS
+from cablebot_baselines.learned.steering import (
+    DERIVATIVES,
+    Residual,
+    Shift,
+)
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.task import ErrorBounds
+from cablebot_gym.trajectories import find_trajectory
+
+
+@pytest.mark.parametrize("degree", [2, 3, 4, 5])
+def test_spline_is_a_smooth_partition_of_unity(degree):
+    """Its derivatives equal difference quotients, and it is continuous at its knots up to order degree − 1."""
+    action_period = 0.03
+    step = 1e-6
+    shift = Shift(degree=degree)
+    times = np.linspace(0.002, 0.028, 7)
+    before = shift.weights(times - step, action_period)
+    now = shift.weights(times, action_period)
+    after = shift.weights(times + step, action_period)
+    np.testing.assert_allclose(now[:, 0].sum(axis=-1), 1.0, atol=1e-14)
+    assert now[:, 0].min() >= 0
+    for order in range(4):
+        slope = (after[:, order] - before[:, order]) / (2 * step)
+        bound = 1e-5 * max(np.abs(slope).max(), action_period**-order)
+        np.testing.assert_allclose(now[:, order + 1], slope, atol=bound)
+    at_start, at_end = shift.weights(np.array([0.0, action_period]), action_period)
+    for order in range(min(degree, 5)):
+        size = action_period**-order
+        np.testing.assert_allclose(at_end[order, 1:], at_start[order, :-1], atol=1e-9 * size)
+        np.testing.assert_allclose([at_end[order, 0], at_start[order, -1]], 0.0, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize("env_id", [PLANAR_ID, SPATIAL_ID])
+def test_shift_stays_within_the_error_bounds(env_id):
+    steering = steering_of(env_id, action_mapping=Shift(action_period=0.006, fraction=0.95))
+    error_bounds = ErrorBounds(position=0.02, rotation=0.03)
+    steering.reset(tasks_of(env_id, error_bounds=error_bounds))
+    n = steering.robot.coordinates
+    actions = 3 * np.sign(np.random.default_rng(0).normal(size=(600, n)))
+    actions[300:] = 3.0  # all to one corner
+    law_blocks, _ = steer(steering, np.zeros((600, observation_layout(steering.robot).size)), actions)
+    shift = law_blocks["reference_pose"]
+    away = np.linalg.norm(shift[:, :3], axis=1)
+    assert away.max() <= 0.95 * 0.02 * (1 + 1e-12)
+    assert away[-1] == pytest.approx(0.95 * 0.02)
+    if n > 3:
+        assert np.abs(shift[:, 3:]).max() == pytest.approx(0.95 * 0.03)
+
+
+@pytest.mark.parametrize(("degree", "preview"), [(2, 0.02), (4, 0.1), (5, 0.2)])
+def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
+    """Σⱼ j B(u − j) = u − (degree + 1)/2: the delay is (degree + 1)/2 action periods minus the preview."""
+    action_period = 0.02
+    steps = 120
+    action_mapping = Shift(action_period=action_period, degree=degree, preview=preview)
+    steering = steering_of(FLEX_SPATIAL_ID, base=Base(law="composite"), action_mapping=action_mapping)
+    start = np.array([0.3, -0.2, 0.1, 0.05, -0.02, 0.01])
+    speed = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
+    times = np.arange(steps) * PERIOD
+    law_blocks, _ = steer(steering, line(FLEX_SPATIAL, start, speed, times), np.zeros((steps, 6)))
+    inside = slice(round(degree * action_period / PERIOD), None)
+    expected = start + speed * (times[inside, None] + preview - (degree + 1) / 2 * action_period)
+    np.testing.assert_allclose(law_blocks["reference_pose"][inside], expected, atol=1e-14)
+    np.testing.assert_allclose(law_blocks["reference_velocity"][inside], np.tile(speed, (len(expected), 1)), atol=1e-12)
+    for order, name in enumerate(DERIVATIVES[2:], start=2):
+        np.testing.assert_allclose(law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order)
+
+
+def test_flexible_law_gets_derivatives_up_to_snap():
+    action_mapping = Shift(action_period=0.01, degree=5)
+    steps = 40
+    steering = steering_of(FLEX_PLANAR_ID, base=Base(law="motor-pd"), action_mapping=action_mapping)
+    actions = np.random.default_rng(0).uniform(-0.6, 0.6, (steps, 2))
+    rows = line(FLEX_PLANAR, np.zeros(2), np.zeros(2), np.arange(steps))
+    observation_layout(FLEX_PLANAR).split(rows)["reference_snap"][:] = 7.0
+    law_blocks, _ = steer(steering, rows, actions)
+    points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(ErrorBounds(), PLANAR)
+    for step in range(steps):
+        weights = action_mapping.weights(np.array(step % 5 * PERIOD), 0.01)
+        expected = weights @ points[step // 5 : step // 5 + 6] + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
+        for order, name in enumerate(DERIVATIVES):
+            result = law_blocks[f"reference_{name}"][step]
+            np.testing.assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
+
+
+def test_action_period_is_rounded_to_control_periods():
+    for action_period, frequency, periods in (
+        (0.04, 500.0, 20),
+        (0.04, 120.0, 5),
+        (0.001, 500.0, 1),
+    ):
+        steering = steering_of(action_mapping=Shift(action_period=action_period))
+        steering.reset(tasks_of(PLANAR_ID, control_frequency=frequency))
+        assert steering.periods == periods
+
+
+def test_residual_adds_the_clipped_action_of_the_last_decision():
+    action_mapping = Residual(action_period=0.006, fraction=0.25)
+    steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=RESIDUAL_FEATURES)
+    rows, _ = observations(SPATIAL_ID, 9, envs=1)
+    law = Base().make(SPATIAL)
+    memory = None
+    actions = np.random.default_rng(0).uniform(-2, 2, (9, 6))
+    for step, observation in enumerate(rows[:, 0]):
+        blocks = steering.split(observation)
+        memory = steering.reset_memory(blocks, memory, None)
+        command, memory = steering.respond(blocks, actions[step], memory)
+        added = command - law.predict(observation)[0]
+        np.testing.assert_allclose(added, 0.25 * np.clip(actions[step // 3 * 3], -1, 1), atol=1e-12)
+
+
+@pytest.mark.parametrize(("degree", "preview"), [(2, 0.0), (5, 0.0), (3, 0.05)])
+def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
+    """Rigid robots' laws get the mean acceleration of each control period."""
+    action_mapping = Shift(action_period=0.01, degree=degree, preview=preview)
+    steps = 60
+    features = ("error", "shift", "actions", "shift_velocity")
+    steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=features)
+    actions = np.random.default_rng(degree).uniform(-0.5, 0.5, (steps, 6))
+    rows = line(SPATIAL, np.full(6, 0.1), np.linspace(-1, 1, 6), np.arange(steps) * PERIOD)
+    layout = observation_layout(SPATIAL)
+    layout.split(rows)["pose"][:] = np.random.default_rng(0).normal(size=(steps, 6))
+    law_blocks, learner = steer(steering, rows, actions)
+    error, shift, past, rate = np.split(learner, [6, 12, 12 + 6 * degree], axis=1)
+    bounds = action_mapping.bounds(ErrorBounds(), SPATIAL)
+    blocks = layout.split(rows)
+    expected = law_blocks["reference_pose"] - blocks["reference_pose"]
+    np.testing.assert_allclose(shift * bounds, expected, atol=1e-13)
+    expected = law_blocks["reference_velocity"] - blocks["reference_velocity"]
+    np.testing.assert_allclose(rate * bounds / 0.01, expected, atol=1e-11)
+    np.testing.assert_allclose(error, law_blocks["reference_pose"] - blocks["pose"], atol=1e-13)
+    mean = np.diff(law_blocks["reference_velocity"], axis=0) / PERIOD
+    np.testing.assert_allclose(law_blocks["reference_acceleration"][:-1], mean, atol=1e-9)
+    decisions = actions[::5].copy()
+    decisions[:, :3] /= np.maximum(np.linalg.norm(decisions[:, :3], axis=1, keepdims=True), 1)
+    points = np.concatenate([np.zeros((degree, 6)), decisions])
+    for decision in range(steps // 5):
+        expected = points[decision : decision + degree].ravel()
+        np.testing.assert_allclose(past[5 * decision], expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("preview", [0.0, 0.05])
+def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
+    """In a batch with a motion that starts on its reference, and again in the next episode."""
+    steering = steering_of(SPATIAL_ID, action_mapping=Shift(preview=preview), features=("error", "shift"))
+    (task,) = tasks_of(SPATIAL_ID)[:1]
+    tasks = [task, dataclasses.replace(task, trajectory=find_trajectory("paper-spatial", 6))]
+    steering.reset(tasks)
+    poses = [single_task.trajectory(0.0).position for single_task in tasks]
+    rows = np.zeros((2, observation_layout(SPATIAL).size))
+    blocks = steering.split(rows)
+    blocks["reference_pose"][:], blocks["pose"][:] = (
+        poses,
+        [single_task.start_pose for single_task in tasks],
+    )
+    references = []
+    memory = None
+    steering.law.respond = lambda blocks, *arguments: references.append(blocks) or (np.zeros((2, 6)), None)
+    for _ in range(2):
+        memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
+        np.testing.assert_allclose(steering.observe(blocks, memory)[:, :6], 0.0, atol=1e-15)
+        _, memory = steering.respond(blocks, np.ones((2, 6)), memory)
+    for reference in references:
+        np.testing.assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
+    assert tasks[0].start_pose[2] > poses[0][2] + 1e-3
+
+
+def test_progress_features_span_the_motion():
+    steering = steering_of(features=("rbf_progress",))
+    rows = np.zeros((RBF_COUNT, observation_layout(PLANAR).size))
+    observation_layout(PLANAR).split(rows)["time_to_go"][::-1, 0] = np.arange(len(rows)) * PERIOD
+    _, learner = steer(steering, rows, np.zeros((len(rows), 2)))
+    assert np.argmax(learner, axis=1).tolist() == list(range(RBF_COUNT))
+    np.testing.assert_allclose(np.diagonal(learner), 1.0)
+
+
+def test_time_features_start_with_the_episode():
+    steering = steering_of(features=("time_since_start", "time_to_go_decays"))
+    assert steering.inputs == 2 * len(TIME_CONSTANTS)
+    rows = np.zeros((30, observation_layout(PLANAR).size))
+    observation_layout(PLANAR).split(rows)["time_to_go"][:, 0] = 1.0 - np.arange(30) * PERIOD
+    _, learner = steer(steering, rows, np.zeros((30, 2)))
+    times = np.arange(30)[:, None] * PERIOD
+    np.testing.assert_allclose(learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12)
+    np.testing.assert_allclose(learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12)
