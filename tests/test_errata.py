@@ -115,7 +115,7 @@ def mujoco_state(state):
 
 
 @each_time
-def test_eq1_and_eq7_inertia_multiplies_the_whole_pulley_acceleration(time):
+def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
     """Eq. 7 is Eq. 1 with the torque of the spring in place of the motor's."""
     (_, v, a), (g, rate), j = motion(UNEVEN, time), turning(UNEVEN, time), 8e-4
     friction = 0.01 * (g @ v)
@@ -128,7 +128,7 @@ def test_eq1_and_eq7_inertia_multiplies_the_whole_pulley_acceleration(time):
 
 
 @each_time
-def test_eq2_with_the_jacobian_of_eq3_takes_the_inertia_of_the_pulleys_away(time):
+def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
     (x, v, a), (g, rate) = motion(RUBBING, time), turning(RUBBING, time)
     needed = RADIUS * (needed_force(RUBBING, time, pulleys=True) + g.T @ (0.02 * g @ v))
 
@@ -143,7 +143,7 @@ def test_eq2_with_the_jacobian_of_eq3_takes_the_inertia_of_the_pulleys_away(time
 
 
 @each_time
-def test_eq3_with_angles_for_rates_or_a_second_velocity_breaks_lagranges_equation(time):
+def test_eq3_angles_for_rates_break_lagranges_equation(time):
     (x, v, a), inertia = motion(UNEVEN, time), np.array(UNEVEN.inertia)
     needed = needed_force(UNEVEN, time, pulleys=False)
     inertial, bias = textbook.mass_matrix(UNEVEN, 10.0, x) @ a, textbook.bias(UNEVEN, 10.0, x, v)
@@ -214,7 +214,7 @@ def outer_loop(law, pose, velocity, reference=0.0, acceleration=0.0):
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(2000.0, 10.0), (30.0, 20.0)])
-def test_eq14_law_is_pd_and_leaves_an_error_under_a_constant_force(stiffness, damping):
+def test_eq14_law_is_pd_and_leaves_an_error_under_a_force(stiffness, damping):
     """Eqs. 12–14, 17–19: z̈ = v + η. With the integral that the text speaks of, η would leave no error."""
     law = PD(gains=(stiffness, damping))
 
@@ -232,7 +232,7 @@ def test_eq14_law_is_pd_and_leaves_an_error_under_a_constant_force(stiffness, da
 # --- §3.2: spatial law ------------------------------------------------------------------------------------------------
 
 
-def test_eq15_and_eq16_printed_sign_drops_the_platform_or_needs_cables_that_push():
+def test_eq15_and_eq16_printed_sign_drops_the_platform():
     (x, v, a), still = motion(SPATIAL, 0.1), np.zeros(6)
     tensions = np.linalg.solve(-textbook.jacobian(SPATIAL, x).T, needed_force(SPATIAL, 0.1, pulleys=False))
     np.testing.assert_allclose(textbook.required_tensions(SPATIAL, 10.0, x, v, a), tensions, rtol=0, atol=1e-6)
@@ -250,7 +250,7 @@ def test_eq15_and_eq16_printed_sign_drops_the_platform_or_needs_cables_that_push
 
 
 @each_time
-def test_eq17_and_eq20_need_each_coordinate_followed_by_its_rate(time):
+def test_eq17_and_eq20_need_each_coordinate_before_its_rate(time):
     def interleaved(at):
         return np.stack(motion(UNEVEN, at)[:2], axis=1).ravel()  # x, ẋ, y, ẏ, …
 
@@ -277,7 +277,7 @@ def test_eq21_inertia_of_the_pulleys_adds_to_the_platform(time):
     assert np.abs(np.linalg.solve(mass - j * g.T @ g, right) - a).max() > 0.1
 
 
-def test_eq21_and_eq23_motor_torque_is_not_in_the_rows_of_the_platform():
+def test_eq21_and_eq23_platform_has_no_motor_torque():
     x, v, _ = motion(FLEXIBLE, 0.1)
     wound = textbook.static_motor_angle(FLEXIBLE, 11.0, x)
     peer = mujoco_state((x, v, wound, np.zeros(6)))
@@ -292,7 +292,7 @@ def test_eq21_and_eq23_motor_torque_is_not_in_the_rows_of_the_platform():
     assert np.abs(by_spring - by_none).max() > 1
 
 
-def test_eq22_does_not_determine_a_torque_from_the_measured_acceleration():
+def test_eq22_measured_acceleration_determines_no_torque():
     """τ = r T + J β̈ + J′ β̈′ as the law and J′ β̈′ = τ − κ of Eq. 4 are the same equation, but for r T + J β̈ = κ."""
     torque, second, wanted, spring = sympy.symbols("tau beta_m wanted kappa")
     inertia = sympy.symbols("J_m", positive=True)
@@ -303,7 +303,7 @@ def test_eq22_does_not_determine_a_torque_from_the_measured_acceleration():
 
 
 @pytest.mark.parametrize("stiffness", [2.0, 3.0])
-def test_eq22_measured_one_sample_late_diverges_within_a_tenth_of_a_second(stiffness):
+def test_eq22_measured_one_sample_late_diverges(stiffness):
     period, inertia = 1 / 500, 4e-4
     plant = expm(period * np.array([[0, 1, 0], [-stiffness / inertia, 0, 1 / inertia], [0, 0, 0]]))
     loop = np.zeros((3, 3))  # β′, β̇′ and β̇′ one sample ago, the pulley held: τ = J′ (β̇′ − its last value)/h
@@ -339,7 +339,7 @@ def test_eq22_loop_of_one_joint_has_no_cubic_term(stiffness, damping):
     ("stiffness", "friction", "low", "high"),
     [(2.0, 0.0, 9.3, 9.7), (3.0, 0.0, 9.5, 9.9), (1e4, 0.0, 5, 100), (3.0, 0.007, 0, 100), (3.0, 0.01, -100, 0)],
 )
-def test_eq22_is_unstable_without_motor_friction_above_kd_times_the_motor_inertia(stiffness, friction, low, high):
+def test_eq22_is_unstable_without_motor_friction(stiffness, friction, low, high):
     """K_D J′ is 0.008 N·m·s/rad. β̈′ is taken from v. Without friction the trace of the loop is zero."""
     robot = with_transmission(FLEXIBLE, stiffness=stiffness, motor_damping=friction)
 
@@ -395,7 +395,7 @@ def test_printed_form_has_another_dimension(name):
     assert sympy.simplify(printed / quantity) != 1
 
 
-def test_eq25_oscillator_without_damping_grows_without_bound_at_resonance():
+def test_eq25_undamped_oscillator_grows_at_resonance():
     inertia, stiffness = 4e-4, 3.0
     rate, small = math.sqrt(stiffness / inertia), 1e-3
     swing = solve_ivp(
@@ -424,7 +424,7 @@ def parts_of_law(robot, pose, velocity):
 
 
 @each_time
-def test_eq27_and_eq30_gain_of_the_input_includes_the_pulleys(time):
+def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
     """γ = ∂τ/∂v from the kinetic energy; η of Eq. 30 against a plant that is heavier than the model."""
     x, v, asked = motion(SPATIAL, time)
     true = with_transmission(SPATIAL.replace(mass=11.5), pulley_inertia=3e-3)
@@ -468,7 +468,7 @@ def test_eq31_is_positive_feedback_and_eq18_is_not(error):
 
 
 @pytest.mark.parametrize(("proportional", "end"), [("z_d - z", 0.0), ("integral of the velocity's", 0.02)])
-def test_eq31_integral_of_the_velocity_error_keeps_the_error_of_the_start(proportional, end):
+def test_eq31_integral_of_the_velocity_error_keeps_an_error(proportional, end):
     """Signs corrected; 0.02 m off at first, desired rest at 0. The integral is e(t) − e(0)."""
 
     def loop(_, state):
@@ -511,7 +511,7 @@ def robust_run(error, sign):
 
 
 @pytest.mark.parametrize(("error", "sign"), [(1, 1), (-1, -1)], ids=["z_d - z, plus", "z - z_d, minus"])
-def test_eq34_sign_belongs_to_the_error_and_the_other_raises_it(error, sign):
+def test_eq34_sign_belongs_to_the_error(error, sign):
     """Eq. 32, + (ψ + Δv) on its right, is right for e = z − z_d alone; the ψ of Eq. 33 is η."""
     value, mean, residual = robust_run(error, sign)
     raised, plain = robust_run(error, -sign)[1], robust_run(error, 0)[1]
@@ -539,7 +539,7 @@ def test_eq36_input_matrix_has_two_rows_too_many():
     np.testing.assert_array_equal(np.delete(printed, [8, 9], axis=0), corrected)
 
 
-def test_eq36_norm_of_metres_and_radians_depends_on_the_unit_of_length():
+def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
     law, e = RobustPD(gains=(KP, KD), boundary_layer=1e-9, phi=0.0), np.array([0.01, 0.0, 0.0, 0.02, 0.0, 0.0])
     turn, extra = np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0]), []
     for unit in (1.0, 100.0):
@@ -591,7 +591,7 @@ def test_eq37_printed_margin_finds_half_of_the_load(bisected):
     assert half.converged  # without a warning
 
 
-def test_eq37_limit_is_the_one_that_the_load_drives_the_torque_to():
+def test_eq37_limit_is_the_one_the_load_drives_to():
     """A torque p + m s of 5 N·m motors: the largest m, sign by τ_e − τ_n, not by τ_e."""
     grid = np.linspace(0.0, 200.0, 200001)
     for offset, rise in [(2.0, 0.5), (2.0, -0.5), (-2.0, 0.5), (-2.0, -0.5), (0.3, -1.0)]:
@@ -610,7 +610,7 @@ def test_eq38_absolute_value_hides_an_overloaded_motor():
     assert load_coefficient(PLANAR, full, empty, np.zeros(3), corrected=True).max() < 0
 
 
-def test_eq39_coefficient_multiplies_the_guessed_load_and_not_the_mass_of_the_end_effector(bisected):
+def test_eq39_coefficient_multiplies_the_guessed_load(bisected):
     path = find_trajectory("paper-spatial", 6)(np.arange(500) / 500)
     circle = (path.position, path.velocity, path.acceleration)
     empty, by_mass = textbook.inverse_dynamics(SPATIAL, 10.0, *circle), []
@@ -623,7 +623,7 @@ def test_eq39_coefficient_multiplies_the_guessed_load_and_not_the_mass_of_the_en
     assert abs(by_mass[0] - bisected) > 1
 
 
-def test_eq41_least_tensions_of_three_cables_are_not_linear_in_the_mass():
+def test_eq41_least_tensions_are_not_linear_in_the_mass():
     def second_difference(robot, masses, minimum):
         path = find_trajectory(f"paper-{robot.name}", robot.coordinates)(np.linspace(0, 1, 101))
         x, v, a = path.position, path.velocity, path.acceleration
@@ -662,7 +662,7 @@ def test_table4_no_platform_of_this_size_has_this_inertia():
     assert SPATIAL.inertia[0] + SPATIAL.inertia[1] == pytest.approx(SPATIAL.inertia[2])  # of a flat plate: no misprint
 
 
-def test_table5_inertias_are_halves_of_table4_and_its_stiffness_is_not_that_of_the_text():
+def test_table5_inertias_are_halves_of_table4():
     """J + J′ of Table 5 is J of Table 4. K = 2 and 3 are robots whose springs are wound by angles 1.5 times apart."""
     assert FLEXIBLE.pulley_inertia[0] + FLEXIBLE.motor_inertia[0] == pytest.approx(SPATIAL.pulley_inertia[0])
     robots = [with_transmission(FLEXIBLE, stiffness=k) for k in (2.0, 3.0)]
@@ -670,14 +670,14 @@ def test_table5_inertias_are_halves_of_table4_and_its_stiffness_is_not_that_of_t
     np.testing.assert_allclose(soft, 1.5 * stiff, rtol=1e-12)
 
 
-def test_table6_variance_is_in_square_newtons_and_a_tenth_of_the_mass_needs_more_than_a_tenth_of_zeta():
+def test_table6_variance_is_in_square_newtons():
     assert UNCERTAINTIES["table6"](SPATIAL).wrench.force_std ** 2 == pytest.approx(0.2)  # N²: 0.45 N, not 0.2
     x, v, _ = motion(SPATIAL, 0.1)
     light, model = (parts_of_law(SPATIAL.replace(mass=mass), x, v)[1] for mass in (9.0, 10.0))
     assert 0.1 < np.linalg.norm(np.linalg.solve(light, model) - np.eye(6), 2) < 1 / 0.9 - 1 + 0.01
 
 
-def test_text_of_5_1_error_under_an_unknown_load_leaves_its_bound():
+def test_text_of_5_1_error_leaves_its_bound():
     """1 kg at rest: K_P e of 10 kg has to carry it, e = m g/(m̂ K_P), about 33 mm, where R is 10 mm."""
     law = PD(gains=(KP, KD))
 
@@ -694,7 +694,7 @@ def test_text_of_5_1_error_under_an_unknown_load_leaves_its_bound():
     assert end[2] - 0.1 > 3 * 0.01
 
 
-def test_text_of_6_drop_of_the_load_is_no_thirty_percent():
+def test_text_of_6_load_drops_by_no_thirty_percent():
     """Nor is it with the platform counted."""
     drops = [1 - (platform + 1.4) / (platform + 2.56) for platform in (0.0, 10.0, 11.0)]
     assert drops == pytest.approx([0.45, 0.09, 0.09], abs=0.006)
@@ -703,7 +703,7 @@ def test_text_of_6_drop_of_the_load_is_no_thirty_percent():
 # --- the page ---------------------------------------------------------------------------------------------------------
 
 
-def test_page_names_every_test_and_covers_every_equation():
+def test_page_names_every_test_and_every_equation():
     """Each section names a test that exists, and each test of this file is named."""
     parts = re.split(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
     named = [re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", text) for text in parts[::2]]
