@@ -63,12 +63,12 @@ def write(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["caspr", "wirex"])
-def test_lengths_and_static_tensions_are_those_of_the_file(write, source):
+def test_lengths_and_tensions_at_rest_are_those_of_the_file(write, source):
     path = write(bodies=bodies(), cables=cables()) if source == "caspr" else write(wcrfx=wirex())
     robot, center = import_robot(path).robot, np.array(CENTER if source == "caspr" else (0, 0, 0))
     anchors = np.array(BODY) + center
     random = np.random.default_rng(0)
-    for _ in range(20):
+    for _ in range(5):
         position = np.array([0.0, 0.0, 1.0]) + random.uniform(-0.2, 0.2, 3)
         angles = random.uniform(-0.3, 0.3, 3)
         rotation = Rotation.from_euler("XYZ", angles)  # CASPR: intrinsic x, y, z
@@ -77,17 +77,17 @@ def test_lengths_and_static_tensions_are_those_of_the_file(write, source):
         lengths = np.linalg.norm(ropes, axis=1)
         units = ropes / lengths[:, None]
         weight = np.array([0, 0, 5 * 9.81])
-        held = np.concatenate([weight, np.cross(rotation.apply(center), weight)])
-        tensions = np.linalg.pinv(np.vstack([units.T, np.cross(arms, units).T])) @ held
+        carried = np.concatenate([weight, np.cross(rotation.apply(center), weight)])
+        tensions = np.linalg.pinv(np.vstack([units.T, np.cross(arms, units).T])) @ carried
         turned = Rotation.from_matrix(Z_DOWN @ rotation.as_matrix() @ Z_DOWN).as_euler("ZYX")[::-1]
         pose = np.concatenate([Z_DOWN @ position, turned])
         np.testing.assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
         load = textbook.bias(robot, 5.0, pose, np.zeros(6))
-        found = least_norm(textbook.jacobian(robot, pose), load, -1e9, 1e9, np.zeros(8))
-        np.testing.assert_allclose(found.tensions, tensions, atol=1e-9)
+        least = least_norm(textbook.jacobian(robot, pose), load, -1e9, 1e9, np.zeros(8))
+        np.testing.assert_allclose(least.tensions, tensions, atol=1e-9)
 
 
-def test_values_of_a_caspr_file_reach_the_robot_and_its_toml_file(write, tmp_path):
+def test_values_of_a_caspr_file_reach_the_robot(write, tmp_path):
     imported = import_robot(write(bodies=bodies(), cables=cables()))
     robot = imported.robot
     np.testing.assert_allclose(robot.inertia_tensor, Z_DOWN @ [[1, 0.1, 0.2], [0.1, 2, 0], [0.2, 0, 2.5]] @ Z_DOWN)
@@ -120,8 +120,8 @@ def test_winch_and_cable_of_a_wirex_file_reach_the_robot(write):
     assert robot.cable_density == 0.02
     assert "WireX's default" in imported.sources["center_of_mass"]
     assert "WireX's default" in imported.sources["motors.stall_torque"]
-    assert any("EA = 3142 N" in note for note in imported.notes)
-    assert any("swivel pulleys of 0.1 m" in note for note in imported.notes)
+    assert "EA = 3142 N" in " ".join(imported.notes)
+    assert "swivel pulleys of 0.1 m" in " ".join(imported.notes)
 
 
 FLAT = [(-1, 0, 1), (1, 0, 1), (1, 0, -1), (-1, 0, -1)]

@@ -34,8 +34,11 @@ def test_every_value_of_a_file_has_a_source(name: str) -> None:
 
 @every_robot
 def test_names_are_the_robot_with_rigid_and_with_elastic_cables(name: str) -> None:
-    rigid, elastic, file = find_robot(name), find_robot(ELASTIC + name), load_robot(library()[name])
-    assert (rigid.name, rigid.flexible, elastic.name, elastic.elastic) == (name, False, ELASTIC + name, True)
+    rigid = find_robot(name)
+    elastic = find_robot(ELASTIC + name)
+    file = load_robot(library()[name])
+    assert (rigid.name, rigid.flexible) == (name, False)
+    assert (elastic.name, elastic.elastic) == (ELASTIC + name, True)
     assert elastic.replace(name=name) == file
     assert rigid == file.with_rigid_cables()
     assert {name, ELASTIC + name} <= set(robot_names())
@@ -55,11 +58,11 @@ def held(robot: Robot, reference) -> np.ndarray:
     mass = robot.mass + robot.defaults.payload(0.0)
     load = textbook.load(robot, np.full(len(pose), mass), pose, velocity, acceleration)
     speed = textbook.pulley_speed(robot, pose, velocity)
-    rest = robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    rest = rest + robot.damping * speed + textbook.coulomb_torque(robot, speed)
-    low, high = ((limit - rest) / robot.pulley_radius for limit in textbook.torque_limits(robot, speed))
-    low = np.maximum(low, robot.minimum_tension)
-    return feasible(textbook.jacobian(robot, pose), load, low, high).status == HELD
+    moving = robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    moving = moving + robot.damping * speed + textbook.coulomb_torque(robot, speed)
+    low, high = (np.array(textbook.torque_limits(robot, speed)) - moving) / robot.pulley_radius
+    structure = textbook.jacobian(robot, pose)
+    return feasible(structure, load, np.maximum(low, robot.minimum_tension), high).status == HELD
 
 
 def test_library_is_read_on_first_use() -> None:

@@ -11,7 +11,7 @@ import pytest
 from cablebot_gym import kinematics
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Transmission
+from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 UNEQUAL = SPATIAL.replace(
@@ -74,20 +74,24 @@ ROUGH = tuple(_rough(robot) for robot in (QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL
 """With Coulomb friction and a lag, different in every motor; the first has no lag and the last no friction."""
 
 
+def slowly(*robots):
+    """Robots for :func:`each_of` that only the slow tests run: each is compiled for itself."""
+    return [pytest.param(robot, marks=pytest.mark.slow) for robot in robots]
+
+
 def each_of(*robots):
+    """A mark that runs a test for each of some robots."""
     return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
 
 
 rigid_robots = each_of(QUAD, UNEQUAL)
 flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
-every_robot = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
-smooth_and_rough = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH)
 FLEX_HANGING = with_transmission(HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01).replace(
     name="flex-hanging", mass=1.0
 )
 OTHER_KINDS = (FLEX_HANGING, _rough(TURNING), CAMERA, CRANE)
-every_kind = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH, *OTHER_KINDS)
-papers_flexible = each_of(FLEX_PLANAR, FLEX_SPATIAL)
+every_kind = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, ROUGH[3], *OTHER_KINDS, *slowly(*ROUGH[:3]))
+"""Friction and lag of rigid robots are daily those of the platform in a plane."""
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
 
@@ -101,11 +105,23 @@ class State:
     speed: np.ndarray
 
     def __getitem__(self, members):
-        return State(*(value[members] for value in vars(self).values()))
+        return type(self)(*(value[members] for value in vars(self).values()))
 
     def moved(self, rate, time):
         """The state after a time at a rate, itself a state."""
-        return State(*(one + time * other for one, other in zip(vars(self).values(), vars(rate).values(), strict=True)))
+        pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
+        return type(self)(*(value + time * slope for value, slope in pairs))
+
+
+def runge_kutta_step(rates, state, step):
+    """The state after one step of RK4; ``rates`` are a function of the time within the step and the state."""
+    slopes = [rates(0.0, state)]
+    for fraction in (0.5, 0.5, 1.0):
+        slopes.append(rates(fraction * step, state.moved(slopes[-1], fraction * step)))
+    end = state
+    for slope, weight in zip(slopes, (1, 2, 2, 1), strict=True):
+        end = end.moved(slope, weight * step / 6)
+    return end
 
 
 def random_states(robot, count, seed=1, reach=0.6):
@@ -121,12 +137,14 @@ def random_states(robot, count, seed=1, reach=0.6):
     return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
 
 
-def held_states(robot, pose, velocity=0.0, minimum=20.0):
-    """States of a flexible robot whose springs hold it, and the torques that hold the springs."""
-    pose = np.atleast_2d(pose)
+def holding_state(robot, pose, velocity=0.0, minimum=20.0):
+    """A state (1, ...) in which constant torques hold the robot, springs wound to them, and these torques."""
+    pose = pose[None]
     velocity = np.broadcast_to(velocity, pose.shape)
-    angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=minimum)
-    torques = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
+    torques = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
+    if not robot.flexible:
+        return State(pose, velocity, 0 * torques, 0 * torques), torques
+    angle = textbook.pulley_angle(robot, pose) + torques / robot.stiffness
     return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity)), torques
 
 
@@ -175,29 +193,17 @@ def evaluated(plant, torques):
     robot = plant.robot
     first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
     plant._write(plant.record, first, np.arange(plant.count), torques, kernel.CABLE_RECORDS)
-    found = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
+    accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
     evaluate = kernel.compiled(plant._form, plant.lanes).evaluate
     (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, found)
-    return plant._read(found, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
+    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, accelerations)
+    return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
 
 
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
     plant.set_action(np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables)))
     plant.advance(*no_reference(plant.robot), substeps=substeps, step=duration / substeps)
-
-
-def motion_accelerations(robot, state, torques, cable="bilateral", mass=None):
-    """Ẍ and β̈′ of :meth:`Plant.advance`: differences of its velocities, forward and backward."""
-    robot, h = free_motors(robot), 4e-5
-    platform, motors = 0.0, 0.0
-    for multiple, weight in ((1, 45), (-1, -45), (2, -9), (-2, 9), (3, 1), (-3, -1)):
-        plant = loaded_plant(robot, state, cable, mass)
-        advance(plant, torques, multiple * h, 8)
-        platform = platform + weight * (plant.velocity - state.velocity) / (60 * h)
-        motors = motors + weight * (plant.motor_speed - state.speed) / (60 * h)
-    return platform, motors
 
 
 def spring_torques(robot, state, cable):
@@ -250,12 +256,13 @@ def energies(robot, state, cable="bilateral", mass=None):
     return kinetic, potential
 
 
-def worst_relative_error(found, expected):
+def worst_relative_error(values, expected):
     size = np.maximum(1.0, np.linalg.norm(expected, axis=-1))
-    return np.max(np.linalg.norm(found - expected, axis=-1) / size)
+    return np.max(np.linalg.norm(values - expected, axis=-1) / size)
 
 
 def differentiated(function, step):
     """d/dt at 0 by central differences of fourth order."""
-    one, two = (function(k * step) - function(-k * step) for k in (1, 2))
-    return (8 * one - two) / (12 * step)
+    narrow = function(step) - function(-step)
+    wide = function(2 * step) - function(-2 * step)
+    return (8 * narrow - wide) / (12 * step)

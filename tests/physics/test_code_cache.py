@@ -51,7 +51,7 @@ def test_compiled_code_is_read_by_later_processes(folders, tmp_path, caplog):
     assert [hits(argument=0.5, expected=1.5), hits()] == [0, 1]
 
 
-def test_folder_that_is_only_readable_is_read(folders, tmp_path, unwritable):
+def test_read_only_folder_is_read(folders, tmp_path, unwritable):
     folders(tmp_path)
     hits()
     folders(tmp_path, unwritable)
@@ -91,7 +91,7 @@ def test_temporary_folder_is_used_only_if_it_is_private(tmp_path, monkeypatch, m
     assert (folder in code_cache._folders("", tmp_path / str(mode))) == (mode == 0o700)
 
 
-def test_change_of_a_helper_or_constant_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
+def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
     folders(tmp_path / "cache")
     monkeypatch.syspath_prepend(tmp_path)
     helper, caller = tmp_path / f"{HELPER}.py", tmp_path / f"{CALLER}.py"
