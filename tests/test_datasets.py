@@ -58,7 +58,11 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def described(folder):
     sheet, croissant = describe_dataset(recorded(gym.make("CableBot-Planar-v0"), "test/zero-v3"), **ABOUT)
-    return sheet.read_text(encoding="utf-8"), json.loads(croissant.read_text(encoding="utf-8")), sheet.parent
+    return (
+        sheet.read_text(encoding="utf-8"),
+        json.loads(croissant.read_text(encoding="utf-8")),
+        sheet.parent,
+    )
 
 
 def test_croissant_has_the_arrays_of_the_file(described):
@@ -71,7 +75,10 @@ def test_croissant_has_the_arrays_of_the_file(described):
         assert {field["@id"].partition("/")[2] for field in fields} == set(data["episode_0"]) - {"infos"}
         for field in fields:
             array = data[field["source"]["extract"]["column"].replace("*", "1")]
-            assert field["arrayShape"].split(",") == ["-1", *map(str, array.shape[1:])]
+            assert field["arrayShape"].split(",") == [
+                "-1",
+                *map(str, array.shape[1:]),
+            ]
             assert field["dataType"] == {"bool": "sc:Boolean"}.get(array.dtype.name, f"cr:{array.dtype.name.title()}")
             assert field["source"]["fileObject"]["@id"] == file["@id"]
 
@@ -97,7 +104,10 @@ def test_datasheet_has_episodes_and_layout(described):
     assert rows == [[f"| {n}", str(n), f'`{{"payload": {payload}}}`', "5"] for n, payload in enumerate(PAYLOADS)]
     assert observation_layout(PLANAR).table() in sheet
     assert croissant["rai:dataCollection"] in sheet
-    assert (croissant["version"], croissant["datePublished"]) == ("3.0.0", "2026-01-31")
+    assert (croissant["version"], croissant["datePublished"]) == (
+        "3.0.0",
+        "2026-01-31",
+    )
 
 
 def test_dataset_without_layout_or_author_is_rejected(folder):
@@ -105,4 +115,7 @@ def test_dataset_without_layout_or_author_is_rejected(folder):
     with pytest.raises(ValueError, match="without wrappers"):
         describe_dataset(recorded(stacked, "test/stacked-v0"), **ABOUT)
     with pytest.raises(ValueError, match="lacks requirements"):
-        describe_dataset(recorded(gym.make("CableBot-Planar-v0"), "test/plain-v0", requirements=[]), **ABOUT)
+        describe_dataset(
+            recorded(gym.make("CableBot-Planar-v0"), "test/plain-v0", requirements=[]),
+            **ABOUT,
+        )

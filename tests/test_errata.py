@@ -11,13 +11,22 @@ import numpy as np
 import pytest
 import sympy
 from oracles.mujoco_model import MujocoRobot
-from oracles.plants import State, differentiated, energies, textbook_rates, with_transmission
+from oracles.plants import (
+    State,
+    differentiated,
+    energies,
+    textbook_rates,
+    with_transmission,
+)
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import linprog
 
 from cablebot_baselines.classical import PD, RobustPD
-from cablebot_baselines.paper.load_iteration import iterate_load, load_coefficient
+from cablebot_baselines.paper.load_iteration import (
+    iterate_load,
+    load_coefficient,
+)
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, RPM, SPATIAL
@@ -32,7 +41,8 @@ UNEVEN = SPATIAL.replace(inertia=(0.9, 0.3, 0.7))
 """The spatial robot with three different moments: with I_xx = I_yy some wrong terms cancel."""
 FLEXIBLE = FLEX_SPATIAL.replace(mass=11.0)
 """Table 5 with the K of §5.2.3."""
-KP, KD = 30.0, 20.0
+KP = 30.0
+KD = 20.0
 """Gains of Tables 4 and 5."""
 RADIUS = 0.05
 each_time = pytest.mark.parametrize("time", [0.1, 0.8])
@@ -49,9 +59,11 @@ def motion(robot, time):
     """X, Ẋ, Ẍ of some smooth motion well inside the workspace, in closed form."""
     n = robot.coordinates
     size = np.array([0.1, 0.1] if robot.planar else [0.08, 0.08, 0.05, 0.2, 0.2, 0.2])
-    rate, phase = np.linspace(4.0, 7.0, n), np.linspace(0.3, 5.0, n)
+    rate = np.linspace(4.0, 7.0, n)
+    phase = np.linspace(0.3, 5.0, n)
     middle = robot.home + (np.zeros(2) if robot.planar else np.array([0, 0, 0.3, 0, 0, 0]))
-    sine, cosine = np.sin(rate * time + phase), np.cos(rate * time + phase)
+    sine = np.sin(rate * time + phase)
+    cosine = np.cos(rate * time + phase)
     return middle + size * sine, size * rate * cosine, -size * rate**2 * sine
 
 
@@ -72,7 +84,12 @@ def gradient(function, at):
 
 def needed_force(robot, time, *, pulleys):
     """d/dt ∂L/∂Ẋ − ∂L/∂X on the motion: the generalised force that it needs from outside, (n,)."""
-    robot = with_transmission(robot, pulley_inertia=pulleys * robot.pulley_inertia, stiffness=None, motor_inertia=None)
+    robot = with_transmission(
+        robot,
+        pulley_inertia=pulleys * robot.pulley_inertia,
+        stiffness=None,
+        motor_inertia=None,
+    )
     x, v, _ = motion(robot, time)
     rate = slope(lambda t: momentum(robot, *motion(robot, t)[:2]), time)
     return rate - gradient(lambda pose: lagrangian(robot, pose, v), x)
@@ -86,7 +103,10 @@ def turning(robot, time):
 
 def by_columns(function, at, step=1e-6):
     """Jacobian of a batched function (N, n) → (N, k) by central differences, (k, n)."""
-    ahead, behind = np.split(function(np.concatenate([at + step * np.eye(len(at)), at - step * np.eye(len(at))])), 2)
+    ahead, behind = np.split(
+        function(np.concatenate([at + step * np.eye(len(at)), at - step * np.eye(len(at))])),
+        2,
+    )
     return (ahead - behind).T / (2 * step)
 
 
@@ -123,7 +143,10 @@ def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
     tensions = np.linalg.solve(RADIUS * g.T, needed_force(UNEVEN, time, pulleys=False))
     corrected = (torques - j * (rate @ v + g @ a) - friction) / RADIUS
     np.testing.assert_allclose(corrected, tensions, rtol=0, atol=1e-6)
-    for printed in (j * (g @ a), j * rate @ v + g @ a):  # in Eq. 1, ∂β/∂X does not depend on T
+    for printed in (
+        j * (g @ a),
+        j * rate @ v + g @ a,
+    ):  # in Eq. 1, ∂β/∂X does not depend on T
         assert np.abs((torques - printed - friction) / RADIUS - tensions).max() > 0.1
 
 
@@ -146,11 +169,13 @@ def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
 def test_eq3_angles_for_rates_break_lagranges_equation(time):
     (x, v, a), inertia = motion(UNEVEN, time), np.array(UNEVEN.inertia)
     needed = needed_force(UNEVEN, time, pulleys=False)
-    inertial, bias = textbook.mass_matrix(UNEVEN, 10.0, x) @ a, textbook.bias(UNEVEN, 10.0, x, v)
+    inertial = textbook.mass_matrix(UNEVEN, 10.0, x) @ a
+    bias = textbook.bias(UNEVEN, 10.0, x, v)
     np.testing.assert_allclose(inertial + bias, needed, rtol=0, atol=1e-6)
     (c1, c2, _), (s1, s2, _) = np.cos(x[3:]), np.sin(x[3:])
     to_omega = np.array([[1, 0, -s2], [0, c1, s1 * c2], [0, -s1, c1 * c2]])
-    omega, exchanged = to_omega @ v[3:], bias.copy()
+    omega = to_omega @ v[3:]
+    exchanged = bias.copy()
     exchanged[3:] += to_omega.T @ np.cross(omega, inertia * (to_omega @ x[3:]) - inertia * omega)
     twice = np.concatenate([bias[:3], bias[3:] * v[3:]])  # "C(X, Ẋ) Ẋ", C being a vector
     for printed in (exchanged, twice):
@@ -160,7 +185,14 @@ def test_eq3_angles_for_rates_break_lagranges_equation(time):
 def test_eq4_is_a_force_law_and_no_constraint():
     """A constraint between β and β′ would leave some direction of their state space unreachable."""
     j, jm, k = sympy.symbols("J J_m K", positive=True)
-    plant = sympy.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-k / j, k / j, 0, 0], [k / jm, -k / jm, 0, 0]])
+    plant = sympy.Matrix(
+        [
+            [0, 0, 1, 0],
+            [0, 0, 0, 1],
+            [-k / j, k / j, 0, 0],
+            [k / jm, -k / jm, 0, 0],
+        ]
+    )
     by_motor = sympy.Matrix([0, 0, 0, 1 / jm])
     assert sympy.Matrix.hstack(*(plant**power * by_motor for power in range(4))).rank() == 4
 
@@ -173,14 +205,21 @@ def test_eq9_and_eq10_need_both_rows_and_a_pseudoinverse(time):
     """Division by components couples x and y wrongly; S has no inverse, and M_eq S⁻¹ does not exist."""
     (x, v, _), (g, rate) = motion(RUBBING, time), turning(RUBBING, time)
     s = RADIUS * g.T
-    matrix, bias = RADIUS * np.eye(2) + s @ (8e-4 * g), s @ ((8e-4 * rate + 0.02 * g) @ v)
+    matrix = RADIUS * np.eye(2) + s @ (8e-4 * g)
+    bias = s @ ((8e-4 * rate + 0.02 * g) @ v)
 
     def accelerations(torques):
         return textbook.forward_dynamics(RUBBING, 1.0, x, v, torques, cable="bilateral")[0]
 
-    torques, asked = np.array([2.0, 1.0, 3.0]), np.array([3.0, -4.0])
+    torques = np.array([2.0, 1.0, 3.0])
+    asked = np.array([3.0, -4.0])
     right = s @ torques - bias
-    np.testing.assert_allclose(np.linalg.solve(matrix, right), accelerations(torques), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.solve(matrix, right),
+        accelerations(torques),
+        rtol=0,
+        atol=1e-9,
+    )
     assert np.abs(right / np.diag(matrix) - accelerations(torques)).max() > 0.01
     with pytest.raises(ValueError, match="mismatch"):
         matrix @ np.linalg.pinv(s)
@@ -197,7 +236,8 @@ def test_eq10_two_motors_alone_would_have_to_push():
 
 @each_time
 def test_eq11_matrix_a_is_s(time):
-    s, wanted = RADIUS * turning(RUBBING, time)[0].T, np.array([3.0, -4.0])
+    s = RADIUS * turning(RUBBING, time)[0].T
+    wanted = np.array([3.0, -4.0])
     null = np.linalg.svd(s)[2][2]
     null = null * np.sign(null[0])
     assert null.min() > 0  # inside the triangle: α raises every torque at once
@@ -209,8 +249,18 @@ def test_eq11_matrix_a_is_s(time):
 
 def outer_loop(law, pose, velocity, reference=0.0, acceleration=0.0):
     """The acceleration that an outer loop asks for, about a resting reference."""
-    blocks = {"pose": pose, "velocity": velocity, "reference_pose": reference + 0 * pose}
-    return law(blocks | {"reference_velocity": 0 * pose, "reference_acceleration": acceleration + 0 * pose})
+    blocks = {
+        "pose": pose,
+        "velocity": velocity,
+        "reference_pose": reference + 0 * pose,
+    }
+    return law(
+        blocks
+        | {
+            "reference_velocity": 0 * pose,
+            "reference_acceleration": acceleration + 0 * pose,
+        }
+    )
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(2000.0, 10.0), (30.0, 20.0)])
@@ -221,10 +271,17 @@ def test_eq14_law_is_pd_and_leaves_an_error_under_a_force(stiffness, damping):
     def loop(_, state):
         return np.array([state[1], outer_loop(law, state[:1], state[1:], 0.2)[0] + 1.0])
 
-    matrix = by_columns(lambda states: np.stack([loop(0.0, state) for state in states]), np.zeros(2))
+    matrix = by_columns(
+        lambda states: np.stack([loop(0.0, state) for state in states]),
+        np.zeros(2),
+    )
     root = np.sqrt(complex(damping**2 - 4 * stiffness))
     poles = (-damping + np.array([root, -root])) / 2
-    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(matrix)), np.sort_complex(poles), rtol=1e-6)
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(matrix)),
+        np.sort_complex(poles),
+        rtol=1e-6,
+    )
     end = solve_ivp(loop, (0.0, 8.0), np.zeros(2), rtol=1e-9, atol=1e-12).y[0, -1]
     assert 0.2 - end == pytest.approx(-1.0 / stiffness, rel=1e-3)
 
@@ -234,8 +291,16 @@ def test_eq14_law_is_pd_and_leaves_an_error_under_a_force(stiffness, damping):
 
 def test_eq15_and_eq16_printed_sign_drops_the_platform():
     (x, v, a), still = motion(SPATIAL, 0.1), np.zeros(6)
-    tensions = np.linalg.solve(-textbook.jacobian(SPATIAL, x).T, needed_force(SPATIAL, 0.1, pulleys=False))
-    np.testing.assert_allclose(textbook.required_tensions(SPATIAL, 10.0, x, v, a), tensions, rtol=0, atol=1e-6)
+    tensions = np.linalg.solve(
+        -textbook.jacobian(SPATIAL, x).T,
+        needed_force(SPATIAL, 0.1, pulleys=False),
+    )
+    np.testing.assert_allclose(
+        textbook.required_tensions(SPATIAL, 10.0, x, v, a),
+        tensions,
+        rtol=0,
+        atol=1e-6,
+    )
     g, _ = turning(SPATIAL, 0.1)
     whole = np.linalg.solve(g.T, needed_force(SPATIAL, 0.1, pulleys=True)) + 0.01 * g @ v
     torques = textbook.required_torques(SPATIAL, tensions, x, v, a)
@@ -244,7 +309,10 @@ def test_eq15_and_eq16_printed_sign_drops_the_platform():
     gravity = textbook.bias(SPATIAL, 10.0, SPATIAL.home, still)
     hanging = np.linalg.solve(-transposed, gravity)
     assert hanging.min() > 20  # so z points down (Eq. 3); upwards, and with the sign of Eq. 16, all cables push
-    printed = np.linalg.solve(textbook.mass_matrix(SPATIAL, 10.0, SPATIAL.home), -gravity + transposed @ hanging)
+    printed = np.linalg.solve(
+        textbook.mass_matrix(SPATIAL, 10.0, SPATIAL.home),
+        -gravity + transposed @ hanging,
+    )
     assert printed[2] == pytest.approx(2 * 9.81)
     assert np.linalg.solve(transposed, gravity).max() < -20
 
@@ -259,7 +327,8 @@ def test_eq17_and_eq20_need_each_coordinate_before_its_rate(time):
 
     for state, follows in ((interleaved, True), (printed, False)):
         assert np.allclose(slope(state, time)[::2], state(time)[1::2], rtol=0, atol=1e-6) is follows
-    inputs, rows = motion(UNEVEN, time)[2], slope(interleaved, time)[1::2]
+    inputs = motion(UNEVEN, time)[2]
+    rows = slope(interleaved, time)[1::2]
     np.testing.assert_allclose(rows, inputs, rtol=1e-6)  # row i has the input i/2; row 4 is ÿ and not ψ̈
     assert abs(rows[1] - inputs[3]) > 0.1
 
@@ -269,7 +338,11 @@ def test_eq17_and_eq20_need_each_coordinate_before_its_rate(time):
 
 @each_time
 def test_eq21_inertia_of_the_pulleys_adds_to_the_platform(time):
-    (x, v, a), (g, rate), j = motion(FLEXIBLE, time), turning(FLEXIBLE, time), 4e-4
+    (x, v, a), (g, rate), j = (
+        motion(FLEXIBLE, time),
+        turning(FLEXIBLE, time),
+        4e-4,
+    )
     spring = np.linalg.solve(g.T, needed_force(FLEXIBLE, time, pulleys=True))  # τ − J′ β̈′
     right = -textbook.bias(FLEXIBLE, 11.0, x, v) + g.T @ (spring - j * rate @ v)
     mass = textbook.mass_matrix(FLEXIBLE, 11.0, x)
@@ -296,7 +369,8 @@ def test_eq22_measured_acceleration_determines_no_torque():
     """τ = r T + J β̈ + J′ β̈′ as the law and J′ β̈′ = τ − κ of Eq. 4 are the same equation, but for r T + J β̈ = κ."""
     torque, second, wanted, spring = sympy.symbols("tau beta_m wanted kappa")
     inertia = sympy.symbols("J_m", positive=True)
-    law, motor = sympy.Eq(torque, wanted + inertia * second), sympy.Eq(inertia * second, torque - spring)
+    law = sympy.Eq(torque, wanted + inertia * second)
+    motor = sympy.Eq(inertia * second, torque - spring)
     assert sympy.solve([law, motor], [torque, second]) == []
     agreed = sympy.solve([law.subs(wanted, spring), motor], [torque, second])
     assert agreed == {torque: spring + inertia * second}  # any β̈′ will do
@@ -304,7 +378,8 @@ def test_eq22_measured_acceleration_determines_no_torque():
 
 @pytest.mark.parametrize("stiffness", [2.0, 3.0])
 def test_eq22_measured_one_sample_late_diverges(stiffness):
-    period, inertia = 1 / 500, 4e-4
+    period = 1 / 500
+    inertia = 4e-4
     plant = expm(period * np.array([[0, 1, 0], [-stiffness / inertia, 0, 1 / inertia], [0, 0, 0]]))
     loop = np.zeros((3, 3))  # β′, β̇′ and β̇′ one sample ago, the pulley held: τ = J′ (β̇′ − its last value)/h
     loop[:2] = plant[:2, [0, 1, 2]] @ np.array([[1, 0, 0], [0, 1, 0], [0, inertia / period, -inertia / period]])
@@ -317,18 +392,29 @@ def test_eq22_measured_one_sample_late_diverges(stiffness):
 @pytest.mark.parametrize("damping", [1.0, 20.0, 100.0])
 @pytest.mark.parametrize("stiffness", [0.1, 3.0, 1e3, 1e6])
 def test_eq22_loop_of_one_joint_has_no_cubic_term(stiffness, damping):
-    load, motor = 0.04, 4e-4  # M and J′ [kg·m²]
+    load = 0.04
+    motor = 4e-4  # M and J′ [kg·m²]
     law = -(load + motor) * np.array([KP, damping])  # τ = (M + J′)(−K_P β − K_D β̇)
     loop = np.array(
         [
             [0, 1, 0, 0],
             [-stiffness / load, 0, stiffness / load, 0],
             [0, 0, 0, 1],
-            [(law[0] + stiffness) / motor, law[1] / motor, -stiffness / motor, 0],
+            [
+                (law[0] + stiffness) / motor,
+                law[1] / motor,
+                -stiffness / motor,
+                0,
+            ],
         ]
     )
     rest = stiffness * (load + motor) / (load * motor)
-    np.testing.assert_allclose(np.poly(loop), [1, 0, rest, rest * damping, rest * KP], rtol=1e-6, atol=1e-6 * rest)
+    np.testing.assert_allclose(
+        np.poly(loop),
+        [1, 0, rest, rest * damping, rest * KP],
+        rtol=1e-6,
+        atol=1e-6 * rest,
+    )
     fastest = np.linalg.eigvals(loop).real.max()
     assert fastest > 0
     if stiffness == 1e6:
@@ -337,14 +423,21 @@ def test_eq22_loop_of_one_joint_has_no_cubic_term(stiffness, damping):
 
 @pytest.mark.parametrize(
     ("stiffness", "friction", "low", "high"),
-    [(2.0, 0.0, 9.3, 9.7), (3.0, 0.0, 9.5, 9.9), (1e4, 0.0, 5, 100), (3.0, 0.007, 0, 100), (3.0, 0.01, -100, 0)],
+    [
+        (2.0, 0.0, 9.3, 9.7),
+        (3.0, 0.0, 9.5, 9.9),
+        (1e4, 0.0, 5, 100),
+        (3.0, 0.007, 0, 100),
+        (3.0, 0.01, -100, 0),
+    ],
 )
 def test_eq22_is_unstable_without_motor_friction(stiffness, friction, low, high):
     """K_D J′ is 0.008 N·m·s/rad. β̈′ is taken from v. Without friction the trace of the loop is zero."""
     robot = with_transmission(FLEXIBLE, stiffness=stiffness, motor_damping=friction)
 
     def rates(states):
-        x, v = states[:, :6], states[:, 6:12]
+        x = states[:, :6]
+        v = states[:, 6:12]
         needed = textbook.inverse_dynamics(robot, 11.0, x, v, KP * (robot.home - x) - KD * v)
         torques = needed.torques + robot.motor_inertia * needed.pulley_accelerations + friction * needed.speeds
         return flexible_rates(robot, states, torques)
@@ -366,7 +459,11 @@ def test_eq24_inertia_of_the_motors_cancels(time):
     def motor(at):
         return textbook.pulley_angle(FLEXIBLE, motion(FLEXIBLE, at)[0]) + needed(at) / FLEXIBLE.stiffness
 
-    (x, v, a), angle, second = motion(FLEXIBLE, time), motor(time), slope(lambda at: slope(motor, at), time)
+    (x, v, a), angle, second = (
+        motion(FLEXIBLE, time),
+        motor(time),
+        slope(lambda at: slope(motor, at), time),
+    )
     torques = needed(time) + 4e-4 * second
     peer = mujoco_state((x, v, angle, slope(motor, time)))
     np.testing.assert_allclose(peer.accelerations(torques), a, rtol=0, atol=1e-6)
@@ -379,11 +476,31 @@ def test_eq24_inertia_of_the_motors_cancels(time):
 KG, M, S = sympy.symbols("kg m s", positive=True)
 N = KG * M / S**2
 DIMENSIONS = {
-    "eq24, an acceleration: τ/J′ and not τ/(1 + J′)": (1 / S**2, N * M / (KG * M**2), N * M / (1 + KG * M**2)),
-    "eq25, a squared frequency: K/J′ and not K": (1 / S**2, N * M / (KG * M**2), N * M),
-    "eq37, a torque: k₂ β̇ and not k₂ q̇": (N * M, N * M * S / S, N * M * S * M / S),
-    "table 4, a torque c β̇: c in N·m·s/rad and not in N·m/rad": (N * M, N * M * S / S, N * M / S),
-    "table 5, a torque K (β′ − β): K in N·m/rad and not in N/rad": (N * M, N * M, N),
+    "eq24, an acceleration: τ/J′ and not τ/(1 + J′)": (
+        1 / S**2,
+        N * M / (KG * M**2),
+        N * M / (1 + KG * M**2),
+    ),
+    "eq25, a squared frequency: K/J′ and not K": (
+        1 / S**2,
+        N * M / (KG * M**2),
+        N * M,
+    ),
+    "eq37, a torque: k₂ β̇ and not k₂ q̇": (
+        N * M,
+        N * M * S / S,
+        N * M * S * M / S,
+    ),
+    "table 4, a torque c β̇: c in N·m·s/rad and not in N·m/rad": (
+        N * M,
+        N * M * S / S,
+        N * M / S,
+    ),
+    "table 5, a torque K (β′ − β): K in N·m/rad and not in N/rad": (
+        N * M,
+        N * M,
+        N,
+    ),
 }
 """Dimension of a quantity, of its corrected form and of its printed form."""
 
@@ -396,10 +513,15 @@ def test_printed_form_has_another_dimension(name):
 
 
 def test_eq25_undamped_oscillator_grows_at_resonance():
-    inertia, stiffness = 4e-4, 3.0
-    rate, small = math.sqrt(stiffness / inertia), 1e-3
+    inertia = 4e-4
+    stiffness = 3.0
+    rate = math.sqrt(stiffness / inertia)
+    small = 1e-3
     swing = solve_ivp(
-        lambda t, y: [y[1], (small * math.sin(rate * t) - stiffness * y[0]) / inertia],
+        lambda t, y: [
+            y[1],
+            (small * math.sin(rate * t) - stiffness * y[0]) / inertia,
+        ],
         (0.0, 40 * math.pi / rate),
         [0.0, 0.0],
         rtol=1e-9,
@@ -428,7 +550,10 @@ def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
     """γ = ∂τ/∂v from the kinetic energy; η of Eq. 30 against a plant that is heavier than the model."""
     x, v, asked = motion(SPATIAL, time)
     true = with_transmission(SPATIAL.replace(mass=11.5), pulley_inertia=3e-3)
-    (alpha, gamma), (model_alpha, model_gamma) = parts_of_law(true, x, v), parts_of_law(SPATIAL, x, v)
+    (alpha, gamma), (model_alpha, model_gamma) = (
+        parts_of_law(true, x, v),
+        parts_of_law(SPATIAL, x, v),
+    )
     g, _ = turning(SPATIAL, time)
     whole = np.stack([momentum(SPATIAL, x, e) for e in np.eye(6)], axis=1)  # linear in Ẋ
     np.testing.assert_allclose(model_gamma, np.linalg.solve(g.T, whole), rtol=0, atol=1e-8)
@@ -448,26 +573,40 @@ def test_eq27_fewer_inputs_than_coordinates_are_controllable():
     """Relative degree four: τ enters the fourth derivative of X, and nothing before, by an invertible matrix."""
     state = resting(FLEXIBLE)
     plant = by_columns(lambda states: flexible_rates(FLEXIBLE, states, np.zeros((1, 6))), state)
-    inputs = by_columns(lambda u: flexible_rates(FLEXIBLE, np.tile(state, (len(u), 1)), u), np.zeros(6))
+    inputs = by_columns(
+        lambda u: flexible_rates(FLEXIBLE, np.tile(state, (len(u), 1)), u),
+        np.zeros(6),
+    )
     scale = np.repeat([1.0, 0.01, 1.0, 0.01], 6)  # seconds to hundredths
-    plant, inputs = 0.01 * plant * scale[:, None] / scale, 0.01 * inputs * scale[:, None]
+    plant = 0.01 * plant * scale[:, None] / scale
+    inputs = 0.01 * inputs * scale[:, None]
     ends = (np.hstack([pole * np.eye(24) - plant, inputs]) for pole in np.linalg.eigvals(plant))
     assert min(np.linalg.svd(end, compute_uv=False)[-1] for end in ends) > 1e-5  # the test of Hautus
     outputs = np.eye(6, 24)
     for power in range(3):
-        np.testing.assert_allclose(outputs @ np.linalg.matrix_power(plant, power) @ inputs, 0, atol=1e-6)
+        np.testing.assert_allclose(
+            outputs @ np.linalg.matrix_power(plant, power) @ inputs,
+            0,
+            atol=1e-6,
+        )
     assert np.linalg.cond(outputs @ np.linalg.matrix_power(plant, 3) @ inputs) < 1e3
 
 
 @pytest.mark.parametrize("error", [1, -1], ids=["z_d - z", "z - z_d"])
 def test_eq31_is_positive_feedback_and_eq18_is_not(error):
     """Poles of z̈ = v in the error e = ± (z_d − z), v − z̈_d = sign (K_D (ż_d − ż) + K_P (z_d − z))."""
-    for sign, least, most in ((-1, 1, 100), (1, -100, -1)):  # as printed, and corrected
+    for sign, least, most in (
+        (-1, 1, 100),
+        (1, -100, -1),
+    ):  # as printed, and corrected
         feedback = -error * sign * error * np.array([KP, KD])
         assert least < np.linalg.eigvals(np.array([[0, 1], feedback])).real.max() < most
 
 
-@pytest.mark.parametrize(("proportional", "end"), [("z_d - z", 0.0), ("integral of the velocity's", 0.02)])
+@pytest.mark.parametrize(
+    ("proportional", "end"),
+    [("z_d - z", 0.0), ("integral of the velocity's", 0.02)],
+)
 def test_eq31_integral_of_the_velocity_error_keeps_an_error(proportional, end):
     """Signs corrected; 0.02 m off at first, desired rest at 0. The integral is e(t) − e(0)."""
 
@@ -488,12 +627,14 @@ def robust_run(error, sign):
 
     e = ±(z_d − z), Δv = sign ρ BᵀPe/‖BᵀPe‖ with a layer of 1e-4, the rest of v is Eq. 18's.
     """
-    zeta, force = 0.15, 1.0
+    zeta = 0.15
+    force = 1.0
 
     def parts(time, state):
         desired = 0.1 * np.array([np.sin(3 * time), 3 * np.cos(3 * time), -9 * np.sin(3 * time)])
         e = error * (desired[:2] - state)
-        s, feedback = LYAPUNOV[1] @ e, KP * e[0] + KD * e[1]
+        s = LYAPUNOV[1] @ e
+        feedback = KP * e[0] + KD * e[1]
         rho = (zeta * (abs(desired[2]) + np.linalg.norm([e[1], feedback])) + force) / (1 - zeta)
         extra = sign * rho * s / max(abs(s), 1e-4)
         asked = desired[2] + error * feedback + extra
@@ -503,18 +644,32 @@ def robust_run(error, sign):
 
     times = np.linspace(0.0, 2.0, 401)
     options = {"t_eval": times, "rtol": 1e-8, "atol": 1e-10, "method": "LSODA"}
-    run = solve_ivp(lambda time, state: [state[1], parts(time, state)[1]], (0.0, 2.0), [0.02, 0.0], **options)
+    run = solve_ivp(
+        lambda time, state: [state[1], parts(time, state)[1]],
+        (0.0, 2.0),
+        [0.02, 0.0],
+        **options,
+    )
     found = [parts(time, state) for time, state in zip(times, run.y.T, strict=True)]
     errors = np.array([e for e, _, _ in found])
     value = np.einsum("ki,ij,kj->k", errors, LYAPUNOV, errors)
-    return value, np.abs(errors[:, 0]).mean(), np.array([residual for *_, residual in found])
+    return (
+        value,
+        np.abs(errors[:, 0]).mean(),
+        np.array([residual for *_, residual in found]),
+    )
 
 
-@pytest.mark.parametrize(("error", "sign"), [(1, 1), (-1, -1)], ids=["z_d - z, plus", "z - z_d, minus"])
+@pytest.mark.parametrize(
+    ("error", "sign"),
+    [(1, 1), (-1, -1)],
+    ids=["z_d - z, plus", "z - z_d, minus"],
+)
 def test_eq34_sign_belongs_to_the_error(error, sign):
     """Eq. 32, + (ψ + Δv) on its right, is right for e = z − z_d alone; the ψ of Eq. 33 is η."""
     value, mean, residual = robust_run(error, sign)
-    raised, plain = robust_run(error, -sign)[1], robust_run(error, 0)[1]
+    raised = robust_run(error, -sign)[1]
+    plain = robust_run(error, 0)[1]
     outside = int(np.argmax(value < 1e-5))
     assert outside > 10
     assert np.all(np.diff(value[:outside]) < 0)
@@ -540,8 +695,10 @@ def test_eq36_input_matrix_has_two_rows_too_many():
 
 
 def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
-    law, e = RobustPD(gains=(KP, KD), boundary_layer=1e-9, phi=0.0), np.array([0.01, 0.0, 0.0, 0.02, 0.0, 0.0])
-    turn, extra = np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0]), []
+    law = RobustPD(gains=(KP, KD), boundary_layer=1e-9, phi=0.0)
+    e = np.array([0.01, 0.0, 0.0, 0.02, 0.0, 0.0])
+    turn = np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0])
+    extra = []
     for unit in (1.0, 100.0):
         scale = np.array([unit] * 3 + [1.0] * 3)
         asked = outer_loop(law, np.zeros(6), np.zeros(6), scale * e, turn)
@@ -553,8 +710,12 @@ def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
 def test_eq36_bracket_of_rho_closes_after_the_last_term():
     """ρ has to bound ‖ψ‖, which ρ itself enlarges: at the worst of what ζ, γ̄ and φ allow, it is just enough."""
     rng = np.random.default_rng(3)
-    zeta, (gain, phi, asked, drift) = rng.uniform(0.05, 0.9, 200), rng.uniform(0.1, 5, (4, 200))
-    known, unknown = zeta * (asked + drift), gain * phi
+    zeta, (gain, phi, asked, drift) = (
+        rng.uniform(0.05, 0.9, 200),
+        rng.uniform(0.1, 5, (4, 200)),
+    )
+    known = zeta * (asked + drift)
+    unknown = gain * phi
 
     def slack(rho):
         return rho - (zeta * (asked + drift + rho) + unknown)  # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
@@ -572,11 +733,18 @@ def bisected():
     path = find_trajectory("paper-spatial", 6)(np.arange(500) / 500)
 
     def feasible(payload):
-        needed = textbook.inverse_dynamics(SPATIAL, 10.0 + payload, path.position, path.velocity, path.acceleration)
+        needed = textbook.inverse_dynamics(
+            SPATIAL,
+            10.0 + payload,
+            path.position,
+            path.velocity,
+            path.acceleration,
+        )
         drop = 10.0 / (1000 * RPM) * needed.speeds
         return np.all((needed.torques <= 10.0 - drop) & (needed.torques >= -10.0 - drop))
 
-    low, high = 0.0, 20.0
+    low = 0.0
+    high = 20.0
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (middle, high) if feasible(middle) else (low, middle)
@@ -594,9 +762,16 @@ def test_eq37_printed_margin_finds_half_of_the_load(bisected):
 def test_eq37_limit_is_the_one_the_load_drives_to():
     """A torque p + m s of 5 N·m motors: the largest m, sign by τ_e − τ_n, not by τ_e."""
     grid = np.linspace(0.0, 200.0, 200001)
-    for offset, rise in [(2.0, 0.5), (2.0, -0.5), (-2.0, 0.5), (-2.0, -0.5), (0.3, -1.0)]:
+    for offset, rise in [
+        (2.0, 0.5),
+        (2.0, -0.5),
+        (-2.0, 0.5),
+        (-2.0, -0.5),
+        (0.3, -1.0),
+    ]:
         true = grid[np.abs(offset + rise * grid) <= 5.0].max()
-        full, empty = np.full(3, offset + 0.1 * rise), np.full(3, offset)
+        full = np.full(3, offset + 0.1 * rise)
+        empty = np.full(3, offset)
         corrected = load_coefficient(PLANAR, full, empty, np.zeros(3), corrected=True)[0] * 0.1
         assert corrected == pytest.approx(true, abs=2e-3)
         by_sign_of_full = abs((math.copysign(5.0, full[0]) - offset) / rise)
@@ -605,7 +780,8 @@ def test_eq37_limit_is_the_one_the_load_drives_to():
 
 def test_eq38_absolute_value_hides_an_overloaded_motor():
     """6 N·m without load and 7 with 1 kg, of motors of 5: no load is feasible."""
-    full, empty = np.full(3, 7.0), np.full(3, 6.0)
+    full = np.full(3, 7.0)
+    empty = np.full(3, 6.0)
     assert load_coefficient(PLANAR, full, empty, np.zeros(3), corrected=False).min() > 0
     assert load_coefficient(PLANAR, full, empty, np.zeros(3), corrected=True).max() < 0
 
@@ -613,7 +789,8 @@ def test_eq38_absolute_value_hides_an_overloaded_motor():
 def test_eq39_coefficient_multiplies_the_guessed_load(bisected):
     path = find_trajectory("paper-spatial", 6)(np.arange(500) / 500)
     circle = (path.position, path.velocity, path.acceleration)
-    empty, by_mass = textbook.inverse_dynamics(SPATIAL, 10.0, *circle), []
+    empty = textbook.inverse_dynamics(SPATIAL, 10.0, *circle)
+    by_mass = []
     for guess in (2.0, 5.0):
         full = textbook.inverse_dynamics(SPATIAL, 10.0 + guess, *circle).torques
         coefficient = load_coefficient(SPATIAL, full, empty.torques, empty.speeds, corrected=True).min()
@@ -626,7 +803,9 @@ def test_eq39_coefficient_multiplies_the_guessed_load(bisected):
 def test_eq41_least_tensions_are_not_linear_in_the_mass():
     def second_difference(robot, masses, minimum):
         path = find_trajectory(f"paper-{robot.name}", robot.coordinates)(np.linspace(0, 1, 101))
-        x, v, a = path.position, path.velocity, path.acceleration
+        x = path.position
+        v = path.velocity
+        a = path.acceleration
         one, two, three = (textbook.inverse_dynamics(robot, m, x, v, a, minimum=minimum).torques for m in masses)
         return one - 2 * two + three, textbook.jacobian(robot, x)
 
@@ -642,7 +821,8 @@ def test_eq41_least_tensions_are_not_linear_in_the_mass():
 
 def test_table2_and_table4_friction_and_mass_move_the_load():
     """Without the friction of Table 4 by 0.12 kg; by the kilogram between Tables 4 and 8."""
-    planar, spatial = find_trajectory("paper-planar", 2), find_trajectory("paper-spatial", 6)
+    planar = find_trajectory("paper-planar", 2)
+    spatial = find_trajectory("paper-spatial", 6)
     loads = [exact_payload(with_transmission(PLANAR, damping=c), planar, frequency=500.0).payload for c in (0.0, 0.01)]
     assert loads[0] - loads[1] == pytest.approx(0.12, abs=0.01)
     ten, eleven = (exact_payload(SPATIAL.replace(mass=mass), spatial, frequency=500.0) for mass in (10.0, 11.0))
@@ -656,7 +836,11 @@ def test_table4_no_platform_of_this_size_has_this_inertia():
     corners = circumradius * np.array([[np.cos(a), np.sin(a)] for a in np.radians([90, 210, 330])])
     points = np.array([(i, j, 20 - i - j) for i in range(21) for j in range(21 - i)]) / 20 @ corners
     squares = np.sum(points**2, axis=1)
-    best = linprog(-squares, A_eq=np.stack([np.ones(len(points)), *points.T]), b_eq=[11.0, 0, 0])
+    best = linprog(
+        -squares,
+        A_eq=np.stack([np.ones(len(points)), *points.T]),
+        b_eq=[11.0, 0, 0],
+    )
     assert -best.fun == pytest.approx(0.32, abs=0.005)
     assert math.sqrt(1.16 / 11) == pytest.approx(0.325, abs=5e-4)  # radius of gyration
     assert SPATIAL.inertia[0] + SPATIAL.inertia[1] == pytest.approx(SPATIAL.inertia[2])  # of a flat plate: no misprint
@@ -682,9 +866,15 @@ def test_text_of_5_1_error_leaves_its_bound():
     law = PD(gains=(KP, KD))
 
     def rates(_, state):
-        x, v = state[:6], state[6:]
+        x = state[:6]
+        v = state[6:]
         torques = textbook.inverse_dynamics(SPATIAL, 10.0, x, v, outer_loop(law, x, v, SPATIAL.home)).torques
-        return np.concatenate([v, textbook.forward_dynamics(SPATIAL, 11.0, x, v, torques, cable="bilateral")[0]])
+        return np.concatenate(
+            [
+                v,
+                textbook.forward_dynamics(SPATIAL, 11.0, x, v, torques, cable="bilateral")[0],
+            ]
+        )
 
     start = np.concatenate([SPATIAL.home, np.zeros(6)])
     end = solve_ivp(rates, (0.0, 6.0), start, rtol=1e-6, atol=1e-9).y[:6, -1]
@@ -710,7 +900,11 @@ def test_page_names_every_test_and_every_equation():
     assert all(named)
     for file, name in {pair for pairs in named for pair in pairs}:
         assert f"def {name}(" in (ROOT / file).read_text(encoding="utf-8")
-    here = re.findall(r"^def (test_\w+)", Path(__file__).read_text(encoding="utf-8"), re.MULTILINE)
+    here = re.findall(
+        r"^def (test_\w+)",
+        Path(__file__).read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     assert set(here) <= {name for pairs in named for _, name in pairs}
     ranges = re.findall(r"Eqs?\. (\d+)(?:–(\d+))?", " ".join(parts[1::2]))
     assert {n for first, last in ranges for n in range(int(first), int(last or first) + 1)} == set(range(1, 42))

@@ -11,7 +11,14 @@ import pytest
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, feasible
-from cablebot_gym.robots import ELASTIC, Robot, find_robot, library, load_robot, robot_names
+from cablebot_gym.robots import (
+    ELASTIC,
+    Robot,
+    find_robot,
+    library,
+    load_robot,
+    robot_names,
+)
 from cablebot_gym.task import check_workspace
 from cablebot_gym.trajectories import find_trajectory
 
@@ -33,7 +40,9 @@ def test_every_value_of_a_file_has_a_source(name: str) -> None:
 
 
 @every_robot
-def test_names_are_the_robot_with_rigid_and_with_elastic_cables(name: str) -> None:
+def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
+    name: str,
+) -> None:
     rigid = find_robot(name)
     elastic = find_robot(ELASTIC + name)
     file = load_robot(library()[name])
@@ -54,7 +63,9 @@ def test_motors_hold_the_default_motion(name: str) -> None:
 
 
 def held(robot: Robot, reference) -> np.ndarray:
-    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    pose = reference.position
+    velocity = reference.velocity
+    acceleration = reference.acceleration
     mass = robot.mass + robot.defaults.payload(0.0)
     load = textbook.load(robot, np.full(len(pose), mass), pose, velocity, acceleration)
     speed = textbook.pulley_speed(robot, pose, velocity)

@@ -45,7 +45,10 @@ def stacked(motion: RandomLoop, times: Any) -> np.ndarray:
 def norms(motion: RandomLoop, values: np.ndarray) -> np.ndarray:
     """Norms by groups, (..., groups)."""
     groups = GROUPS[motion.coordinates]
-    return np.stack([np.linalg.norm(values[..., group], axis=-1) for group in groups], axis=-1)
+    return np.stack(
+        [np.linalg.norm(values[..., group], axis=-1) for group in groups],
+        axis=-1,
+    )
 
 
 # --- one seed, one curve ------------------------------------------------------------------------------------------
@@ -57,7 +60,14 @@ GOLDEN = [
         "loop-spatial",
         10000,
         2.09,
-        [-0.07597230559126, 0.01431028872318, 0.09068707051714, 0.08946581209068, 0.11304240397265, 0.09547381370340],
+        [
+            -0.07597230559126,
+            0.01431028872318,
+            0.09068707051714,
+            0.08946581209068,
+            0.11304240397265,
+            0.09547381370340,
+        ],
     ),
 ]
 
@@ -111,9 +121,11 @@ def test_derivatives_are_the_slopes(name: str, seed: int, fraction: float) -> No
 def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> None:
     """Each group uses its reach, and one of them its acceleration."""
     motion = loop(name, seed)
-    reach, limit = np.array(motion.reach), np.array(motion.acceleration)
+    reach = np.array(motion.reach)
+    limit = np.array(motion.acceleration)
     times = np.linspace(0, motion.duration, 1501)
-    path, values = motion(times), stacked(motion, times)
+    path = motion(times)
+    values = stacked(motion, times)
     scale = np.abs(values).max(axis=(1, 2))
     np.testing.assert_allclose(values[0, 0], values[0, -1], rtol=0, atol=1e-12)
     assert np.all(np.abs(values[1:, [0, -1]]).max(axis=(1, 2)) <= 1e-9 * scale[1:])  # at rest up to snap
@@ -128,10 +140,22 @@ def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> N
 
 
 def test_seeds_and_fields_determine_the_curve() -> None:
-    seeds = [*TRAINING_SEEDS[:2], 9999, *held_out_seeds(2), 2**64, 2**128, 2**200]
+    seeds = [
+        *TRAINING_SEEDS[:2],
+        9999,
+        *held_out_seeds(2),
+        2**64,
+        2**128,
+        2**200,
+    ]
     assert seeds == [0, 1, 9999, 10000, 10001, 2**64, 2**128, 2**200]
     motions = [loop("loop-spatial", seed) for seed in seeds]
-    fields = {"center": (0, 0, 0.2, 0, 0, 0), "reach": (0.05, 0.02, 0.01), "acceleration": (5, 1, 1), "duration": 1.5}
+    fields = {
+        "center": (0, 0, 0.2, 0, 0, 0),
+        "reach": (0.05, 0.02, 0.01),
+        "acceleration": (5, 1, 1),
+        "duration": 1.5,
+    }
     motions += [loop("loop-spatial", 0, **{field: value}) for field, value in fields.items()]
     poses = np.array([motion(0.5).position for motion in motions])
     assert len(np.unique(poses.round(4), axis=0)) == len(poses)
@@ -139,7 +163,16 @@ def test_seeds_and_fields_determine_the_curve() -> None:
 
 # --- possible -----------------------------------------------------------------------------------------------------
 
-SAMPLE = [*range(0, 4), *held_out_seeds(4), 1066, 1290, 10425, 10674, 11355, 11476]
+SAMPLE = [
+    *range(0, 4),
+    *held_out_seeds(4),
+    1066,
+    1290,
+    10425,
+    10674,
+    11355,
+    11476,
+]
 """The first of both sets, and the hardest that were met among 4000."""
 
 
@@ -173,7 +206,10 @@ def test_invalid_seed_or_count_raises(value: Any) -> None:
     ("fields", "message"),
     [
         ({"reach": [0.1]}, "reach must be 3 numbers"),
-        ({"acceleration": [1, -1, 1]}, "acceleration must be finite and greater than 0"),
+        (
+            {"acceleration": [1, -1, 1]},
+            "acceleration must be finite and greater than 0",
+        ),
         ({"duration": 0}, "duration must be"),
         ({"speed": 2}, "speed"),
     ],

@@ -23,7 +23,8 @@ OUTSIDE = {"name": "smooth-circle-planar", "radius": 3.0}
 @pytest.mark.parametrize("fly", [evaluate_dlcc, record_rollout])
 def test_motion_outside_the_workspace_raises(fly):
     with pytest.raises(
-        ValueError, match=r"'smooth-circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 "
+        ValueError,
+        match=r"'smooth-circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 ",
     ):
         fly("fl", PLANAR_ID, trajectory=OUTSIDE)
 
@@ -39,7 +40,13 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate, side):
     def fits(beyond, *bounds):
         box = np.array([poses.min(axis=0), poses.max(axis=0)])
         box[side, coordinate] += beyond * (1 - 2 * side)
-        robot = SimpleNamespace(name="box", kind="spatial", dimensions=3, coordinates=6, pose_bounds=box)
+        robot = SimpleNamespace(
+            name="box",
+            kind="spatial",
+            dimensions=3,
+            coordinates=6,
+            pose_bounds=box,
+        )
         with contextlib.suppress(ValueError):
             check_workspace(robot, motion, *bounds)
             return True
@@ -99,7 +106,10 @@ def test_spatial_robots_start_lower_than_a_motion_at_rest(robot, trajectory, at_
 
 @pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
 def test_motors_hold_at_least_a_kilogram_more_at_the_start_pose(robot):
-    motions = ["circle-spatial", *({"name": "loop-spatial", "seed": seed} for seed in held_out_seeds(20))]
+    motions = [
+        "circle-spatial",
+        *({"name": "loop-spatial", "seed": seed} for seed in held_out_seeds(20)),
+    ]
     for motion in motions:
         task = make_task(robot, motion)
         gained = held_at_rest(robot, task.start_pose) - held_at_rest(robot, task.trajectory(0.0).position)

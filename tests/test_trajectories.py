@@ -50,7 +50,10 @@ def without_dwells(name: str, **fields: Any) -> Trajectory:
 # --- the paper's tables -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("robot", "radius", "rest"), [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)])
+@pytest.mark.parametrize(
+    ("robot", "radius", "rest"),
+    [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)],
+)
 def test_paper_circle_is_that_of_tables_1_and_3(robot: str, radius: float, rest: list[float]) -> None:
     t = np.linspace(0, 1, 501)
     speeding_up = 4 * np.pi * t**2
@@ -73,7 +76,11 @@ def test_first_branch_of_the_paper_circle_holds_at_half_time() -> None:
     middle = motion(0.85)
     after = motion(0.85 * (1 + 1e-15))
     jump = 0.3 * 8 * np.pi / 1.7**2
-    np.testing.assert_allclose([middle.acceleration[1], after.acceleration[1]], [-jump, jump], rtol=1e-9)
+    np.testing.assert_allclose(
+        [middle.acceleration[1], after.acceleration[1]],
+        [-jump, jump],
+        rtol=1e-9,
+    )
     np.testing.assert_allclose(middle.position, after.position, atol=1e-12)
     np.testing.assert_allclose(middle.velocity, after.velocity, atol=1e-9)
 
@@ -91,13 +98,29 @@ PAPER = PaperCircle(radius=0.3, center=POSE, duration=1.7)
 
 
 def circle(angle: sympy.Expr) -> list[Any]:
-    return [POSE[0] + 0.3 * sympy.cos(angle), POSE[1] + 0.3 * sympy.sin(angle), *POSE[2:]]
+    return [
+        POSE[0] + 0.3 * sympy.cos(angle),
+        POSE[1] + 0.3 * sympy.sin(angle),
+        *POSE[2:],
+    ]
 
 
 MOTIONS: dict[str, tuple[Trajectory, list[Any], tuple[float, float]]] = {
-    "paper, first half": (PAPER, circle(4 * sympy.pi * (T / DURATION) ** 2), (0.0, 0.85)),
-    "paper, second half": (PAPER, circle(-4 * sympy.pi * (1 - T / DURATION) ** 2), (0.86, 1.7)),
-    "circle": (SmoothCircle(radius=0.3, center=POSE, duration=1.7), circle(TURN), (0.0, 1.7)),
+    "paper, first half": (
+        PAPER,
+        circle(4 * sympy.pi * (T / DURATION) ** 2),
+        (0.0, 0.85),
+    ),
+    "paper, second half": (
+        PAPER,
+        circle(-4 * sympy.pi * (1 - T / DURATION) ** 2),
+        (0.86, 1.7),
+    ),
+    "circle": (
+        SmoothCircle(radius=0.3, center=POSE, duration=1.7),
+        circle(TURN),
+        (0.0, 1.7),
+    ),
     "dwell": (Dwell(pose=POSE, duration=1.7), list(POSE), (0.0, 1.7)),
     "line": (
         PointToPoint(start=POSE, end=END, duration=1.7),
@@ -106,7 +129,11 @@ MOTIONS: dict[str, tuple[Trajectory, list[Any], tuple[float, float]]] = {
     ),
     "lemniscate": (
         Lemniscate(amplitude=(0.3, 0.2), center=POSE, duration=1.7),
-        [POSE[0] + 0.3 * sympy.sin(TURN), POSE[1] + 0.2 * sympy.sin(2 * TURN), *POSE[2:]],
+        [
+            POSE[0] + 0.3 * sympy.sin(TURN),
+            POSE[1] + 0.2 * sympy.sin(2 * TURN),
+            *POSE[2:],
+        ],
         (0.0, 1.7),
     ),
 }
@@ -128,7 +155,11 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
 SCALED = [name for name in TRAJECTORIES if not name.startswith("chain")]
 
 
-@given(duration=st.floats(0.05, 50), fraction=st.floats(0, 1), name=st.sampled_from(SCALED))
+@given(
+    duration=st.floats(0.05, 50),
+    fraction=st.floats(0, 1),
+    name=st.sampled_from(SCALED),
+)
 def test_duration_scales_each_derivative_and_keeps_the_path(duration: float, fraction: float, name: str) -> None:
     unit = without_dwells(name, duration=1.0)
     stretched = without_dwells(name, duration=duration)
@@ -141,7 +172,11 @@ def test_duration_scales_each_derivative_and_keeps_the_path(duration: float, fra
 # --- dwells -------------------------------------------------------------------------------------------------------
 
 
-@given(dwell=st.just(0.0) | st.floats(1e-3, 5), case=st.sampled_from(sorted(MOTIONS)), fraction=st.floats(-0.5, 1.5))
+@given(
+    dwell=st.just(0.0) | st.floats(1e-3, 5),
+    case=st.sampled_from(sorted(MOTIONS)),
+    fraction=st.floats(-0.5, 1.5),
+)
 def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell: float, case: str, fraction: float) -> None:
     motion = MOTIONS[case][0]
     between = BetweenDwells(motion=motion, dwell=dwell)
@@ -151,7 +186,10 @@ def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell: float, ca
     if time < dwell:
         expected[1:] = 0.0
     np.testing.assert_array_equal(stacked(between(time)), expected)
-    for times, end in (([-1.0, 0.0, dwell / 2], 0.0), ([dwell * 1.5 + motion.duration, 99.0], motion.duration)):
+    for times, end in (
+        ([-1.0, 0.0, dwell / 2], 0.0),
+        ([dwell * 1.5 + motion.duration, 99.0], motion.duration),
+    ):
         values = stacked(between(times))
         np.testing.assert_array_equal(values[0], [motion(end).position] * len(times))
         assert dwell == 0 or not values[1:].any()
@@ -169,7 +207,12 @@ def test_named_motion_dwells_except_the_printed_circle(name: str) -> None:
 def test_chain_derivatives_equal_finite_differences() -> None:
     """At the joints too, where the parts and a dwell meet."""
     motion = TRAJECTORIES["chain-spatial"]()
-    times = np.concatenate([np.linspace(0, motion.duration + 0.2, 501), 0.3 + np.array([0, 1.0, 1.3, 2.3])])
+    times = np.concatenate(
+        [
+            np.linspace(0, motion.duration + 0.2, 501),
+            0.3 + np.array([0, 1.0, 1.3, 2.3]),
+        ]
+    )
     values = stacked(motion(times))[1:]
     slope = (stacked(motion(times + 1e-5)) - stacked(motion(times - 1e-5)))[:-1] / 2e-5
     scale = np.abs(values).max(axis=(1, 2), keepdims=True)
@@ -181,7 +224,10 @@ def test_number_in_a_chain_is_a_dwell_where_the_robot_is() -> None:
     back = PointToPoint(start=line.end, end=line.start, duration=1.0)
     chain = Chain(motions=(line, 0.25, back))
     assert chain.duration == 1.75
-    np.testing.assert_array_equal(stacked(chain([0.5, 0.6, 0.75])), stacked(Dwell(pose=line.end)([0.0, 0.1, 0.2])))
+    np.testing.assert_array_equal(
+        stacked(chain([0.5, 0.6, 0.75])),
+        stacked(Dwell(pose=line.end)([0.0, 0.1, 0.2])),
+    )
     np.testing.assert_array_equal(stacked(chain([0.2, 0.3])), stacked(line([0.2, 0.3])))
     np.testing.assert_array_equal(chain(1.25).position, [0.1, 0.05])
 
@@ -210,7 +256,10 @@ def test_motion_of_a_file_is_an_object_class_or_function(tmp_path: Path, monkeyp
         assert motion(99.0).position.tolist() == [0.1, 0.0]
         assert find_trajectory(f"{path}:{name}", 2) is motion, "one object, so that environments share one table"
     lost = r"raised RuntimeError: lost \(own_motion_of_a_test\.py, line 10\)"
-    for name, message in (("number", "gives 3, which is no Trajectory"), ("broken", lost)):
+    for name, message in (
+        ("number", "gives 3, which is no Trajectory"),
+        ("broken", lost),
+    ):
         with pytest.raises(ValueError, match=message):
             find_trajectory(f"{path}:{name}", 2)
 
@@ -219,11 +268,16 @@ def test_motion_of_a_file_is_an_object_class_or_function(tmp_path: Path, monkeyp
 
 
 @pytest.mark.parametrize("name", [name for name in TRAJECTORIES if not name.startswith("paper")])
-def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(name: str) -> None:
+def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(
+    name: str,
+) -> None:
     motion = TRAJECTORIES[name]()
     peak = np.abs(stacked(motion(np.linspace(0, motion.duration, 201)))).max(axis=(1, 2))
     edge = 1e-6 * motion.duration
-    for outside, inside in ((0.0, edge), (2 * motion.duration, motion.duration - edge)):
+    for outside, inside in (
+        (0.0, edge),
+        (2 * motion.duration, motion.duration - edge),
+    ):
         resting = stacked(motion(outside))
         jump = np.abs(stacked(motion(inside)) - resting).max(axis=1)
         assert np.all(jump <= 1e-4 * peak)
@@ -260,7 +314,15 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
 
 
 def test_registry_has_all_names() -> None:
-    motions = ["circle", "smooth-circle", "dwell", "line", "lemniscate", "loop", "chain"]
+    motions = [
+        "circle",
+        "smooth-circle",
+        "dwell",
+        "line",
+        "lemniscate",
+        "loop",
+        "chain",
+    ]
     for kind in COORDINATES:
         names = {f"{motion}-{kind}" for motion in motions}
         if kind in ("planar", "spatial"):
@@ -270,7 +332,9 @@ def test_registry_has_all_names() -> None:
 
 
 @every_name
-def test_default_motion_stays_in_the_triangle_and_the_workspace(name: str) -> None:
+def test_default_motion_stays_in_the_triangle_and_the_workspace(
+    name: str,
+) -> None:
     motion = TRAJECTORIES[name]()
     kind = next(kind for kind in COORDINATES if name in trajectory_names(kind))
     assert (motion.name, motion.coordinates) == (name, COORDINATES[kind])
@@ -297,13 +361,20 @@ def test_motion_survives_json(name: str) -> None:
 
 
 def test_added_factory_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(TRAJECTORIES, "mine", lambda height=0.2: Dwell(name="mine", pose=(0, 0, height, 0, 0, 0)))
+    monkeypatch.setitem(
+        TRAJECTORIES,
+        "mine",
+        lambda height=0.2: Dwell(name="mine", pose=(0, 0, height, 0, 0, 0)),
+    )
     assert trajectory_names(6)[-1] == "mine"
     assert "mine" not in trajectory_names(2)
     motion = find_trajectory({"name": "mine", "height": 0.3}, 6)
     assert motion(0.0).position[2] == 0.3
     assert find_trajectory(motion, 6) is motion
-    with pytest.raises(ValueError, match="unknown key of trajectory 'hight'; choose one of height"):
+    with pytest.raises(
+        ValueError,
+        match="unknown key of trajectory 'hight'; choose one of height",
+    ):
         find_trajectory({"name": "mine", "hight": 0.3}, 6)
 
 
@@ -319,18 +390,62 @@ def chain(*motions: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("trajectory", "kind", "message"),
     [
-        ("circle-planar", 6, "unknown trajectory 'circle-planar'; .*; did you mean 'circle-spatial'"),
-        ("line-point", "planar-platform", "unknown trajectory 'line-point'; choose one of circle-planar-platform"),
-        (Dwell(name="drift", pose=(0.0, 0.0)), 6, "'drift' has 2 coordinates and the robot has 6"),
-        ({"name": "circle-spatial", "radios": 1}, 6, "unknown key of trajectory 'radios'; .*did you mean 'radius'"),
-        ({"name": "line-planar", "duration": "fast"}, 2, "duration must be .* not 'fast'"),
-        ({"name": "line-planar", "dwell": -0.1}, 2, "dwell must be .* at least 0 s, not -0.1"),
-        (3.0, 2, "unknown trajectory 3.0; choose one of circle-planar, .* or pass a Trajectory"),
-        (chain(LINE, LINE), 2, r"part 2, 'line-planar', starts at \[0.0, 0.0\], .* ends at \[0.1, 0.0\]"),
-        (chain({"name": "circle-planar"}), 2, 'starts with a nonzero acceleration .* or give it "dwell": 0.3'),
+        (
+            "circle-planar",
+            6,
+            "unknown trajectory 'circle-planar'; .*; did you mean 'circle-spatial'",
+        ),
+        (
+            "line-point",
+            "planar-platform",
+            "unknown trajectory 'line-point'; choose one of circle-planar-platform",
+        ),
+        (
+            Dwell(name="drift", pose=(0.0, 0.0)),
+            6,
+            "'drift' has 2 coordinates and the robot has 6",
+        ),
+        (
+            {"name": "circle-spatial", "radios": 1},
+            6,
+            "unknown key of trajectory 'radios'; .*did you mean 'radius'",
+        ),
+        (
+            {"name": "line-planar", "duration": "fast"},
+            2,
+            "duration must be .* not 'fast'",
+        ),
+        (
+            {"name": "line-planar", "dwell": -0.1},
+            2,
+            "dwell must be .* at least 0 s, not -0.1",
+        ),
+        (
+            3.0,
+            2,
+            "unknown trajectory 3.0; choose one of circle-planar, .* or pass a Trajectory",
+        ),
+        (
+            chain(LINE, LINE),
+            2,
+            r"part 2, 'line-planar', starts at \[0.0, 0.0\], .* ends at \[0.1, 0.0\]",
+        ),
+        (
+            chain({"name": "circle-planar"}),
+            2,
+            'starts with a nonzero acceleration .* or give it "dwell": 0.3',
+        ),
         (chain(0.3, LINE), 2, "must be a list that starts with a motion"),
-        (chain(LINE, -0.3), 2, "dwell 2 must be a finite number greater than 0 s"),
-        (chain(LINE, {"name": "line-spatial"}), 2, "unknown trajectory 'line-spatial'"),
+        (
+            chain(LINE, -0.3),
+            2,
+            "dwell 2 must be a finite number greater than 0 s",
+        ),
+        (
+            chain(LINE, {"name": "line-spatial"}),
+            2,
+            "unknown trajectory 'line-spatial'",
+        ),
     ],
 )
 def test_wrong_request_raises(trajectory: Any, kind: Any, message: str) -> None:
@@ -341,13 +456,41 @@ def test_wrong_request_raises(trajectory: Any, kind: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("make", "fields", "message"),
     [
-        (PaperCircle, {"radius": 0.0, "center": (0, 0)}, "radius must be a finite number greater than 0 m, not 0.0"),
-        (PaperCircle, {"radius": 0.1, "center": (0, 0, 0, 0)}, "center must be .x, y., .x, y, φ., .x, y, z. or "),
-        (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must be finite"),
-        (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
-        (Lemniscate, {"amplitude": (0.1, 0.0), "center": (0, 0)}, "amplitude must be finite and greater than 0"),
-        (BetweenDwells, {"motion": "circle-planar"}, "motion must be a Trajectory, not 'circle-planar'"),
-        (BetweenDwells, {"motion": find_trajectory("loop-planar", 2)}, "motion has dwells already"),
+        (
+            PaperCircle,
+            {"radius": 0.0, "center": (0, 0)},
+            "radius must be a finite number greater than 0 m, not 0.0",
+        ),
+        (
+            PaperCircle,
+            {"radius": 0.1, "center": (0, 0, 0, 0)},
+            "center must be .x, y., .x, y, φ., .x, y, z. or ",
+        ),
+        (
+            SmoothCircle,
+            {"radius": 0.1, "center": (0, float("nan"))},
+            "center must be finite",
+        ),
+        (
+            PointToPoint,
+            {"start": (0, 0), "end": POSE},
+            "start has 2 coordinates and end has 6",
+        ),
+        (
+            Lemniscate,
+            {"amplitude": (0.1, 0.0), "center": (0, 0)},
+            "amplitude must be finite and greater than 0",
+        ),
+        (
+            BetweenDwells,
+            {"motion": "circle-planar"},
+            "motion must be a Trajectory, not 'circle-planar'",
+        ),
+        (
+            BetweenDwells,
+            {"motion": find_trajectory("loop-planar", 2)},
+            "motion has dwells already",
+        ),
     ],
 )
 def test_unphysical_field_raises(make: Any, fields: dict[str, Any], message: str) -> None:

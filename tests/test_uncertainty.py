@@ -80,7 +80,8 @@ def test_uniform_distribution_is_uniform():
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "mean", "std"), [(-0.3, 0.2, 0.05, 0.1), (0.1, 0.15, 0.0, 0.05), (0.37, 0.4, 0.0, 0.05)]
+    ("low", "high", "mean", "std"),
+    [(-0.3, 0.2, 0.05, 0.1), (0.1, 0.15, 0.0, 0.05), (0.37, 0.4, 0.0, 0.05)],
 )
 def test_normal_distribution_is_truncated(low, high, mean, std):
     """Clipping would pile draws up on the bounds; a std after the truncation would be another law."""
@@ -111,9 +112,18 @@ def test_deviation_is_a_fraction_or_an_amount(relative, expected):
         ({"low": 0.2, "high": -0.2}, "low must not exceed high"),
         ({"low": math.nan, "high": 1}, "low must be a finite number, not nan"),
         ({"low": -1, "high": 1, "std": 0.1}, "a uniform one has none"),
-        ({"low": -1, "high": 1, "distribution": "normal"}, "a normal distribution needs std"),
-        ({"low": -1, "high": 1, "distribution": "cauchy"}, "unknown distribution 'cauchy'; choose one of uniform"),
-        ({"low": 9, "high": 10, "distribution": "normal", "std": 1.0}, "eight std"),
+        (
+            {"low": -1, "high": 1, "distribution": "normal"},
+            "a normal distribution needs std",
+        ),
+        (
+            {"low": -1, "high": 1, "distribution": "cauchy"},
+            "unknown distribution 'cauchy'; choose one of uniform",
+        ),
+        (
+            {"low": 9, "high": 10, "distribution": "normal", "std": 1.0},
+            "eight std",
+        ),
     ],
 )
 def test_impossible_distribution_raises(fields, message):
@@ -147,7 +157,11 @@ def test_parameter_changes_its_own_value_and_no_other(name):
     np.testing.assert_allclose(deviation, deviation[:, :1] + 0 * deviation, atol=1e-14)
     assert np.ptp(deviation[:, 0]) > 9e-4
     speed = changed.stall_torque / changed.speed_slope
-    np.testing.assert_allclose(speed, ELASTIC.stall_torque / ELASTIC.speed_slope + 0 * speed, rtol=1e-14)
+    np.testing.assert_allclose(
+        speed,
+        ELASTIC.stall_torque / ELASTIC.speed_slope + 0 * speed,
+        rtol=1e-14,
+    )
 
 
 @each_parameter
@@ -192,7 +206,14 @@ def test_fastest_robot_bounds_every_drawn_one():
     draws = drawn(ELASTIC, parameters)
     for attribute in ("mass", "moments", "pulley_inertia", "motor_inertia"):
         assert np.all(getattr(draws, attribute) >= getattr(fastest, attribute)), attribute
-    for attribute in ("stiffness", "stall_torque", "motor_damping", "damping", "coulomb_friction", "speed_slope"):
+    for attribute in (
+        "stiffness",
+        "stall_torque",
+        "motor_damping",
+        "damping",
+        "coulomb_friction",
+        "speed_slope",
+    ):
         assert np.all(getattr(draws, attribute) <= getattr(fastest, attribute)), attribute
     assert ELASTIC.to_dict() == before
 
@@ -206,30 +227,114 @@ def tenth(low=-0.1, high=0.1, **more):
 
 FLAT_BALL = SPATIAL.replace(inertia=(0.5, 0.5, 0.5))
 IMPOSSIBLE_PARAMETERS: list[tuple[Any, str, Any, str]] = [
-    (SPATIAL, "platform_mass", tenth(-1.0), "smallest platform_mass of 'spatial' must be .* greater than 0 kg, not 0"),
-    (FLEX_PLANAR, "stiffness", tenth(-3.0, 0, relative=False), "smallest stiffness"),
-    (SPATIAL, "damping", tenth(-0.02, 0.02, relative=False), "smallest damping .* at least 0 .* not -0.01"),
-    (PLANAR, "payload", tenth(-1.1), "low of payload must be a finite number at least -1"),
-    (PLANAR, "base_anchors", tenth(), "base_anchors: a position has no relative deviation"),
-    (SPATIAL, "platform_inertia", tenth(-0.2, 0.0, relative=False, each=False), "platform_inertia: one moment"),
-    (FLAT_BALL, "platform_inertia", tenth(-0.4, 0.4), "platform_inertia: one moment can exceed"),
+    (
+        SPATIAL,
+        "platform_mass",
+        tenth(-1.0),
+        "smallest platform_mass of 'spatial' must be .* greater than 0 kg, not 0",
+    ),
+    (
+        FLEX_PLANAR,
+        "stiffness",
+        tenth(-3.0, 0, relative=False),
+        "smallest stiffness",
+    ),
+    (
+        SPATIAL,
+        "damping",
+        tenth(-0.02, 0.02, relative=False),
+        "smallest damping .* at least 0 .* not -0.01",
+    ),
+    (
+        PLANAR,
+        "payload",
+        tenth(-1.1),
+        "low of payload must be a finite number at least -1",
+    ),
+    (
+        PLANAR,
+        "base_anchors",
+        tenth(),
+        "base_anchors: a position has no relative deviation",
+    ),
+    (
+        SPATIAL,
+        "platform_inertia",
+        tenth(-0.2, 0.0, relative=False, each=False),
+        "platform_inertia: one moment",
+    ),
+    (
+        FLAT_BALL,
+        "platform_inertia",
+        tenth(-0.4, 0.4),
+        "platform_inertia: one moment can exceed",
+    ),
     (SPATIAL, "stiffness", tenth(), "'spatial' has no parameter stiffness"),
-    (PLANAR, "platform_mass", 0.1, "distribution of platform_mass must be a dict with the keys low, high"),
+    (
+        PLANAR,
+        "platform_mass",
+        0.1,
+        "distribution of platform_mass must be a dict with the keys low, high",
+    ),
 ]
 IMPOSSIBLE: list[tuple[Any, Any, str]] = [
     *((robot, {"parameters": {name: value}}, message) for robot, name, value, message in IMPOSSIBLE_PARAMETERS),
-    (PLANAR, {"delay": LONGEST_DELAY + 1}, f"delay must be an integer of at least 0 and at most {LONGEST_DELAY}"),
-    (PLANAR, {"delay": [2, 1]}, "high of delay must be an integer of at least 2"),
-    (PLANAR, {"delay": [0, 1, 2]}, "delay must be one number of control steps or .low, high."),
-    (PLANAR, {"noise": 1.0}, "unknown key of uncertainty 'noise'; choose one of parameters, wrench, sensors, "),
-    (PLANAR, "table6+noise", "unknown uncertainty 'noise'; choose one of none, table6, .*sensors, or join"),
+    (
+        PLANAR,
+        {"delay": LONGEST_DELAY + 1},
+        f"delay must be an integer of at least 0 and at most {LONGEST_DELAY}",
+    ),
+    (
+        PLANAR,
+        {"delay": [2, 1]},
+        "high of delay must be an integer of at least 2",
+    ),
+    (
+        PLANAR,
+        {"delay": [0, 1, 2]},
+        "delay must be one number of control steps or .low, high.",
+    ),
+    (
+        PLANAR,
+        {"noise": 1.0},
+        "unknown key of uncertainty 'noise'; choose one of parameters, wrench, sensors, ",
+    ),
+    (
+        PLANAR,
+        "table6+noise",
+        "unknown uncertainty 'noise'; choose one of none, table6, .*sensors, or join",
+    ),
     (PLANAR, "table6+table6", "'table6.table6' defines parameters twice"),
-    (PLANAR, {"wrench": {"force_mean": [1, 2, 3]}}, "force_mean needs 2 components for 'planar'"),
-    (PLANAR, {"wrench": {"force_std": -1.0}}, "force_std must be finite and at least 0"),
-    (PLANAR, {"wrench": {"correlation_time": 0.0}}, "correlation_time must be a finite number greater than 0 s"),
-    (PLANAR, {"wrench": {"factor": [1.1, 0.9]}}, "factor must be .low, high. with low ≤ high"),
-    (PLANAR, {"sensors": {"position": -1e-3}}, "sensors.position must be a finite number at least 0"),
-    (PLANAR, {"sensor_bias": {"position": -1e-3}}, "position must be a finite number at least 0"),
+    (
+        PLANAR,
+        {"wrench": {"force_mean": [1, 2, 3]}},
+        "force_mean needs 2 components for 'planar'",
+    ),
+    (
+        PLANAR,
+        {"wrench": {"force_std": -1.0}},
+        "force_std must be finite and at least 0",
+    ),
+    (
+        PLANAR,
+        {"wrench": {"correlation_time": 0.0}},
+        "correlation_time must be a finite number greater than 0 s",
+    ),
+    (
+        PLANAR,
+        {"wrench": {"factor": [1.1, 0.9]}},
+        "factor must be .low, high. with low ≤ high",
+    ),
+    (
+        PLANAR,
+        {"sensors": {"position": -1e-3}},
+        "sensors.position must be a finite number at least 0",
+    ),
+    (
+        PLANAR,
+        {"sensor_bias": {"position": -1e-3}},
+        "position must be a finite number at least 0",
+    ),
 ]
 
 
@@ -257,7 +362,16 @@ def test_just_possible_distribution_is_accepted(robot, name, distribution):
 # --- its forms ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("form", [None, "none", {}, Uncertainty(), {"parameters": {}, "wrench": None, "delay": 0}])
+@pytest.mark.parametrize(
+    "form",
+    [
+        None,
+        "none",
+        {},
+        Uncertainty(),
+        {"parameters": {}, "wrench": None, "delay": 0},
+    ],
+)
 def test_none_is_no_uncertainty(form):
     uncertainty = find_uncertainty(form, PLANAR)
     assert (uncertainty, uncertainty.random) == (Uncertainty(), False)
@@ -274,7 +388,10 @@ def test_table_6_is_that_of_the_paper(robot):
     np.testing.assert_allclose(mean[:forces], 0.5)
     np.testing.assert_allclose(std[:forces] ** 2, 0.2, rtol=1e-14)  # the table gives the variance
     assert not np.any([mean[forces:], std[forces:]])  # no moments
-    assert (table.wrench.correlation_time, table.wrench.factor) == (0.01, (0.9, 1.1))
+    assert (table.wrench.correlation_time, table.wrench.factor) == (
+        0.01,
+        (0.9, 1.1),
+    )
     assert (table.sensors, table.delay, table.random) == (None, 0, True)
     with_load = dict(table.parameters) | {"payload": tenth_of_all}
     assert find_uncertainty("table6-load", robot) == dataclasses.replace(table, parameters=with_load)
@@ -298,12 +415,27 @@ def test_hardware_varies_every_part_and_the_manual_says_why(robot):
     text = (Path(__file__).parents[1] / "docs" / "uncertainty.md").read_text(encoding="utf-8")
     table = text.partition("### Sources of `hardware`")[2].partition("\n## ")[0]
     sourced = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\|([^|]*)\|", table, re.MULTILINE)))
-    assert {*hardware.parameters, "wrench", "sensors", "sensor_bias", "delay"} <= {*sourced}
+    assert {
+        *hardware.parameters,
+        "wrench",
+        "sensors",
+        "sensor_bias",
+        "delay",
+    } <= {*sourced}
 
 
 EVERYTHING = {
     "parameters": {name: tenth_of(name) for name in PARAMETERS}
-    | {"damping": ParameterDistribution(low=0.0, high=0.1, distribution="normal", mean=0.02, std=0.03, relative=False)},
+    | {
+        "damping": ParameterDistribution(
+            low=0.0,
+            high=0.1,
+            distribution="normal",
+            mean=0.02,
+            std=0.03,
+            relative=False,
+        )
+    },
     "wrench": ExternalWrench(
         force_mean=(0, 1, 2),
         force_std=0.3,
@@ -322,7 +454,10 @@ def test_uncertainty_survives_json_and_pickle():
     uncertainty = Uncertainty(**EVERYTHING)
     data = json.loads(json.dumps(to_jsonable(uncertainty)))
     draws = drawn(ELASTIC, uncertainty.parameters, 3)
-    for again in (find_uncertainty(data, ELASTIC), pickle.loads(pickle.dumps(uncertainty))):
+    for again in (
+        find_uncertainty(data, ELASTIC),
+        pickle.loads(pickle.dumps(uncertainty)),
+    ):
         assert (again, hash(again)) == (uncertainty, hash(uncertainty))
         same = drawn(ELASTIC, again.parameters, 3)
         for name in PARAMETERS:

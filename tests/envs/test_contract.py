@@ -46,7 +46,14 @@ JSON_KEYWORDS = {
     "cable": "bilateral",
     "reward_weights": {"saturation": 0.5},
     "uncertainty": {
-        "parameters": {"stiffness": {"low": -0.2, "high": 0.2, "distribution": "normal", "std": 0.1}},
+        "parameters": {
+            "stiffness": {
+                "low": -0.2,
+                "high": 0.2,
+                "distribution": "normal",
+                "std": 0.1,
+            }
+        },
         "wrench": {"force_mean": [1.0, -1.0, 0.0], "factor": [0.5, 1.5]},
         "sensors": {"position": 1e-4, "motor_angle": 1e-3},
         "delay": 2,
@@ -54,10 +61,19 @@ JSON_KEYWORDS = {
 }
 """Keywords as a JSON file can contain them."""
 
+DAILY = (PLANAR, FLEX_SPATIAL, "CableBot-FlexPlanarPlatform-v0")
+"""Each kind of robot is compiled for itself."""
+SLOWLY = [pytest.param(env_id, marks=pytest.mark.slow) for env_id in ROBOTS if env_id not in DAILY]
+
 
 def in_new_process(code):
     """Output of a new interpreter that raises warnings as errors."""
-    ended = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=HANG)
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=HANG,
+    )
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
 
@@ -81,7 +97,10 @@ def test_import_registers_without_loading_heavy_libraries():
         "print([i for i in gym.registry if i.startswith('CableBot')])\n"
         "print([m for m in ('numba', 'torch', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])\n"
     )
-    assert in_new_process(code).splitlines() == [str(list(cablebot_gym.ENV_IDS)), "[]"]
+    assert in_new_process(code).splitlines() == [
+        str(list(cablebot_gym.ENV_IDS)),
+        "[]",
+    ]
 
 
 @each_id
@@ -95,7 +114,7 @@ def test_each_id_has_its_robot_and_a_vector_form(env_id):
     assert make_vector(env_id, 2).single_observation_space == env.observation_space
 
 
-@each_id
+@pytest.mark.parametrize("env_id", [*DAILY, *SLOWLY])
 @pytest.mark.filterwarnings("error")
 def test_checkers_of_gymnasium_and_sb3_raise_nothing(env_id):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -163,7 +182,11 @@ def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
 @two_ids
 def test_action_out_of_bounds_acts_like_the_bound(env_id, delay):
     """As Gymnasium's own tests demand. Only the record of the raw action and the reward differ."""
-    keywords = {"uncertainty": {"delay": delay}, "termination_radius": 9.0, "slack_time": 9.0}
+    keywords = {
+        "uncertainty": {"delay": delay},
+        "termination_radius": 9.0,
+        "slack_time": 9.0,
+    }
     raw, clipped = (make_vector(env_id, 2, **keywords) for _ in range(2))
     actions = random_actions(raw, 60, -1.8, 3.0)
     ours = rollout(raw, actions, seed=0)
@@ -196,12 +219,21 @@ def test_types_are_pythons_own_and_info_keys_are_constant(env_id):
     observation, info = env.reset(seed=0)
     keys = list(info)
     assert {key for key in keys if key.startswith("reward_")} == {f"reward_{term}" for term in REWARD_TERMS}
-    documented = set(re.findall(r"`(\w+)`", CableBotEnv.__doc__.split("## Info")[1].split("## Arguments")[0]))
+    documented = set(
+        re.findall(
+            r"`(\w+)`",
+            CableBotEnv.__doc__.split("## Info")[1].split("## Arguments")[0],
+        )
+    )
     assert documented == {key for key in keys if not key.startswith("reward_")}
     for action in random_actions(env, 60, -2, 2):
         check_info(info, ROBOTS[env_id].cables)
         observation, reward, terminated, truncated, info = env.step(action)
-        assert (type(reward), type(terminated), type(truncated)) == (float, bool, bool)
+        assert (type(reward), type(terminated), type(truncated)) == (
+            float,
+            bool,
+            bool,
+        )
         assert list(info) == keys
         assert (info["termination_reason"] != 0) == terminated
         assert observation.dtype == env.observation_space.dtype == np.float64
@@ -234,9 +266,19 @@ def test_delayed_action_is_a_copy():
 @two_ids
 def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     robot = ROBOTS[env_id]
-    trajectory = {"name": f"lemniscate-{robot.kind}", "amplitude": [0.2, 0.1], "duration": 0.3, "dwell": 0.1}
+    trajectory = {
+        "name": f"lemniscate-{robot.kind}",
+        "amplitude": [0.2, 0.1],
+        "duration": 0.3,
+        "dwell": 0.1,
+    }
     frequency = 70.0  # 0.5 s are 35 periods; 0.5 s is reached and passed
-    env = make(env_id, trajectory=trajectory, control_frequency=frequency, termination_radius=10.0)
+    env = make(
+        env_id,
+        trajectory=trajectory,
+        control_frequency=frequency,
+        termination_radius=10.0,
+    )
     expected = find_trajectory(trajectory, robot.coordinates)
     orders = {"velocity": 1e-12, "acceleration": 1e-10}
     if robot.flexible:
@@ -249,10 +291,19 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
         assert blocks["time_to_go"][0] == pytest.approx(max(0.5 - time, 0.0), abs=1e-12)
         np.testing.assert_allclose(blocks["reference_pose"], now.position, atol=1e-12)
         for order, tolerance in orders.items():
-            np.testing.assert_allclose(blocks[f"reference_{order}"], getattr(now, order), rtol=1e-12, atol=tolerance)
+            np.testing.assert_allclose(
+                blocks[f"reference_{order}"],
+                getattr(now, order),
+                rtol=1e-12,
+                atol=tolerance,
+            )
         for ahead in PREVIEWS:
             preview = blocks[f"preview_{round(ahead * 1000)}ms"]
-            np.testing.assert_allclose(preview, expected(time + ahead).position - now.position, atol=1e-12)
+            np.testing.assert_allclose(
+                preview,
+                expected(time + ahead).position - now.position,
+                atol=1e-12,
+            )
     assert PREVIEWS == (0.02, 0.05, 0.1, 0.2)
 
 
@@ -287,7 +338,12 @@ def test_observation_and_task_hide_the_true_values(env_id, known):
         "platform_mass": {"low": 0.05, "high": 0.1},
         "motor_strength": {"low": 0.05, "high": 0.1},
     }
-    env = make(env_id, uncertainty={"parameters": parameters}, payload=2.0, payload_known=known)
+    env = make(
+        env_id,
+        uncertainty={"parameters": parameters},
+        payload=2.0,
+        payload_known=known,
+    )
     nominal = make(env_id, payload=2.0, payload_known=known)
     visible = np.ones(env.layout.size, bool)
     if ROBOTS[env_id].flexible:
@@ -329,7 +385,8 @@ def test_copy_in_mid_episode_continues_independently(count, duplicate):
     env.step(actions[0])
     if env.render_mode:
         env.render()
-    twin, stray = duplicate(env), duplicate(env)
+    twin = duplicate(env)
+    stray = duplicate(env)
     elsewhere = go_on(stray, -actions)  # first, so that shared memory has an effect
     results = go_on(env, actions)
     assert not np.array_equal(results[0][0], elsewhere[0][0])

@@ -27,7 +27,12 @@ from scipy import stats
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference
-from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, Uncertainty
+from cablebot_gym.uncertainty import (
+    PARAMETERS,
+    ExternalWrench,
+    ParameterDistribution,
+    Uncertainty,
+)
 
 MEASURED = ("pose", "velocity", "motor_angle", "motor_speed")
 
@@ -39,9 +44,21 @@ def has(env_id, name):
 
 def make_lasting(env_id, count, **keywords) -> Any:
     """Vector environment whose episodes do not end."""
-    wide = [(-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0), (-9.0, 9.0), (-1.5, 1.5), (-9.0, 9.0)]
+    wide = [
+        (-9.0, 9.0),
+        (-9.0, 9.0),
+        (-9.0, 9.0),
+        (-9.0, 9.0),
+        (-1.5, 1.5),
+        (-9.0, 9.0),
+    ]
     robot = ROBOTS[env_id].replace(workspace=wide[: ROBOTS[env_id].coordinates])
-    lasting = {"robot": robot, "termination_radius": 100.0, "slack_time": 100.0, "autoreset_mode": "Disabled"}
+    lasting = {
+        "robot": robot,
+        "termination_radius": 100.0,
+        "slack_time": 100.0,
+        "autoreset_mode": "Disabled",
+    }
     return make_vector(env_id, count, **lasting | keywords)
 
 
@@ -68,25 +85,43 @@ def robot_with(robot: Robot, truth) -> Robot:
     springs = {name: tuple(truth[name]) for name in names if name in truth}
     body = {}
     if not robot.point_mass:
-        body = {"platform_anchors": truth["platform_anchors"], "inertia": truth["platform_inertia"]}
+        body = {
+            "platform_anchors": truth["platform_anchors"],
+            "inertia": truth["platform_inertia"],
+        }
     transmission = robot.transmission.replace(
         pulley_inertia=tuple(truth["pulley_inertia"]),
         damping=tuple(truth["damping"]),
         coulomb_friction=tuple(truth["coulomb_friction"]),
         **springs,
     )
-    motors = robot.motors.replace(stall_torque=tuple(truth["motor_strength"]), lag=tuple(truth["motor_lag"]))
+    motors = robot.motors.replace(
+        stall_torque=tuple(truth["motor_strength"]),
+        lag=tuple(truth["motor_lag"]),
+    )
     mass = float(truth["platform_mass"])
     return robot.replace(
-        mass=mass, base_anchors=truth["base_anchors"], motors=motors, transmission=transmission, **body
+        mass=mass,
+        base_anchors=truth["base_anchors"],
+        motors=motors,
+        transmission=transmission,
+        **body,
     )
 
 
 @pytest.mark.parametrize(("env_id", "name"), dict.fromkeys(CASES))
 def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
     """The uncertain environment is the one of a robot that nominally has the drawn values."""
-    keywords = {"payload": 1.5, "payload_known": False, "substeps": 32 if ROBOTS[env_id].elastic else 8}
-    uncertain = make(env_id, uncertainty=Uncertainty(parameters={name: spread_of(name)}), **keywords)
+    keywords = {
+        "payload": 1.5,
+        "payload_known": False,
+        "substeps": 32 if ROBOTS[env_id].elastic else 8,
+    }
+    uncertain = make(
+        env_id,
+        uncertainty=Uncertainty(parameters={name: spread_of(name)}),
+        **keywords,
+    )
     nominal = make(env_id, **keywords)
     actions = random_actions(nominal, 30)
     ours = rollout(uncertain, actions, seed=3)
@@ -94,7 +129,12 @@ def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
     truth = uncertain.truth
     assert [key for key in truth if not np.array_equal(truth[key], nominal.truth[key])] == [name]
     keywords["payload"] = float(truth["payload"])
-    known = make(env_id, **keywords, robot=robot_with(ROBOTS[env_id], truth), trajectory=nominal.settings.trajectory)
+    known = make(
+        env_id,
+        **keywords,
+        robot=robot_with(ROBOTS[env_id], truth),
+        trajectory=nominal.settings.trajectory,
+    )
     expected = rollout(known, actions, seed=3)
     largest_change = 0.0
     for block in set(MEASURED) & set(uncertain.layout.slices()):
@@ -103,8 +143,21 @@ def test_every_parameter_reaches_the_plant_and_the_truth(env_id, name):
         np.testing.assert_allclose(values, expected_values, rtol=1e-12, atol=1e-12, err_msg=block)
         change = np.abs(values - uncertain.layout.split(theirs.observations)[block]).max()
         largest_change = max(largest_change, change)
-    for key in ("payload", "tensions", "torques", "motor_speeds", "tracking_error", "slack"):
-        np.testing.assert_allclose(ours.info[key], expected.info[key], rtol=1e-10, atol=1e-10, err_msg=key)
+    for key in (
+        "payload",
+        "tensions",
+        "torques",
+        "motor_speeds",
+        "tracking_error",
+        "slack",
+    ):
+        np.testing.assert_allclose(
+            ours.info[key],
+            expected.info[key],
+            rtol=1e-10,
+            atol=1e-10,
+            err_msg=key,
+        )
     assert largest_change > 1e-7
     assert (ours.info["payload"][0] > 1.5 * 1.05 - 1e-12) == (name == "payload")
 
@@ -150,7 +203,12 @@ def test_table_6_forces_have_the_mean_and_variance_of_the_paper():
 
 
 def test_wrench_factor_is_drawn_once_per_episode_and_component():
-    wrench = ExternalWrench(force_mean=(1.0, 2.0, -4.0), moment_mean=8.0, factor=(0.9, 1.1), correlation_time=0.002)
+    wrench = ExternalWrench(
+        force_mean=(1.0, 2.0, -4.0),
+        moment_mean=8.0,
+        factor=(0.9, 1.1),
+        correlation_time=0.002,
+    )
     env = make_lasting(SPATIAL, 500, uncertainty=Uncertainty(wrench=wrench))
     factors = []
     for seed in (3, None):
@@ -181,7 +239,10 @@ def test_sensor_noise_is_white_and_in_measured_blocks_only(env_id):
     noise = ours.observations - theirs.observations
     again = noisy.reset()[0] - clean.reset()[0]
     assert not np.intersect1d(again[again != 0], noise[0]).size, "the next episode has other noise"
-    deviations = {"motor_angle": [1e-3] * robot.cables, "motor_speed": [1e-2] * robot.cables}
+    deviations = {
+        "motor_angle": [1e-3] * robot.cables,
+        "motor_speed": [1e-2] * robot.cables,
+    }
     deviations["pose"] = [1e-4] * robot.dimensions + [2e-4] * (robot.coordinates - robot.dimensions)
     deviations["velocity"] = [2e-3] * robot.dimensions + [4e-3] * (robot.coordinates - robot.dimensions)
     columns = []
@@ -203,16 +264,30 @@ def test_sensor_noise_is_white_and_in_measured_blocks_only(env_id):
 
 def test_sensor_bias_is_normal_and_constant_in_an_episode():
     """White noise is added to it; the second environment has none, and the next episode another one."""
-    sigma = {"position": 1e-3, "rotation": 2e-3, "velocity": 3e-3, "motor_angle": 4e-3}
+    sigma = {
+        "position": 1e-3,
+        "rotation": 2e-3,
+        "velocity": 3e-3,
+        "motor_angle": 4e-3,
+    }
     biased = make_lasting(FLEX_SPATIAL, 400)
     clean = make_lasting(FLEX_SPATIAL, 400)
-    forms = [{"sensor_bias": sigma}, {"sensors": {"position": 1e-3}}, {"sensor_bias": sigma}, None] * 100
+    forms = [
+        {"sensor_bias": sigma},
+        {"sensors": {"position": 1e-3}},
+        {"sensor_bias": sigma},
+        None,
+    ] * 100
     actions = random_actions(clean, 3, 0.0, 0.6)
     ours = rollout(biased, actions, seed=9, options={"uncertainty": forms})
     theirs = rollout(clean, actions, seed=9)
     np.testing.assert_array_equal(ours.rewards, theirs.rewards)
     error = biased.layout.split(ours.observations - theirs.observations)
-    deviations = {"pose": [1e-3] * 3 + [2e-3] * 3, "velocity": [3e-3] * 3 + [0.0] * 3, "motor_angle": [4e-3] * 6}
+    deviations = {
+        "pose": [1e-3] * 3 + [2e-3] * 3,
+        "velocity": [3e-3] * 3 + [0.0] * 3,
+        "motor_angle": [4e-3] * 6,
+    }
     for name, values in error.items():
         constant = values[:, ::2]
         assert np.ptp(constant, axis=0).max() < 1e-14, name
@@ -263,7 +338,13 @@ class Drift:
         position = center + np.clip(times, 0, self.duration)[..., None] * rate
         velocity = (times <= self.duration)[..., None] * rate
         zero = np.zeros_like(position)
-        return Reference(position=position, velocity=velocity, acceleration=zero, jerk=zero, snap=zero)
+        return Reference(
+            position=position,
+            velocity=velocity,
+            acceleration=zero,
+            jerk=zero,
+            snap=zero,
+        )
 
 
 @two_ids
@@ -275,12 +356,21 @@ def test_actions_arrive_delayed(env_id, delay):
     late = make(env_id, uncertainty={"delay": delay}, trajectory=drift, payload=1.0)
     prompt = make(env_id, trajectory=drift, payload=1.0)
     start = drift(0.0)
-    torque = textbook.static_torque(robot, robot.mass + 1.0, start.position, minimum=textbook.MINIMUM_TENSION)
+    torque = textbook.static_torque(
+        robot,
+        robot.mass + 1.0,
+        start.position,
+        minimum=textbook.MINIMUM_TENSION,
+    )
     drop = robot.speed_slope * textbook.pulley_speed(robot, start.position, start.velocity)
     hold = (torque + drop) / robot.stall_torque
     actions = random_actions(late, 25)
     ours = rollout(late, actions, seed=0)
-    theirs = rollout(prompt, np.concatenate([np.tile(hold, (delay, 1)), actions[:-delay]]), seed=0)
+    theirs = rollout(
+        prompt,
+        np.concatenate([np.tile(hold, (delay, 1)), actions[:-delay]]),
+        seed=0,
+    )
     for observations in (ours.observations, theirs.observations):
         observations[:, late.layout.slices()["last_actions"]] = 0.0  # those of the policy, before the delay
     np.testing.assert_allclose(ours.observations, theirs.observations, rtol=1e-12, atol=1e-12)
@@ -292,9 +382,18 @@ def test_actions_arrive_delayed(env_id, delay):
 
 @two_ids
 def test_motors_hold_the_true_robot_until_the_first_action(env_id):
-    names = ["payload", "platform_mass", "motor_strength", *(["stiffness"] if ROBOTS[env_id].flexible else [])]
+    names = [
+        "payload",
+        "platform_mass",
+        "motor_strength",
+        *(["stiffness"] if ROBOTS[env_id].flexible else []),
+    ]
     uncertainty = Uncertainty(parameters={name: spread_of(name) for name in names}, delay=5)
-    keywords = {"payload": 2.0, "trajectory": motion("dwell", env_id), "initial_error": 0.0}
+    keywords = {
+        "payload": 2.0,
+        "trajectory": motion("dwell", env_id),
+        "initial_error": 0.0,
+    }
     env = make(env_id, uncertainty=uncertainty, **keywords)
     info = rollout(env, np.zeros((15, ROBOTS[env_id].cables)), seed=0).info
     assert env.truth["payload"] > 2.05
@@ -315,13 +414,27 @@ def test_delays_of_environments_are_independent():
     for step, action in enumerate(actions):
         if step in (5, 14):
             uncertainty = {"delay": 7} if step == 5 else None
-            env.reset(options={"reset_mask": np.array([False, False, True]), "uncertainty": uncertainty})
+            env.reset(
+                options={
+                    "reset_mask": np.array([False, False, True]),
+                    "uncertainty": uncertainty,
+                }
+            )
             singles[2].reset(options={"uncertainty": uncertainty})
         info = env.step(action)[4]
         for index, single in enumerate(singles):
             expected = single.step(action[index])[4]
-            for key in ("commanded_action", "torques", "tensions", "tracking_error_peak"):
-                np.testing.assert_array_equal(info[key][index], expected[key], err_msg=f"{key} {index} {step}")
+            for key in (
+                "commanded_action",
+                "torques",
+                "tensions",
+                "tracking_error_peak",
+            ):
+                np.testing.assert_array_equal(
+                    info[key][index],
+                    expected[key],
+                    err_msg=f"{key} {index} {step}",
+                )
     np.testing.assert_array_equal(info["commanded_action"][1:], [actions[-4, 1], actions[-1, 2]])
 
 
@@ -341,7 +454,13 @@ def test_motors_with_lag_start_from_the_holding_torques(env_id):
     changes = []
     for lag in (1e3, 1e-3):
         slow = robot.replace(motors=robot.motors.replace(lag=lag))
-        env = make(env_id, robot=slow, payload=2.0, trajectory=motion("dwell", env_id), initial_error=0.0)
+        env = make(
+            env_id,
+            robot=slow,
+            payload=2.0,
+            trajectory=motion("dwell", env_id),
+            initial_error=0.0,
+        )
         torques = rollout(env, np.zeros((5, robot.cables)), seed=0).info["torques"]
         changes.append(np.abs(torques[-1] - torques[0]).max())
     assert changes[0] < 1e-3 < 0.1 < changes[1]

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from oracles.episodes import FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL, make, make_vector, random_actions, two_ids
+from oracles.episodes import (
+    FLEX_SPATIAL,
+    PLANAR,
+    ROBOTS,
+    SPATIAL,
+    make,
+    make_vector,
+    random_actions,
+    two_ids,
+)
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
@@ -36,7 +45,10 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
     ends = 0
     for actions in random_actions(env, 150, -0.8, 1.6):
         assert observation in env.observation_space
-        np.testing.assert_array_equal(env.layout.split(observation)["last_actions"], sent.reshape(count, -1))
+        np.testing.assert_array_equal(
+            env.layout.split(observation)["last_actions"],
+            sent.reshape(count, -1),
+        )
         observation, _, terminated, truncated, info = env.step(actions)
         sent = np.concatenate([np.clip(actions, -1, 1)[:, None], sent[:, :-1]], axis=1)
         done = terminated | truncated
@@ -126,13 +138,23 @@ def tracked(env_id, options=None, **keywords):
         observation, _, terminated, truncated, _ = env.step(action)
         pair = [observation, normalised.step(action)[0]]
         ended = terminated or truncated
-    return *(np.array(column) for column in zip(*rows, strict=True)), env, normalised
+    return (
+        *(np.array(column) for column in zip(*rows, strict=True)),
+        env,
+        normalised,
+    )
 
 
 @two_ids
 def test_normalised_observation_is_the_layouts_function(env_id):
     """With sensor noise, payload, delay and saturated components; the vector environment returns the same."""
-    keywords = {"uncertainty": {"sensors": {"position": 1e-3, "velocity": 30.0}, "delay": 1}, "payload": 1.0}
+    keywords = {
+        "uncertainty": {
+            "sensors": {"position": 1e-3, "velocity": 30.0},
+            "delay": 1,
+        },
+        "payload": 1.0,
+    }
     raw, normalised, env, twin = tracked(env_id, **keywords)
     assert np.any(raw == env.observation_space.high)  # velocities saturate
     np.testing.assert_array_equal(normalised, env.layout.normalise(raw))
@@ -148,7 +170,7 @@ def test_normalised_observation_is_the_layouts_function(env_id):
     np.testing.assert_array_equal(vector.step(action)[0][1], twin.step(action[1])[0])
 
 
-@two_ids
+@pytest.mark.parametrize("env_id", [PLANAR, pytest.param(FLEX_SPATIAL, marks=pytest.mark.slow)])
 def test_normalised_components_are_of_order_one_on_all_motions(env_id):
     names = trajectory_names(ROBOTS[env_id].kind)
     episodes = [tracked(env_id, {"trajectory": name, "payload": float(i % 3)})[:2] for i, name in enumerate(names)]
@@ -181,7 +203,10 @@ def test_pose_and_velocity_become_tracking_errors():
 
 @pytest.mark.parametrize("normalised", [False, True])
 def test_observation_in_float32_is_the_rounded_one_in_its_space(normalised):
-    keywords = {"normalised_observation": normalised, "observation_dtype": "float32"}
+    keywords = {
+        "normalised_observation": normalised,
+        "observation_dtype": "float32",
+    }
     double = make(PLANAR, normalised_observation=normalised)
     env = make(PLANAR, **keywords)
     envs = make_vector(PLANAR, 2, autoreset_mode="SameStep", max_episode_steps=2, **keywords)

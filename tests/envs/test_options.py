@@ -64,7 +64,11 @@ OPTIONS = {
     "trajectory": Case(lambda robot: f"line-{robot.kind}", {"start", "rewards", "tensions"}),
     "initial_error": Case(millimetre, {"start", "rewards", "tracking_error"}),
     "uncertainty": Case(
-        {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}, "sensors": {"position": 1e-4}, "delay": 1},
+        {
+            "parameters": {"platform_mass": {"low": 0.1, "high": 0.2}},
+            "sensors": {"position": 1e-4},
+            "delay": 1,
+        },
         {"start", "rewards", "commanded_action", "torques", "tracking_error"},
         {"payload", "terminated"},
     ),
@@ -78,18 +82,30 @@ OPTIONS = {
 KEYWORDS = {
     "payload_range": Case((1.0, 2.0), {"start", "payload"}),
     "initial_error_range": Case(millimetre, {"start", "tracking_error"}),
-    "robot": Case(lambda robot: robot.replace(mass=robot.mass * 1.5), {"observations", "tensions"}, {"start"}),
+    "robot": Case(
+        lambda robot: robot.replace(mass=robot.mass * 1.5),
+        {"observations", "tensions"},
+        {"start"},
+    ),
     "cable": Case("bilateral", {"observations", "tensions"}, {"start"}, action=-0.3),
     "control_frequency": Case(250.0, {"observations", "time", "tracking_error"}),
     "substeps": Case(7, {"observations"}, {"start", "time"}, action=0.5, steps=5),
     "termination_radius": Case(1e-6, {"terminated", "rewards", "termination_reason"}, {"observations"}),
     "slack_time": Case(0.0, {"terminated", "termination_reason"}, {"observations"}, action=-0.3),
-    "reward_weights": Case({"position": 3.0}, {"rewards", "reward_position"}, {"observations", "terminated"}),
+    "reward_weights": Case(
+        {"position": 3.0},
+        {"rewards", "reward_position"},
+        {"observations", "terminated"},
+    ),
 }
 
 
 def episode(env, case, **reset):
-    return rollout(env, np.full((case.steps, *env.action_space.shape), case.action), **reset)
+    return rollout(
+        env,
+        np.full((case.steps, *env.action_space.shape), case.action),
+        **reset,
+    )
 
 
 @pytest.mark.parametrize("name", KEYWORDS)
@@ -121,30 +137,32 @@ def test_option_has_the_effect_of_its_keyword_for_one_episode(env_id, name):
 
 
 def test_payloads_are_uniform_in_their_range_and_independent():
-    env = make(PLANAR, payload_range=(2.0, 3.0))
-    env.reset(seed=0)
-    payloads = np.array([env.reset()[1]["payload"] for _ in range(400)])
+    payloads = make_vector(PLANAR, 400, payload_range=(2.0, 3.0)).reset(seed=0)[1]["payload"]
     assert len(set(payloads)) == 400
     assert 2.0 <= payloads.min() < 2.02
     assert 2.98 < payloads.max() <= 3.0
     assert payloads.mean() == pytest.approx(2.5, abs=4 * np.sqrt(1 / 12 / 400))
     assert abs(np.corrcoef(payloads[1:], payloads[:-1])[0, 1]) < 0.2
+    env = make(PLANAR, payload_range=(2.0, 3.0))
     assert env.reset(options={"payload": 7.0})[1]["payload"] == 7.0
-    assert make(PLANAR, payload_range=(2.0, 3.0)).reset()[1]["payload"] not in payloads  # without a seed
+    assert env.reset()[1]["payload"] not in payloads  # without a seed
 
 
 def test_start_errors_are_uniform_within_their_half_widths():
     widths = np.array([0.002, 0.0, 0.001, 0.003, 0.0, 0.001])
     shifted = []
     for keywords in ({}, {"initial_error": np.full(6, 0.01)}):
-        env = make(SPATIAL, trajectory="dwell-spatial", initial_error_range=widths, **keywords)
+        env = make_vector(
+            SPATIAL,
+            200,
+            trajectory="dwell-spatial",
+            initial_error_range=widths,
+            **keywords,
+        )
         env.reset(seed=0)
-        poses = []
-        for _ in range(200):
-            env.reset()
-            poses.append(env.pose)
-        middle = env.task.trajectory(0.0).position + 0.01 if keywords else env.task.start_pose
-        shifted.append(poses - middle)
+        task = env.tasks[0]
+        middle = task.trajectory(0.0).position + 0.01 if keywords else task.start_pose
+        shifted.append(env.pose - middle)
     assert np.all(np.abs(shifted[0]) <= widths + 1e-15)
     np.testing.assert_allclose(np.abs(shifted[0]).max(axis=0), widths, rtol=0.1)
     np.testing.assert_allclose(shifted[0].mean(axis=0), 0.0, atol=4 * widths.max() / np.sqrt(3 * 200))
@@ -155,7 +173,10 @@ def test_start_errors_are_uniform_within_their_half_widths():
 @rigid_ids
 def test_episodes_start_at_the_start_pose_of_the_task(env_id, trajectory):
     robot = ROBOTS[env_id]
-    keywords = {"trajectory": f"{trajectory}-{robot.kind}", "error_bounds": {"position": 0.014}}
+    keywords = {
+        "trajectory": f"{trajectory}-{robot.kind}",
+        "error_bounds": {"position": 0.014},
+    }
     env = make_vector(env_id, 3, payload=[0.0, 2.0, 20.0], uncertainty="table6", **keywords)
     env.reset(seed=0)
     np.testing.assert_array_equal(env.pose, [env.tasks[0].start_pose] * 3)
@@ -170,9 +191,20 @@ def test_torques_after_a_reset_hold_the_true_robot_at_rest(env_id):
     robot = ROBOTS[env_id]
     heavy = 5.0 if robot.planar else 14.0
     anchors = {"low": -0.01, "high": 0.01, "relative": False}
-    uncertainty = {"parameters": {"payload": {"low": 0.2, "high": 0.3}, "base_anchors": anchors}}
+    uncertainty = {
+        "parameters": {
+            "payload": {"low": 0.2, "high": 0.3},
+            "base_anchors": anchors,
+        }
+    }
     motion = f"dwell-{robot.kind}"
-    env = make_vector(env_id, 2, payload=[1.0, heavy], uncertainty=uncertainty, trajectory=motion)
+    env = make_vector(
+        env_id,
+        2,
+        payload=[1.0, heavy],
+        uncertainty=uncertainty,
+        trajectory=motion,
+    )
     _, info = env.reset(seed=0)
     margin = robot.stall_torque - np.abs(info["torques"])
     np.testing.assert_allclose(info["torque_margin"], margin, rtol=1e-14)
@@ -199,7 +231,10 @@ def test_redundant_cables_hold_each_payload_after_a_reset():
 @pytest.mark.parametrize("payload", [1.0, 14.0])
 def test_delayed_motors_start_within_the_stall_torque(payload):
     robot = ROBOTS[FLEX_SPATIAL]
-    uncertainty = {"parameters": {"motor_strength": {"low": -0.1, "high": -0.05}}, "delay": 2}
+    uncertainty = {
+        "parameters": {"motor_strength": {"low": -0.1, "high": -0.05}},
+        "delay": 2,
+    }
     env = make(FLEX_SPATIAL, payload=payload, uncertainty=uncertainty)
     observation, info = env.reset(seed=0)
     stall = env.truth["motor_strength"]
@@ -223,7 +258,10 @@ def test_model_payload_factor_applies_to_the_nominal_payload():
     assert env.layout.split(observation)["model_payload"][0] == env.task.model_payload
     heavier = {"parameters": {"payload": {"low": 0.5, "high": 0.5}}}
     env = make(PLANAR, payload=2.0, uncertainty=heavier, model_payload_factor=0.9)
-    assert (env.reset(seed=0)[1]["payload"], env.task.model_payload) == (3.0, 0.9 * 2.0)
+    assert (env.reset(seed=0)[1]["payload"], env.task.model_payload) == (
+        3.0,
+        0.9 * 2.0,
+    )
 
 
 def test_values_per_environment():
@@ -239,20 +277,42 @@ def test_values_per_environment():
         observation, info = env.reset(seed=0, **reset)
         blocks = env.layout.split(observation)
         assert blocks["model_payload"][:, 0].tolist() == [0.5, 2.0, 6.0, 0.0]
-        assert [task.model_payload for task in env.tasks] == [0.5, 2.0, 6.0, 0.0]
+        assert [task.model_payload for task in env.tasks] == [
+            0.5,
+            2.0,
+            6.0,
+            0.0,
+        ]
         assert info["payload"].tolist() == options["payload"]
         errors = blocks["pose"] - blocks["reference_pose"]
         np.testing.assert_allclose(errors, options["initial_error"], atol=1e-15)
     mask = np.array([False, True, False, True])
-    by_keyword.reset(options={"reset_mask": mask, "model_payload_factor": 0.25, "payload_known": True})
-    assert [task.model_payload for task in by_keyword.tasks] == [0.5, 0.5, 6.0, 1.0]
+    by_keyword.reset(
+        options={
+            "reset_mask": mask,
+            "model_payload_factor": 0.25,
+            "payload_known": True,
+        }
+    )
+    assert [task.model_payload for task in by_keyword.tasks] == [
+        0.5,
+        0.5,
+        6.0,
+        1.0,
+    ]
 
 
 MASS_ONLY = {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}}
 
 
 def test_uncertainty_per_environment():
-    forms = ["table6", None, MASS_ONLY, {"parameters": {"platform_mass": {"low": -0.5, "high": -0.4}}}, "table6"]
+    forms = [
+        "table6",
+        None,
+        MASS_ONLY,
+        {"parameters": {"platform_mass": {"low": -0.5, "high": -0.4}}},
+        "table6",
+    ]
     bounds = np.array([(0.9, 1.1), (1.0, 1.0), (1.1, 1.2), (0.5, 0.6), (0.9, 1.1)])
     nominal = ROBOTS[SPATIAL].mass
     env = make_vector(SPATIAL, 5, uncertainty=forms)
@@ -313,8 +373,14 @@ def test_physics_step_must_suit_the_stiffest_springs():
         ({"model_payload_factor": float("nan")}, "model_payload_factor"),
         ({"trajectory": "paper-planar"}, "paper-planar"),
         ({"initial_error": 0.01}, "initial_error"),
-        ({"uncertainty": {"parameters": {"stiffness": {"low": 0, "high": 8000}}}}, "substeps"),
-        ({"uncertainty": "table6", "initial_error": [0, 0, -0.1, 0, 0, 0]}, "start pose"),  # no tensions hold it
+        (
+            {"uncertainty": {"parameters": {"stiffness": {"low": 0, "high": 8000}}}},
+            "substeps",
+        ),
+        (
+            {"uncertainty": "table6", "initial_error": [0, 0, -0.1, 0, 0, 0]},
+            "start pose",
+        ),  # no tensions hold it
     ],
 )
 def test_bad_option_raises_and_leaves_the_episode(options, named):
@@ -331,7 +397,10 @@ def test_bad_option_raises_and_leaves_the_episode(options, named):
     for step in range(12):
         if step % 5 == 0:
             with pytest.raises(ValueError, match=named):
-                env.reset(seed=99, options={"error_bounds": {"position": 0.5}} | options)
+                env.reset(
+                    seed=99,
+                    options={"error_bounds": {"position": 0.5}} | options,
+                )
             check_equal(env.truth, twin.truth)
             assert env.np_random_seed == 0
             assert repr(env.task) == repr(twin.task)
@@ -341,9 +410,13 @@ def test_bad_option_raises_and_leaves_the_episode(options, named):
     check_equal(env.step(action), twin.step(action))
 
 
-@pytest.mark.parametrize("action", [np.zeros(2), np.zeros((1, 3)), 0.5, [0.0, np.nan, 0.0], [0.0, 0.0, 1e308]])
+@pytest.mark.parametrize(
+    "action",
+    [np.zeros(2), np.zeros((1, 3)), 0.5, [0.0, np.nan, 0.0], [0.0, 0.0, 1e308]],
+)
 def test_bad_action_raises_and_leaves_the_episode(action):
-    env, twin = make(PLANAR), make(PLANAR)
+    env = make(PLANAR)
+    twin = make(PLANAR)
     check_equal(env.reset(seed=0), twin.reset(seed=0))
     with pytest.raises(ValueError, match="action"):
         env.step(action)
@@ -363,7 +436,10 @@ def test_bad_action_raises_and_leaves_the_episode(action):
         ({"slack_time": -0.1}, "slack_time"),
         ({"payload_range": (2.0, 1.0)}, "payload_range"),
         ({"payload": 1.0, "payload_range": (0.0, 2.0)}, "exclude each other"),
-        ({"error_bounds": {"position": 10}}, r"at most 1\.32 m, .* a bound of 10 mm is 0\.01"),
+        (
+            {"error_bounds": {"position": 10}},
+            r"at most 1\.32 m, .* a bound of 10 mm is 0\.01",
+        ),
         ({"initial_error_range": [-0.1, 0.0]}, "initial_error_range"),
         ({"normalised_observation": 1}, "must be True or False"),
         ({"terminate_on_violation": None}, "must be True or False"),
@@ -379,7 +455,10 @@ def test_unknown_keyword_raises_type_error(construct):
     """TorchRL tries ``frameskip`` first, and looks for Python's own words."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
         construct(PLANAR, frameskip=1)
-    with pytest.raises(TypeError, match=r"choose one of robot, payload, .*; did you mean 'payload'"):
+    with pytest.raises(
+        TypeError,
+        match=r"choose one of robot, payload, .*; did you mean 'payload'",
+    ):
         construct(PLANAR, paylaod=1.0)
 
 

@@ -14,7 +14,14 @@ from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
-from cablebot_gym.robots import PLANAR, SPATIAL, Defaults, Motors, Robot, find_robot
+from cablebot_gym.robots import (
+    PLANAR,
+    SPATIAL,
+    Defaults,
+    Motors,
+    Robot,
+    find_robot,
+)
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -27,7 +34,10 @@ BASE = Robot(
     transmission=PLANAR.transmission,
     home_pose=(0.2, 0.3),
 )
-HANGING = BASE.replace(base_anchors=[(*corner, -3.0) for corner in CORNERS], home_pose=(0.2, 0.3, -1.0))
+HANGING = BASE.replace(
+    base_anchors=[(*corner, -3.0) for corner in CORNERS],
+    home_pose=(0.2, 0.3, -1.0),
+)
 ROBOTS = {
     "planar": BASE,
     "vertical": BASE.replace(plane="vertical"),
@@ -57,12 +67,19 @@ def test_default_motion_is_smooth_and_within_the_limits(name):
 def test_default_motion_is_of_the_robot_else_of_the_paper():
     """Else a lemniscate, and a robot that cannot move dwells."""
     weak = HANGING.replace(motors=HANGING.motors.replace(stall_torque=0.1))
-    assert default_trajectory(weak) == {"name": "dwell-point", "pose": [0.2, 0.3, -1.0]}
+    assert default_trajectory(weak) == {
+        "name": "dwell-point",
+        "pose": [0.2, 0.3, -1.0],
+    }
     circling = PLANAR.replace(defaults=Defaults(trajectory="smooth-circle-planar"))
     names = []
     for robot in (circling, PLANAR.replace(mass=2.0), BASE):
         names.append(find_trajectory(default_trajectory(robot), "planar").name)
-    assert names == ["smooth-circle-planar", "circle-planar", "lemniscate-planar"]
+    assert names == [
+        "smooth-circle-planar",
+        "circle-planar",
+        "lemniscate-planar",
+    ]
 
 
 def test_episode_of_an_own_robot_does_not_end_at_its_first_step():
@@ -70,14 +87,21 @@ def test_episode_of_an_own_robot_does_not_end_at_its_first_step():
     with warnings.catch_warnings(action="error"):
         env.reset(seed=0)
     _, _, terminated, truncated, info = env.step(np.zeros(4))
-    assert (terminated, truncated, info["termination_reason"]) == (False, False, 0)
+    assert (terminated, truncated, info["termination_reason"]) == (
+        False,
+        False,
+        0,
+    )
 
 
 @pytest.mark.parametrize("construct", [gym.make, gym.make_vec])
 def test_start_that_the_motors_cannot_hold_is_a_warning(construct):
     motors = BASE.motors.replace(stall_torque=0.3)
     weak = BASE.replace(name=construct.__name__, plane="vertical", motors=motors)
-    with pytest.warns(UserWarning, match=r"cannot be held at the start of .*: motor \d needs .* All episodes fail"):
+    with pytest.warns(
+        UserWarning,
+        match=r"cannot be held at the start of .*: motor \d needs .* All episodes fail",
+    ):
         construct(fitting_env_id(weak), robot=weak)
 
 
@@ -103,7 +127,10 @@ SMALL = PLANAR.replace(
         (ROBOTS["camera"], 0.1),
         (ROBOTS["fast"], 0.5),
         (SMALL, 0.002),
-        (SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})), 0.003),
+        (
+            SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})),
+            0.003,
+        ),
     ],
 )
 def test_position_bound_follows_from_the_width(robot, position):

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from oracles.episodes import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, make
 
-from cablebot_gym.trajectories import ORDERS, Reference, SmoothCircle, find_trajectory, trajectory_names
+from cablebot_gym.trajectories import (
+    ORDERS,
+    Reference,
+    SmoothCircle,
+    find_trajectory,
+    trajectory_names,
+)
 
 
 class Altered:

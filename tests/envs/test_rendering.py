@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from oracles.episodes import FLEX_SPATIAL, PLANAR, SPATIAL, check_equal, make, make_vector
+from oracles.episodes import (
+    FLEX_SPATIAL,
+    PLANAR,
+    SPATIAL,
+    check_equal,
+    make,
+    make_vector,
+)
 
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.rendering.painter import import_pygame
@@ -45,7 +52,10 @@ def test_rendering_does_not_change_the_episode():
 @pytest.mark.parametrize("env_id", [PLANAR, FLEX_SPATIAL])
 def test_moment_has_the_limits_of_the_true_motors(env_id):
     """At |a| ≥ 1 the torque is U± at the present motor speed."""
-    weak = {"parameters": {"motor_strength": {"low": -0.4, "high": -0.2}}, "sensors": {"position": 1e-3}}
+    weak = {
+        "parameters": {"motor_strength": {"low": -0.4, "high": -0.2}},
+        "sensors": {"position": 1e-3},
+    }
     env = make(env_id, uncertainty=weak, termination_radius=10.0, payload=3.0)
     env.reset(seed=1)
     robot = env.settings.robot
@@ -54,13 +64,23 @@ def test_moment_has_the_limits_of_the_true_motors(env_id):
         moment = Moment.from_info(robot, env.truth["motor_strength"], env.pose, info)
         assert moment.torques == pytest.approx(moment.torque_limits[int(sign > 0)], rel=1e-12)
     assert np.ptp(moment.torque_limits[1] / robot.stall_torque) > 0.01
-    assert (moment.payload, moment.time, moment.position_error) == (3.0, 0.006, info["tracking_error"])
+    assert (moment.payload, moment.time, moment.position_error) == (
+        3.0,
+        0.006,
+        info["tracking_error"],
+    )
 
 
 def test_vector_environment_paints_the_pictures_of_single_ones():
     """Also the trail after an autoreset, and by ``call``."""
     payloads = [1.0, 6.0]
-    envs = make_vector(SPATIAL, 2, render_mode="rgb_array", payload=payloads, max_episode_steps=20)
+    envs = make_vector(
+        SPATIAL,
+        2,
+        render_mode="rgb_array",
+        payload=payloads,
+        max_episode_steps=20,
+    )
     singles = [make(SPATIAL, render_mode="rgb_array", payload=payload) for payload in payloads]
     envs.reset(seed=7)
     action = np.full((2, 6), 0.4)
@@ -113,7 +133,10 @@ def test_human_without_display_logs_it_once(monkeypatch, without_display, caplog
 
 
 def test_render_needs_a_reset_and_pygame(monkeypatch):
-    for env in (make(PLANAR, render_mode="rgb_array"), make_vector(PLANAR, 2, render_mode="rgb_array")):
+    for env in (
+        make(PLANAR, render_mode="rgb_array"),
+        make_vector(PLANAR, 2, render_mode="rgb_array"),
+    ):
         with pytest.raises(ResetNeeded):
             env.render()
     monkeypatch.setitem(sys.modules, "pygame", None)

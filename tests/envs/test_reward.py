@@ -6,7 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracles.episodes import FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL, make_vector, paper_ids, rigid_ids, rollout
+from oracles.episodes import (
+    FLEX_SPATIAL,
+    PLANAR,
+    ROBOTS,
+    SPATIAL,
+    make_vector,
+    paper_ids,
+    rigid_ids,
+    rollout,
+)
 from oracles.episodes import make as make_any
 
 from cablebot_gym.envs import TERMINATION_REASONS
@@ -19,7 +28,10 @@ from cablebot_gym.trajectories import held_out_seeds
 
 def make(env_id, **keywords) -> Any:
     """An environment whose reference is at rest."""
-    return make_any(env_id, **{"trajectory": f"dwell-{ROBOTS[env_id].kind}", "initial_error": 0} | keywords)
+    return make_any(
+        env_id,
+        **{"trajectory": f"dwell-{ROBOTS[env_id].kind}", "initial_error": 0} | keywords,
+    )
 
 
 def tremble(env_id, steps):
@@ -34,7 +46,13 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
     weights = {term: weight * (1 + index) for index, term in enumerate(REWARD_TERMS)}
     bounds = {"position": 0.03, "rotation": 0.002}
     robot = ROBOTS[env_id]
-    env = make(env_id, trajectory=f"paper-{robot.kind}", reward_weights=weights, error_bounds=bounds, slack_time=9.0)
+    env = make(
+        env_id,
+        trajectory=f"paper-{robot.kind}",
+        reward_weights=weights,
+        error_bounds=bounds,
+        slack_time=9.0,
+    )
     actions = tremble(env_id, 30)
     start = np.append([0.0, 0.02], np.zeros(robot.coordinates - 2))
     episode = rollout(env, actions, seed=0, options={"initial_error": start})
@@ -52,7 +70,11 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
     assert list(terms) == list(REWARD_TERMS)
     for name, value in terms.items():
         np.testing.assert_allclose(info[f"reward_{name}"], weights[name] * value, atol=1e-12)
-    np.testing.assert_allclose(episode.rewards, sum(info[f"reward_{name}"] for name in terms), atol=1e-12)
+    np.testing.assert_allclose(
+        episode.rewards,
+        sum(info[f"reward_{name}"] for name in terms),
+        atol=1e-12,
+    )
 
 
 @pytest.mark.parametrize(("name", "coordinate"), [("position", 0), ("rotation", 4)])
@@ -75,7 +97,11 @@ def violations(env, actions, **options):
     """Whether the start violates, the steps in which the violation term is not zero, and the info."""
     info = rollout(env, actions, options=options).info
     assert np.all(np.diff(info["violated"].astype(int)) >= 0)
-    return info["violated"][0], np.flatnonzero(info["reward_violation"][1:]).tolist(), info
+    return (
+        info["violated"][0],
+        np.flatnonzero(info["reward_violation"][1:]).tolist(),
+        info,
+    )
 
 
 @rigid_ids
@@ -136,7 +162,11 @@ def test_violated_agrees_with_the_judge(env_id, cable):
         env_id,
         count,
         cable=cable,
-        trajectory={"name": f"line-{robot.kind}", "duration": 0.1, "dwell": 0.02},
+        trajectory={
+            "name": f"line-{robot.kind}",
+            "duration": 0.1,
+            "dwell": 0.02,
+        },
         payload_range=(0.0, 9.0),
         initial_error_range=[0.009] * robot.coordinates,
         autoreset_mode="Disabled",
@@ -167,7 +197,10 @@ def test_terminate_on_violation_ends_the_episode_there(env_id):
     """Nothing else changes; the reason has the lowest precedence."""
     actions = tremble(env_id, 40)
     patient = rollout(make(env_id, termination_radius=0.015), actions)
-    strict = rollout(make(env_id, terminate_on_violation=True, termination_radius=0.015), actions)
+    strict = rollout(
+        make(env_id, terminate_on_violation=True, termination_radius=0.015),
+        actions,
+    )
     step = np.flatnonzero(patient.info["violated"])[0] - 1
     assert np.flatnonzero(strict.terminated)[0] == step
     assert TERMINATION_REASONS[strict.info["termination_reason"][step + 1]] == "violation"
@@ -214,11 +247,20 @@ def returns_of(name, env):
 
 def check_order(env_id, trajectory, policies, payloads):
     """Every success of the policies returns more than every failure."""
-    env = make_vector(env_id, len(payloads), trajectory=trajectory, payload=payloads, autoreset_mode="Disabled")
+    env = make_vector(
+        env_id,
+        len(payloads),
+        trajectory=trajectory,
+        payload=payloads,
+        autoreset_mode="Disabled",
+    )
     returns, carried = np.concatenate([returns_of(name, env) for name in policies], axis=1)
     success = carried.astype(bool)
     assert success.any()
-    assert returns[success].min() > returns[~success].max() + 1, (env_id, trajectory)
+    assert returns[success].min() > returns[~success].max() + 1, (
+        env_id,
+        trajectory,
+    )
 
 
 def test_return_orders_success_before_failure():
@@ -236,4 +278,9 @@ def test_return_orders_all_classical_policies(env_id, seed):
     entries = policy_entries().values()
     policies = [entry.name for entry in entries if entry.kind == "classical" and env_id in entry.env_ids]
     assert len(policies) >= 3
-    check_order(env_id, trajectory, policies, [0.0, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0])
+    check_order(
+        env_id,
+        trajectory,
+        policies,
+        [0.0, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0],
+    )

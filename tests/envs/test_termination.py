@@ -89,7 +89,14 @@ def test_non_finite_state_is_bounded_and_earns_nothing():
     assert terminated
     assert observation in env.observation_space
     assert all(np.all(np.isfinite(value)) for value in info.values())
-    assert min(info["tracking_error"], info["rotation_error"], info["rotation_error_peak"]) > 1e3
+    assert (
+        min(
+            info["tracking_error"],
+            info["rotation_error"],
+            info["rotation_error_peak"],
+        )
+        > 1e3
+    )
     assert max(info["reward_position"], info["reward_rotation"]) < 1e-3
     assert (info["violated"], info["reward_inside"]) == (True, 0.0)
 
@@ -116,7 +123,11 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
         termination_radius=5.0,
         slack_time=99.0,
     )
-    actions = np.repeat(1.6 * np.random.default_rng(0).uniform(-0.6, 1.0, (30, robot.cables)), 5, axis=0)
+    actions = np.repeat(
+        1.6 * np.random.default_rng(0).uniform(-0.6, 1.0, (30, robot.cables)),
+        5,
+        axis=0,
+    )
     episode = rollout(env, actions, seed=0)
     info = {name: values[1:] for name, values in episode.info.items()}
     np.testing.assert_array_equal(info["commanded_action"], actions)
@@ -124,7 +135,11 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
     assert np.abs(drop).max() > 0.05
     torques = robot.stall_torque * np.clip(actions, -1, 1) - drop
     np.testing.assert_allclose(info["torques"], torques, atol=1e-12)
-    np.testing.assert_allclose(info["torque_margin"], robot.stall_torque * (1 - np.abs(actions)), atol=1e-12)
+    np.testing.assert_allclose(
+        info["torque_margin"],
+        robot.stall_torque * (1 - np.abs(actions)),
+        atol=1e-12,
+    )
     np.testing.assert_allclose(info["action_time"], np.arange(150) / 60, atol=1e-12)
     np.testing.assert_allclose(info["time"], np.arange(1, 151) / 60, atol=1e-12)
     blocks = env.layout.split(episode.observations[:-1])

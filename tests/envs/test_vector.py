@@ -11,13 +11,25 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from oracles.episodes import PLANAR, ROBOTS, SPATIAL, check_equal, make_vector, paper_ids, rigid_ids
+from oracles.episodes import (
+    PLANAR,
+    ROBOTS,
+    SPATIAL,
+    check_equal,
+    make_vector,
+    paper_ids,
+    rigid_ids,
+)
 from oracles.episodes import make as make_single
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.utils.threads import call_all
 
-MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED]
+MODES = [
+    AutoresetMode.NEXT_STEP,
+    AutoresetMode.SAME_STEP,
+    AutoresetMode.DISABLED,
+]
 
 # Start errors close to a tight radius: under random actions some episodes end early, the others at the time limit.
 LIMIT = 7
@@ -68,7 +80,11 @@ def check_same_info(ours, theirs):
             check_same_info(ours[name], theirs[name])
         else:
             for index in np.flatnonzero(mask):
-                np.testing.assert_array_equal(ours[name][index], theirs[name][index], err_msg=f"{name} {index}")
+                np.testing.assert_array_equal(
+                    ours[name][index],
+                    theirs[name][index],
+                    err_msg=f"{name} {index}",
+                )
 
 
 def check_same(ours, theirs):
@@ -106,7 +122,7 @@ def check_run(ours, theirs, actions):
 
 @rigid_ids
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
-@pytest.mark.parametrize("count", [1, 33])
+@pytest.mark.parametrize("count", [1, 18])
 def test_every_environment_equals_the_single_one(env_id, mode, count):
     keywords = RUGGED[env_id]
     ours = make(env_id, count, autoreset_mode=mode, **keywords)
@@ -122,10 +138,19 @@ LATE: dict[str, Any] = {
         "platform_mass": {"low": -0.2, "high": 0.2},
         "payload": {"low": -0.5, "high": 0.5},
         "damping": {"low": 0.0, "high": 0.005, "relative": False},
-        "motor_strength": {"low": -0.1, "high": 0.1, "distribution": "normal", "std": 0.1},
+        "motor_strength": {
+            "low": -0.1,
+            "high": 0.1,
+            "distribution": "normal",
+            "std": 0.1,
+        },
         "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
     },
-    "wrench": {"force_std": 1.0, "correlation_time": 0.02, "factor": [0.5, 2.0]},
+    "wrench": {
+        "force_std": 1.0,
+        "correlation_time": 0.02,
+        "factor": [0.5, 2.0],
+    },
     "sensors": {"position": 1e-3, "velocity": 0.01, "motor_angle": 0.01},
     "delay": 3,
 }
@@ -168,7 +193,8 @@ def test_seed_is_one_number_that_counts_up_or_a_list():
 
 
 def test_none_in_a_seed_list_continues_the_streams():
-    env, twin = rugged(), rugged()
+    env = rugged()
+    twin = rugged()
     env.reset(seed=3)
     twin.reset(seed=3)
     mixed = env.reset(seed=[9, None, None, 9])[1]["payload"]
@@ -186,7 +212,8 @@ def test_global_random_state_is_neither_read_nor_changed():
     for seed in (0, 1):
         np.random.seed(seed)  # noqa: NPY002 - the test is about the global generator
         random.seed(seed)
-        numpy_state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
+        numpy_state = np.random.get_state()
+        python_state = random.getstate()  # noqa: NPY002
         env = rugged(uncertainty="table6+sensors")
         results.append((env.reset(seed=3), env.step(np.zeros((4, 3)))))
         make_single(PLANAR, payload_range=(0, 1)).reset()
@@ -217,19 +244,32 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
         before = env.step(action)
         twin.step(action)
     long = {"name": f"line-{ROBOTS[env_id].kind}", "duration": 3.0}
-    options = {"reset_mask": mask, "payload": np.array([0.5, 0.25, 10.0, 0.75, 10.0]), "trajectory": long}
+    options = {
+        "reset_mask": mask,
+        "payload": np.array([0.5, 0.25, 10.0, 0.75, 10.0]),
+        "trajectory": long,
+    }
     observation, info = env.reset(options=options)
     check_unmarked((observation, info), before)
     assert info["payload"][mask].tolist() == [0.5, 0.25, 0.75]
     assert not info["time"][mask].any()
     single = make_single(env_id, **keywords)
-    np.testing.assert_array_equal(observation[1], single.reset(options={"payload": 0.25, "trajectory": long})[0])
+    np.testing.assert_array_equal(
+        observation[1],
+        single.reset(options={"payload": 0.25, "trajectory": long})[0],
+    )
     for step, action in enumerate(actions[6:]):
         ours = env.step(action)
         check_unmarked(ours, twin.step(action))
         if step < 9:
             np.testing.assert_array_equal(ours[0][1], single.step(action[1])[0])
-            assert [task.trajectory.duration for task in env.tasks] == [3.6, 3.6, 1.6, 3.6, 1.6]
+            assert [task.trajectory.duration for task in env.tasks] == [
+                3.6,
+                3.6,
+                1.6,
+                3.6,
+                1.6,
+            ]
         if step == 8:  # back to the default motion: the tables shrink
             env.reset(options={"reset_mask": mask})
             assert [task.trajectory.duration for task in env.tasks] == [1.6] * 5
@@ -239,11 +279,21 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
 @pytest.mark.parametrize("limit", [None, 12])
 def test_each_environment_is_truncated_after_its_motion(mode, limit):
     """By 6, 20 and 6 steps, or by an earlier limit; the third environment starts again while the others continue."""
-    keywords = {"slack_time": 9.0, "control_frequency": 100.0, "max_episode_steps": limit, "autoreset_mode": mode}
+    keywords = {
+        "slack_time": 9.0,
+        "control_frequency": 100.0,
+        "max_episode_steps": limit,
+        "autoreset_mode": mode,
+    }
     env = make(trajectory={"name": "dwell-planar", "duration": 0.06}, **keywords)
     env.reset(seed=0)
     long = {"name": "dwell-planar", "duration": 0.2}
-    env.reset(options={"trajectory": long, "reset_mask": np.array([False, True, False])})
+    env.reset(
+        options={
+            "trajectory": long,
+            "reset_mask": np.array([False, True, False]),
+        }
+    )
     for _ in range(3):
         env.step(np.zeros((3, 3)))
     env.reset(options={"reset_mask": np.array([False, False, True])})
@@ -265,7 +315,12 @@ def test_each_environment_is_truncated_after_its_motion(mode, limit):
 
 
 def test_reset_mask_restarts_the_slack_time():
-    env = make(count=2, autoreset_mode=AutoresetMode.DISABLED, slack_time=0.1, control_frequency=100.0)
+    env = make(
+        count=2,
+        autoreset_mode=AutoresetMode.DISABLED,
+        slack_time=0.1,
+        control_frequency=100.0,
+    )
     env.reset()
     loose = np.full((2, 3), -0.5)
     for _ in range(8):
@@ -276,7 +331,10 @@ def test_reset_mask_restarts_the_slack_time():
 
 
 def test_ended_environment_does_not_affect_the_others():
-    keywords = {"autoreset_mode": AutoresetMode.DISABLED, "payload": [0.0, 0.5, 1.0]}
+    keywords = {
+        "autoreset_mode": AutoresetMode.DISABLED,
+        "payload": [0.0, 0.5, 1.0],
+    }
     env = make(**keywords, termination_radius=0.03)
     twin = make(**keywords, termination_radius=9.0)
     actions = np.full((30, 3, 3), 0.2)
@@ -311,7 +369,15 @@ def test_first_reset_must_start_all_environments():
         ({"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
         ({"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
         ({"options": {"reset_mask": np.zeros(3, bool)}}, "reset_mask"),
-        ({"options": {"reset_mask": np.array([True, False, False]), "payload": -1.0}}, "payload"),
+        (
+            {
+                "options": {
+                    "reset_mask": np.array([True, False, False]),
+                    "payload": -1.0,
+                }
+            },
+            "payload",
+        ),
         ({"seed": [1, -2, 3]}, "seed"),
     ],
 )
@@ -321,7 +387,11 @@ def test_bad_reset_raises_and_leaves_episodes_and_streams(reset, named):
     for action in random_actions(env, 2):
         with pytest.raises(ValueError, match=named):
             env.reset(**reset)
-        for bad in (np.zeros(3), np.zeros((2, 3)), np.where(np.eye(3), np.nan, 0.0)):
+        for bad in (
+            np.zeros(3),
+            np.zeros((2, 3)),
+            np.where(np.eye(3), np.nan, 0.0),
+        ):
             with pytest.raises(ValueError, match="action"):
                 env.step(bad)
         check_equal(env.step(action), twin.step(action))
@@ -367,7 +437,16 @@ def test_attributes_equal_those_of_a_sync_vector_env():
     ours = make(**keywords)
     ours.reset(seed=1)
     theirs.reset(seed=1)
-    names = ("task", "truth", "pose", "np_random_seed", "action_space", "observation_space", "settings", "render_mode")
+    names = (
+        "task",
+        "truth",
+        "pose",
+        "np_random_seed",
+        "action_space",
+        "observation_space",
+        "settings",
+        "render_mode",
+    )
     for name in names:
         values = ours.get_attr(name)
         assert type(values) is tuple
@@ -378,7 +457,10 @@ def test_attributes_are_set_of_each_environment():
     env = make()
     env.set_attr("label", ["a", "b", "c"])
     env.set_attr("level", 4)
-    assert (env.get_attr("label"), env.call("level")) == (("a", "b", "c"), (4, 4, 4))
+    assert (env.get_attr("label"), env.call("level")) == (
+        ("a", "b", "c"),
+        (4, 4, 4),
+    )
     with pytest.raises(AttributeError, match="payloads"):
         env.get_attr("payloads")
     with pytest.raises(AttributeError, match=r"reset\(\)"):

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from oracles.episodes import PLANAR, ROBOTS, SPATIAL, make, make_vector, rigid_ids, rollout
+from oracles.episodes import (
+    PLANAR,
+    ROBOTS,
+    SPATIAL,
+    make,
+    make_vector,
+    rigid_ids,
+    rollout,
+)
 
 from cablebot_gym.envs.sensors import inertial
 from cablebot_gym.evaluation import evaluate_dlcc
@@ -17,11 +25,18 @@ ANCHORS = {"parameters": {"base_anchors": {"low": -0.01, "high": 0.01, "relative
 
 @pytest.mark.parametrize(
     ("env_id", "sensors"),
-    [("CableBot-FlexPoint-v0", "winches+tensions"), ("CableBot-FlexSpatial-v0", "winches+tensions+imu")],
+    [
+        ("CableBot-FlexPoint-v0", "winches+tensions"),
+        ("CableBot-FlexSpatial-v0", "winches+tensions+imu"),
+    ],
 )
 def test_environment_with_winches_keeps_the_contract(env_id, sensors):
     """Gymnasium's checks, and equal readings of single and vector environments."""
-    keywords = {"measurement": sensors, "normalised_observation": True, "observation_dtype": "float32"}
+    keywords = {
+        "measurement": sensors,
+        "normalised_observation": True,
+        "observation_dtype": "float32",
+    }
     env = make(env_id, uncertainty="hardware", **keywords)
     check_env(env, skip_render_check=True)
     assert {"pose", "velocity"}.isdisjoint(env.layout.slices())
@@ -87,7 +102,11 @@ def test_gyroscope_reads_the_rate_in_the_frame_of_the_platform():
 def test_zero_error_is_constant_in_an_episode():
     exact = make(PLANAR, measurement="winches")
     encoder = {"kind": "winches", "encoder_resolution": 1e-3}
-    offset = make(PLANAR, uncertainty={"sensor_bias": {"motor_angle": 0.1}}, measurement=encoder)
+    offset = make(
+        PLANAR,
+        uncertainty={"sensor_bias": {"motor_angle": 0.1}},
+        measurement=encoder,
+    )
     offsets = []
     tasks = set()
     for seed in (1, 2):

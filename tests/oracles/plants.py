@@ -17,7 +17,10 @@ from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 UNEQUAL = SPATIAL.replace(
     name="unequal",
     inertia=(0.9, 0.3, 0.7),
-    motors=Motors(stall_torque=(8.0, 9.0, 10.0, 11.0, 12.0, 13.0), free_speed=(50.0, 60.0, 70.0, 80.0, 90.0, 100.0)),
+    motors=Motors(
+        stall_torque=(8.0, 9.0, 10.0, 11.0, 12.0, 13.0),
+        free_speed=(50.0, 60.0, 70.0, 80.0, 90.0, 100.0),
+    ),
     transmission=Transmission(
         pulley_radius=(0.03, 0.04, 0.05, 0.06, 0.07, 0.08),
         pulley_inertia=(4e-4, 6e-4, 8e-4, 1e-3, 1.2e-3, 0.0),
@@ -31,7 +34,9 @@ QUAD = PLANAR.replace(
     base_anchors=((-0.6, -0.3), (0.5, -0.4), (0.4, 0.5), (-0.5, 0.6)),
     motors=Motors(stall_torque=(4.0, 5.0, 6.0, 7.0), free_speed=(50.0, 60.0, 70.0, 80.0)),
     transmission=Transmission(
-        pulley_radius=(0.03, 0.04, 0.05, 0.06), pulley_inertia=(4e-4, 0.0, 8e-4, 1e-3), damping=(0.0, 0.01, 0.02, 0.03)
+        pulley_radius=(0.03, 0.04, 0.05, 0.06),
+        pulley_inertia=(4e-4, 0.0, 8e-4, 1e-3),
+        damping=(0.0, 0.01, 0.02, 0.03),
     ),
     home_pose=(0.05, 0.1),
 )
@@ -48,7 +53,9 @@ FLEX_UNEQUAL = UNEQUAL.replace(
 FLEX_QUAD = QUAD.replace(
     name="flex-quad",
     transmission=QUAD.transmission.replace(
-        stiffness=(2.0, 3.0, 4.0, 5.0), motor_inertia=(8e-4, 6e-4, 4e-4, 5e-4), motor_damping=(0.0, 0.01, 0.02, 0.03)
+        stiffness=(2.0, 3.0, 4.0, 5.0),
+        motor_inertia=(8e-4, 6e-4, 4e-4, 5e-4),
+        motor_damping=(0.0, 0.01, 0.02, 0.03),
     ),
 )
 NINE = PLANAR.replace(
@@ -60,9 +67,11 @@ NINE = PLANAR.replace(
 
 
 def _rough(robot):
-    friction, lag = np.linspace(0.25, 0.0, robot.cables), np.linspace(0.0, 0.02, robot.cables)
+    friction = np.linspace(0.25, 0.0, robot.cables)
+    lag = np.linspace(0.0, 0.02, robot.cables)
     return with_transmission(robot, coulomb_friction=tuple(friction.tolist())).replace(
-        name=f"rough-{robot.name}", motors=robot.motors.replace(lag=tuple(lag.tolist()))
+        name=f"rough-{robot.name}",
+        motors=robot.motors.replace(lag=tuple(lag.tolist())),
     )
 
 
@@ -90,7 +99,15 @@ FLEX_HANGING = with_transmission(HANGING, stiffness=5.0, motor_inertia=3e-3, mot
     name="flex-hanging", mass=1.0
 )
 OTHER_KINDS = (FLEX_HANGING, _rough(TURNING), CAMERA, CRANE)
-every_kind = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, ROUGH[3], *OTHER_KINDS, *slowly(*ROUGH[:3]))
+every_kind = each_of(
+    QUAD,
+    UNEQUAL,
+    FLEX_QUAD,
+    FLEX_UNEQUAL,
+    ROUGH[3],
+    *OTHER_KINDS,
+    *slowly(*ROUGH[:3]),
+)
 """Friction and lag of rigid robots are daily those of the platform in a plane."""
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
@@ -127,8 +144,12 @@ def runge_kutta_step(rates, state, step):
 def random_states(robot, count, seed=1, reach=0.6):
     """States that slacken many cables, springs wound and unwound by 0.02 to 3 rad; and actions, some beyond ± 1."""
     rng = np.random.default_rng(seed)
-    pose = rng.uniform(*(reach * (robot.pose_bounds - robot.home) + robot.home), (count, robot.coordinates))
-    velocity, actions = rng.uniform(-1, 1, pose.shape), rng.uniform(-0.7, 1.2, (count, robot.cables))
+    pose = rng.uniform(
+        *(reach * (robot.pose_bounds - robot.home) + robot.home),
+        (count, robot.coordinates),
+    )
+    velocity = rng.uniform(-1, 1, pose.shape)
+    actions = rng.uniform(-0.7, 1.2, (count, robot.cables))
     if not robot.flexible:
         return State(pose, velocity, np.zeros_like(actions), np.zeros_like(actions)), actions
     twist = np.geomspace(0.02, 3.0, 200)[rng.integers(200, size=actions.shape)]
@@ -163,7 +184,8 @@ def free_motors(robot):
 def loaded_plant(robot, state, cable="bilateral", mass=None):
     """A plant at these states, with one total mass or one for each robot."""
     count = len(state.pose)
-    plant, every = Plant(robot, count, cable=cable), np.arange(count)
+    plant = Plant(robot, count, cable=cable)
+    every = np.arange(count)
     rows = np.tile(pack_parameters(robot), (count, 1))
     rows[:, kernel.MASS] = robot.mass if mass is None else mass
     plant.set_parameters(every, rows)
@@ -192,17 +214,34 @@ def evaluated(plant, torques):
     """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥ 2."""
     robot = plant.robot
     first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
-    plant._write(plant.record, first, np.arange(plant.count), torques, kernel.CABLE_RECORDS)
+    plant._write(
+        plant.record,
+        first,
+        np.arange(plant.count),
+        torques,
+        kernel.CABLE_RECORDS,
+    )
     accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
     evaluate = kernel.compiled(plant._form, plant.lanes).evaluate
     (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, accelerations)
+    evaluate(
+        plant.unilateral,
+        plant._parameters,
+        plant.record,
+        scratch,
+        accelerations,
+    )
     return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
 
 
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
-    plant.set_action(np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables)))
+    plant.set_action(
+        np.broadcast_to(
+            torques / plant.robot.stall_torque,
+            (plant.count, plant.robot.cables),
+        )
+    )
     plant.advance(*no_reference(plant.robot), substeps=substeps, step=duration / substeps)
 
 
@@ -247,12 +286,20 @@ def energies(robot, state, cable="bilateral", mass=None):
     mass = robot.mass if mass is None else mass
     at = kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :] + state.pose[..., : robot.dimensions]
     momentum = textbook.mass_matrix(robot, mass, state.pose) @ state.velocity[..., None]
-    kinetic, potential = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2, -mass * at @ robot.gravity_vector
+    kinetic = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2
+    potential = -mass * at @ robot.gravity_vector
     pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
     kinetic = kinetic + np.sum(robot.pulley_inertia * pulley**2, axis=-1) / 2
     if robot.flexible:
         kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
-        potential = potential + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
+        potential = (
+            potential
+            + np.sum(
+                spring_torques(robot, state, cable) ** 2 / robot.stiffness,
+                axis=-1,
+            )
+            / 2
+        )
     return kinetic, potential
 
 

@@ -11,7 +11,8 @@ from cablebot_gym.physics import code_cache, compiling
 from cablebot_gym.physics.code_cache import code_folders
 from cablebot_gym.physics.compiling import njit
 
-HELPER, CALLER = "cached_helper", "cached_caller"
+HELPER = "cached_helper"
+CALLER = "cached_caller"
 
 
 def triple(number):
@@ -94,9 +95,11 @@ def test_temporary_folder_is_used_only_if_it_is_private(tmp_path, monkeypatch, m
 def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
     folders(tmp_path / "cache")
     monkeypatch.syspath_prepend(tmp_path)
-    helper, caller = tmp_path / f"{HELPER}.py", tmp_path / f"{CALLER}.py"
+    helper = tmp_path / f"{HELPER}.py"
+    caller = tmp_path / f"{CALLER}.py"
     caller.write_text(
-        f"from {HELPER} import add, FACTOR\ndef call(number):\n    return FACTOR * add(number)\n", encoding="utf-8"
+        f"from {HELPER} import add, FACTOR\ndef call(number):\n    return FACTOR * add(number)\n",
+        encoding="utf-8",
     )
 
     def run(addend, factor, expected):

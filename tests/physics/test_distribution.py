@@ -9,12 +9,26 @@ from scipy.optimize import linprog, lsq_linear
 from scipy.sparse import block_diag
 
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, INFEASIBLE, SINGULAR, feasible, largest_scale, least_norm
-from cablebot_gym.physics.distribution import least_largest_action as least_action
+from cablebot_gym.physics.distribution import (
+    HELD,
+    INFEASIBLE,
+    SINGULAR,
+    feasible,
+    largest_scale,
+    least_norm,
+)
+from cablebot_gym.physics.distribution import (
+    least_largest_action as least_action,
+)
 from cablebot_gym.robots import find_robot
 
 COGIRO = find_robot("cogiro")
-ROBOTS = {"CoGiRo": COGIRO, "IPAnema": find_robot("ipanema-3"), "camera": CAMERA, "plate": find_robot("ttk4900")}
+ROBOTS = {
+    "CoGiRo": COGIRO,
+    "IPAnema": find_robot("ipanema-3"),
+    "camera": CAMERA,
+    "plate": find_robot("ttk4900"),
+}
 KINDS = ROBOTS | {kind: kind for kind in ("10/6", "7/6", "3/2", "6/2", "6/6")}
 """Robots, or random structures of so many cables and coordinates."""
 
@@ -35,17 +49,25 @@ def random_items(kind, count):
     """Structure, load and bounds. Some of the loads are infeasible."""
     rng = np.random.default_rng(5)
     if kind in ROBOTS.values():
-        pose = rng.uniform(*(kind.home + 0.5 * (kind.pose_bounds - kind.home)), (count, kind.coordinates))
+        pose = rng.uniform(
+            *(kind.home + 0.5 * (kind.pose_bounds - kind.home)),
+            (count, kind.coordinates),
+        )
         pose[:, kind.dimensions :] = rng.uniform(-0.3, 0.3, pose[:, kind.dimensions :].shape)
         structure = textbook.jacobian(kind, pose)
-        spread = 300.0
+        spread = np.where(np.arange(kind.coordinates) < kind.dimensions, 300.0, 60.0)
     else:
         structure = random_structures(kind, count, rng)
         spread = 100.0
     shape = structure.shape[:2]
     inside = rng.uniform(0, 700, shape)
     load = -np.einsum("kci,kc->ki", structure, inside) + rng.normal(size=(count, structure.shape[2])) * spread
-    return structure, load, rng.uniform(5, 100, shape), rng.uniform(400, 1000, shape)
+    return (
+        structure,
+        load,
+        rng.uniform(5, 100, shape),
+        rng.uniform(400, 1000, shape),
+    )
 
 
 def held_items(kind, count):
@@ -94,11 +116,20 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
     ones = np.ones((items, cables, 1))
     largest = linear_programs(
         np.eye(cables + 1)[cables],
-        np.concatenate([-np.swapaxes(structure, 1, 2), np.zeros((items, coordinates, 1))], axis=2),
+        np.concatenate(
+            [-np.swapaxes(structure, 1, 2), np.zeros((items, coordinates, 1))],
+            axis=2,
+        ),
         load,
         np.concatenate([np.dstack([steep, -ones]), np.dstack([-steep, -ones])], axis=1),
         np.concatenate([-offset, offset], axis=1),
-        np.concatenate([np.dstack([lower, upper]), np.tile([[[0.0, np.inf]]], (items, 1, 1))], axis=1),
+        np.concatenate(
+            [
+                np.dstack([lower, upper]),
+                np.tile([[[0.0, np.inf]]], (items, 1, 1)),
+            ],
+            axis=1,
+        ),
     )[:, -1]
     for smoothing in (1e-6, 1e-2):
         solution = least_action(structure, load, lower, slope, offset, upper, smoothing=smoothing)
@@ -118,11 +149,24 @@ def test_least_norm_is_that_of_a_quadratic_program(kind, count):
     reference = np.random.default_rng(7).uniform(0, 2000, lower.shape)
     solution = least_norm(structure, load, lower, upper, reference)
     check_tensions(solution, lower, upper)
-    shapes = {"h": casadi.Sparsity.diag(cables), "a": casadi.Sparsity.dense(coordinates, cables)}
+    shapes = {
+        "h": casadi.Sparsity.diag(cables),
+        "a": casadi.Sparsity.dense(coordinates, cables),
+    }
     solve = casadi.conic("oracle", "qpoases", shapes, {"printLevel": "none"})
     for k, tensions in enumerate(solution.tensions):
-        limits = {"lba": load[k], "uba": load[k], "lbx": lower[k], "ubx": upper[k]}
-        best = solve(h=casadi.DM.eye(cables), g=-reference[k], a=-structure[k].T, **limits)["x"]
+        limits = {
+            "lba": load[k],
+            "uba": load[k],
+            "lbx": lower[k],
+            "ubx": upper[k],
+        }
+        best = solve(
+            h=casadi.DM.eye(cables),
+            g=-reference[k],
+            a=-structure[k].T,
+            **limits,
+        )["x"]
         np.testing.assert_allclose(tensions, np.array(best)[:, 0], rtol=0, atol=2e-5)
 
 
@@ -140,7 +184,11 @@ def test_every_load_is_held_or_proved_infeasible(kind, count):
     assert np.abs(held.missing[~fails]).max() < 1e-6
     assert np.all((held.tensions >= lower) & (held.tensions <= upper))
     pulls = proof.coefficients[fails]
-    np.testing.assert_allclose(-np.einsum("kci,ki->kc", structure[fails], proof.direction[fails]), pulls, atol=1e-9)
+    np.testing.assert_allclose(
+        -np.einsum("kci,ki->kc", structure[fails], proof.direction[fails]),
+        pulls,
+        atol=1e-9,
+    )
     wanted = np.sum(proof.direction[fails] * load[fails], axis=1)
     most = np.sum(pulls * np.where(pulls > 0, upper[fails], lower[fails]), axis=1)
     np.testing.assert_allclose(proof.excess[fails], wanted - most, rtol=1e-7, atol=1e-6)
@@ -168,13 +216,23 @@ def test_largest_scale_is_that_of_a_linear_program(kind, count):
     less_than = np.concatenate([-lower, upper], axis=1)
     bounds = np.tile([*[[-np.inf, np.inf]] * cables, [-1e3, 1e3]], (items, 1, 1))
     for sign, end in ((1, scale.least), (-1, scale.largest)):
-        best = linear_programs(sign * np.eye(cables + 1)[cables], equal, load, less, less_than, bounds)[:, -1]
+        best = linear_programs(
+            sign * np.eye(cables + 1)[cables],
+            equal,
+            load,
+            less,
+            less_than,
+            bounds,
+        )[:, -1]
         np.testing.assert_allclose(end, best, rtol=1e-6, atol=1e-6)
     inside = scale.largest < 1e3
     assert inside.any()
     beyond = (scale.largest + 1e-3)[:, None]
     pulls = scale.coefficients
-    most = np.sum(pulls * np.where(pulls > 0, upper + beyond * unit_upper, lower + beyond * unit_lower), axis=1)
+    most = np.sum(
+        pulls * np.where(pulls > 0, upper + beyond * unit_upper, lower + beyond * unit_lower),
+        axis=1,
+    )
     direction = -(np.linalg.pinv(structure) @ pulls[..., None])[..., 0]
     assert np.all((np.sum(direction * (load + beyond * unit), axis=1) > most)[inside])
 
@@ -217,7 +275,12 @@ def test_infeasible_load_gets_the_least_wrench_error():
         fails = np.flatnonzero(solution.status == INFEASIBLE)
         assert len(fails) > 5
         for k in fails:
-            best = lsq_linear(-weights[:, None] * structure[k].T, weights * load[k], (lower[k], upper[k]), "bvls")
+            best = lsq_linear(
+                -weights[:, None] * structure[k].T,
+                weights * load[k],
+                (lower[k], upper[k]),
+                "bvls",
+            )
             error = np.sum((weights * solution.missing[k]) ** 2) / 2
             assert best.cost * (1 - 1e-9) <= error <= best.cost * (1 + 1e-4) + 1e-4
 
@@ -246,7 +309,10 @@ def test_square_structure_gives_the_unique_tensions():
     """Without bounds too."""
     structure, load, *_ = random_items("6/6", 50)
     expected = -np.linalg.solve(np.swapaxes(structure, 1, 2), load[..., None])[..., 0]
-    for solution in (least_norm(structure, load, -np.inf), least_action(structure, load, -np.inf, 1e-3, 0.1)):
+    for solution in (
+        least_norm(structure, load, -np.inf),
+        least_action(structure, load, -np.inf, 1e-3, 0.1),
+    ):
         assert np.all(solution.status == HELD)
         np.testing.assert_allclose(solution.tensions, expected, rtol=1e-9, atol=1e-7)
 
@@ -255,10 +321,21 @@ def test_arguments_broadcast():
     """A scale or a bound per item must not be read as one per cable."""
     structure, load, lower, _ = random_items(CAMERA, 6)
     batch = least_norm(structure.reshape(2, 3, 4, 3), load.reshape(2, 3, 3), lower[0], 2000.0)
-    assert (batch.tensions.shape, batch.status.shape, batch.missing.shape) == ((2, 3, 4), (2, 3), (2, 3, 3))
+    assert (batch.tensions.shape, batch.status.shape, batch.missing.shape) == (
+        (2, 3, 4),
+        (2, 3),
+        (2, 3, 3),
+    )
     alone = least_norm(structure[4], load[4], lower[0], 2000.0)
     np.testing.assert_array_equal(alone.tensions, batch.tensions[1, 1])
-    scale = largest_scale(structure[:1], [0, 0, 0], [0, 0, -9.81], 0.0, 2000.0, np.array([1.0, 2.0, 1e4]))
+    scale = largest_scale(
+        structure[:1],
+        [0, 0, 0],
+        [0, 0, -9.81],
+        0.0,
+        2000.0,
+        np.array([1.0, 2.0, 1e4]),
+    )
     np.testing.assert_allclose(scale.largest[:2], [1, 2])
     with pytest.raises(ValueError, match="do not match"):
         feasible(structure, load[:, :2], 0.0)

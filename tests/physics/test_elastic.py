@@ -80,13 +80,24 @@ def plant_at(robot, state, cable="unilateral"):
 
 def elastic_state_of(plant):
     motors = plant.motor_angle, plant.motor_speed
-    return ElasticState(plant.pose, plant.velocity, *motors, plant.pulley_angle, plant.pulley_speed)
+    return ElasticState(
+        plant.pose,
+        plant.velocity,
+        *motors,
+        plant.pulley_angle,
+        plant.pulley_speed,
+    )
 
 
 def rates(robot, state, torques, cable):
     """Rates of a state of a robot with elastic cables, and the tensions, from the textbook."""
     tension, pulling = textbook.cable_springs(
-        robot, state.pose, state.velocity, state.pulley, state.pulley_speed, cable=cable
+        robot,
+        state.pose,
+        state.velocity,
+        state.pulley,
+        state.pulley_speed,
+        cable=cable,
     )
     forces = np.einsum("kmn,km->kn", textbook.jacobian(robot, state.pose), tension)
     forces += textbook.bias(robot, robot.mass, state.pose, state.velocity)
@@ -135,13 +146,21 @@ def test_steps_are_those_of_a_python_loop(robot, cable):
         for _ in range(5):
             _, tension = rates(robot, expected, torques, cable)
             slack += np.sum(tension <= 0)
-            expected = runge_kutta_step(lambda _, state, u=torques: rates(robot, state, u, cable)[0], expected, step)
+            expected = runge_kutta_step(
+                lambda _, state, u=torques: rates(robot, state, u, cable)[0],
+                expected,
+                step,
+            )
             plant.set_action(actions[members])
             plant.advance(*no_reference(robot), substeps=1, step=step)
             np.testing.assert_allclose(plant.per_cable(kernel.TENSION), tension, rtol=1e-9, atol=1e-7)
             np.testing.assert_array_equal(plant.per_cable(kernel.SLACK), tension <= 0)
         assert slack > 0 or len(members) == 1
-        for value, reference in zip(vars(elastic_state_of(plant)).values(), vars(expected).values(), strict=True):
+        for value, reference in zip(
+            vars(elastic_state_of(plant)).values(),
+            vars(expected).values(),
+            strict=True,
+        ):
             np.testing.assert_allclose(value, reference, rtol=1e-9, atol=1e-9)
 
 
@@ -155,7 +174,12 @@ def test_swivel_pulleys_are_those_of_the_textbook(robot):
         at_pulley = robot.stiffness * (state.angle - textbook.pulley_angle(robot, state.pose))
     acceleration, tension = evaluated(plant_at(robot, state, "bilateral"), torques)
     expected_acceleration, expected_tension = textbook.forward_dynamics(
-        robot, robot.mass, state.pose, state.velocity, at_pulley, cable="bilateral"
+        robot,
+        robot.mass,
+        state.pose,
+        state.velocity,
+        at_pulley,
+        cable="bilateral",
     )
     assert worst_relative_error(acceleration, expected_acceleration) <= 1e-11
     assert worst_relative_error(tension, expected_tension) <= 1e-11
@@ -170,7 +194,10 @@ def energy(robot, state):
     momentum = (textbook.mass_matrix(robot, robot.mass, state.pose) @ state.velocity[..., None])[..., 0]
     total = np.sum(momentum * state.velocity, axis=-1) / 2 - robot.mass * center @ robot.gravity_vector
     free = textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * state.pulley
-    strain = np.maximum((textbook.cable_lengths(robot, state.pose) + robot.extra_length) / free - 1, 0.0)
+    strain = np.maximum(
+        (textbook.cable_lengths(robot, state.pose) + robot.extra_length) / free - 1,
+        0.0,
+    )
     total += np.sum(robot.pulley_inertia * state.pulley_speed**2, axis=-1) / 2
     total += np.sum(robot.axial_stiffness * strain**2 * free, axis=-1) / 2
     if robot.jointed:
@@ -220,12 +247,21 @@ def test_episode_starts_at_rest_with_the_true_payload(robot):
 @each_of(*ELASTIC[2:])
 def test_default_substeps_keep_stiff_cables_stable(robot):
     robot = with_transmission(robot, axial_stiffness=5e5)
-    settings = make_settings(robot=robot, count=1, trajectory=Dwell(name="stay", pose=robot.home_pose))
+    settings = make_settings(
+        robot=robot,
+        count=1,
+        trajectory=Dwell(name="stay", pose=robot.home_pose),
+    )
     pose = robot.home[None]
     tensions = textbook.required_tensions(robot, robot.mass, pose, 0 * pose, 0 * pose, minimum=20.0)
     motor, pulley = textbook.rest_angles(robot, tensions, pose)
     state = ElasticState(pose, 0 * pose + 1e-3, motor, 0 * motor, pulley, 0 * pulley)
     plant = plant_at(robot, state)
     for _ in range(100):
-        advance(plant, holding_torques(robot, state), settings.period, settings.substeps)
+        advance(
+            plant,
+            holding_torques(robot, state),
+            settings.period,
+            settings.substeps,
+        )
     assert np.abs(plant.pose - robot.home).max() < 1e-2

@@ -20,7 +20,13 @@ from oracles.plants import (
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Transmission
+from cablebot_gym.robots import (
+    FLEX_PLANAR,
+    FLEX_SPATIAL,
+    PLANAR,
+    SPATIAL,
+    Transmission,
+)
 
 
 @pytest.mark.parametrize(("flexible", "rigid"), [(FLEX_PLANAR, PLANAR), (FLEX_SPATIAL, SPATIAL)])
@@ -44,7 +50,11 @@ def test_flexible_robots_have_the_values_of_table_5(flexible, rigid):
     [
         (PLANAR, {"stiffness": 3.0}, "needs stiffness and motor_inertia"),
         (PLANAR, {"motor_damping": 0.01}, "has no motor_damping"),
-        (FLEX_PLANAR, {"motor_inertia": None}, "needs stiffness and motor_inertia"),
+        (
+            FLEX_PLANAR,
+            {"motor_inertia": None},
+            "needs stiffness and motor_inertia",
+        ),
         (FLEX_PLANAR, {"stiffness": (3.0, 3.0, 0.0)}, "stiffness must be"),
         (FLEX_PLANAR, {"motor_inertia": np.inf}, "motor_inertia must be"),
         (FLEX_PLANAR, {"motor_damping": -0.01}, "motor_damping must be"),
@@ -68,7 +78,16 @@ def test_highest_frequency_is_that_of_the_linearised_kernel(robot):
     middle = np.concatenate([value[0] for value in vars(state).values()])
     nudges = nudge * np.eye(len(middle))
     sizes = np.cumsum([robot.coordinates, robot.coordinates, robot.cables])
-    plant = loaded_plant(robot, State(*np.split(np.concatenate([middle + nudges, middle - nudges]), sizes, axis=1)))
+    plant = loaded_plant(
+        robot,
+        State(
+            *np.split(
+                np.concatenate([middle + nudges, middle - nudges]),
+                sizes,
+                axis=1,
+            )
+        ),
+    )
     advance(plant, torques, period, 20)
     ahead, behind = np.split(np.concatenate(list(vars(state_of(plant)).values()), axis=1), 2)
     rates = np.log(np.linalg.eigvals((ahead - behind).T / (2 * nudge)).astype(complex)) / period
@@ -78,7 +97,11 @@ def test_highest_frequency_is_that_of_the_linearised_kernel(robot):
 # --- physics steps ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("changes", [{"stiffness": 3e4}, {"motor_inertia": 1e-6}], ids=["stiff", "light"])
+@pytest.mark.parametrize(
+    "changes",
+    [{"stiffness": 3e4}, {"motor_inertia": 1e-6}],
+    ids=["stiff", "light"],
+)
 def test_springs_too_stiff_for_the_substeps_raise(changes):
     """The message names the number of substeps that suffices; one less does not."""
     robot = with_transmission(FLEX_SPATIAL, **changes)
@@ -102,7 +125,10 @@ def test_least_substeps_are_stable_and_larger_steps_are_not():
     state, torques = holding_state(stiff, stiff.home)
     growth = []
     for step in (1 / (500 * least), 2.9 / textbook.highest_frequency(stiff)):
-        plant = loaded_plant(stiff, State(state.pose, state.velocity, state.angle + 1e-9, state.speed))
+        plant = loaded_plant(
+            stiff,
+            State(state.pose, state.velocity, state.angle + 1e-9, state.speed),
+        )
         for _ in range(50):
             advance(plant, torques, 20 * step, 20)
         growth.append(np.abs(plant.motor_angle - state.angle).max())

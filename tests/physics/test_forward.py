@@ -24,11 +24,16 @@ each_robot = each_of(
 
 def case(robot, count):
     """Poses, their cable lengths and guesses."""
-    rng, turning = np.random.default_rng(0), np.arange(robot.coordinates) >= robot.dimensions
+    rng = np.random.default_rng(0)
+    turning = np.arange(robot.coordinates) >= robot.dimensions
     poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(-1, 1, (count, robot.coordinates))
     if not robot.planar:
         poses[:, 2] += 0.2  # below the base of the suspended robot
-    return poses, textbook.cable_lengths(robot, poses), poses + 0.02 * rng.uniform(-1, 1, poses.shape)
+    return (
+        poses,
+        textbook.cable_lengths(robot, poses),
+        poses + 0.02 * rng.uniform(-1, 1, poses.shape),
+    )
 
 
 @each_robot
@@ -51,9 +56,20 @@ def test_wrong_lengths_give_the_least_squares_pose(robot):
         def errors(x, measured=wrong[k]):
             return textbook.cable_lengths(robot, x) - measured
 
-        best = least_squares(errors, guess[k], jac=lambda x: textbook.jacobian(robot, x), xtol=1e-15, ftol=1e-15)
+        best = least_squares(
+            errors,
+            guess[k],
+            jac=lambda x: textbook.jacobian(robot, x),
+            xtol=1e-15,
+            ftol=1e-15,
+        )
         np.testing.assert_allclose(pose, best.x, atol=1e-7)
-        np.testing.assert_allclose(solution.residual[k], np.sqrt(np.mean(errors(pose) ** 2)), rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(
+            solution.residual[k],
+            np.sqrt(np.mean(errors(pose) ** 2)),
+            rtol=1e-6,
+            atol=1e-12,
+        )
     assert (solution.residual > 1e-5).all() == (robot.cables > robot.coordinates)
 
 
@@ -67,7 +83,10 @@ def test_batch_equals_its_items(name):
     for index in range(0, 40, 3):
         alone = forward_kinematics(robot, lengths[index], guess[index])
         np.testing.assert_array_equal(alone.pose, batch.pose[index])
-        assert (alone.residual, alone.converged) == (batch.residual[index], batch.converged[index])
+        assert (alone.residual, alone.converged) == (
+            batch.residual[index],
+            batch.converged[index],
+        )
 
 
 def test_guess_far_from_the_pose_converges():

@@ -6,14 +6,31 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oracles.plants import FLEX_UNEQUAL, NINE, QUAD, ROUGH, UNEQUAL, each_of, rigid_robots, slowly
+from oracles.plants import (
+    FLEX_UNEQUAL,
+    NINE,
+    QUAD,
+    ROUGH,
+    UNEQUAL,
+    each_of,
+    rigid_robots,
+    slowly,
+)
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import PLANAR, SPATIAL
 
-every_robot = each_of(PLANAR, QUAD, NINE, SPATIAL, UNEQUAL, ROUGH[1], *slowly(FLEX_UNEQUAL, ROUGH[0], *ROUGH[2:]))
+every_robot = each_of(
+    PLANAR,
+    QUAD,
+    NINE,
+    SPATIAL,
+    UNEQUAL,
+    ROUGH[1],
+    *slowly(FLEX_UNEQUAL, ROUGH[0], *ROUGH[2:]),
+)
 TRIPOD = CAMERA.replace(name="tripod", base_anchors=(*CAMERA.base_anchors[:2], (0.1, 4.0, 0.0)))
 """As many cables as coordinates in space."""
 TRIANGLE = TURNING.replace(
@@ -65,7 +82,12 @@ def test_results_are_those_of_the_textbook(robot, minimum):
 def test_every_kind_of_robot_gets_the_tensions_of_the_textbook(robot):
     """Unique ones, and the same choice of redundant ones; an error is left only of loads that no tensions hold."""
     mass, pose, velocity, acceleration = random_motion(robot, (200,))
-    motion = mass, robot.home + 0.3 * (pose - robot.home), velocity, 0.1 * acceleration
+    motion = (
+        mass,
+        robot.home + 0.3 * (pose - robot.home),
+        velocity,
+        0.1 * acceleration,
+    )
     expected = textbook.inverse_dynamics(robot, *motion, minimum=4.0, strict=False)
     missing = textbook.load(robot, *motion)
     missing += np.einsum("kmn,km->kn", textbook.jacobian(robot, motion[1]), expected.tensions)
@@ -87,7 +109,10 @@ def test_error_near_a_singular_pose_grows_with_the_condition():
     condition = np.linalg.cond(textbook.jacobian(SPATIAL, pose))
     assert condition.max() > 5e5
     motion = mass, pose, velocity, acceleration
-    errors = worst_errors(inverse_dynamics(SPATIAL, *motion), textbook.inverse_dynamics(SPATIAL, *motion))
+    errors = worst_errors(
+        inverse_dynamics(SPATIAL, *motion),
+        textbook.inverse_dynamics(SPATIAL, *motion),
+    )
     assert np.max(errors / condition) <= 2e-15
 
 
@@ -98,7 +123,14 @@ def test_member_of_a_batch_has_the_bits_it_has_alone(robot, shape):
     batch = inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=2.0)
     assert batch.tensions.shape == (*shape, robot.cables)
     for index in np.ndindex(shape):
-        alone = inverse_dynamics(robot, mass[index], pose[index], velocity[index], acceleration[index], minimum=2.0)
+        alone = inverse_dynamics(
+            robot,
+            mass[index],
+            pose[index],
+            velocity[index],
+            acceleration[index],
+            minimum=2.0,
+        )
         for field in dataclasses.fields(batch):
             np.testing.assert_array_equal(getattr(batch, field.name)[index], getattr(alone, field.name))
 
@@ -110,16 +142,32 @@ def test_arguments_are_broadcast(robot):
     velocity.flags.writeable = False
     at_rest = np.zeros(robot.coordinates, int)
     results = inverse_dynamics(robot, 7, pose[::-1], velocity, at_rest)
-    plain = np.full(40, 7.0), np.ascontiguousarray(pose[::-1]), velocity.copy(), np.zeros(pose.shape)
+    plain = (
+        np.full(40, 7.0),
+        np.ascontiguousarray(pose[::-1]),
+        velocity.copy(),
+        np.zeros(pose.shape),
+    )
     np.testing.assert_array_equal(worst_errors(results, inverse_dynamics(robot, *plain)), 0)
     with pytest.raises(ValueError, match="broadcast"):
         inverse_dynamics(robot, mass[:3], pose, velocity, at_rest)
     with pytest.raises(ValueError, match="coordinates"):
-        inverse_dynamics(PLANAR if robot is UNEQUAL else SPATIAL, mass, pose, velocity, at_rest)
+        inverse_dynamics(
+            PLANAR if robot is UNEQUAL else SPATIAL,
+            mass,
+            pose,
+            velocity,
+            at_rest,
+        )
 
 
 @every_robot
 def test_pulley_accelerations_are_those_of_eq_6(robot):
     motion = random_motion(robot, (20,))
     accelerations = textbook.inverse_dynamics(robot, *motion, strict=False).pulley_accelerations
-    np.testing.assert_allclose(accelerations, textbook.pulley_acceleration(robot, *motion[1:]), rtol=1e-13, atol=1e-11)
+    np.testing.assert_allclose(
+        accelerations,
+        textbook.pulley_acceleration(robot, *motion[1:]),
+        rtol=1e-13,
+        atol=1e-11,
+    )

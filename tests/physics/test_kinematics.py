@@ -63,7 +63,12 @@ def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
 def test_rate_of_the_euler_rate_matrix_is_its_slope():
     euler, rates = random_angles()
     slope = differentiated(lambda time: kinematics.euler_rate_matrix(euler + time * rates), 1e-4)
-    np.testing.assert_allclose(kinematics.euler_rate_matrix_rate(euler, rates), slope, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(
+        kinematics.euler_rate_matrix_rate(euler, rates),
+        slope,
+        rtol=0,
+        atol=1e-10,
+    )
 
 
 def test_z_points_down():

@@ -117,5 +117,15 @@ def test_model_has_the_lengths_and_returns_the_state(robot):
     state, _ = random_states(robot, STATES, reach=1.0)
     for pose, velocity in zip(state.pose, state.velocity, strict=True):
         peer.set_state(pose, velocity)
-        np.testing.assert_allclose(peer.lengths(), cable_lengths(robot.base, robot.platform, pose), rtol=0, atol=1e-14)
-        np.testing.assert_allclose(np.concatenate(peer.state()), np.append(pose, velocity), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(
+            peer.lengths(),
+            cable_lengths(robot.base, robot.platform, pose),
+            rtol=0,
+            atol=1e-14,
+        )
+        np.testing.assert_allclose(
+            np.concatenate(peer.state()),
+            np.append(pose, velocity),
+            rtol=0,
+            atol=1e-13,
+        )

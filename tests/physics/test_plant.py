@@ -199,7 +199,11 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
 
     def torque(time, state):
         drop = line * drive_speed(robot, state)
-        return np.clip(lagged_request(time), -robot.stall_torque - drop, robot.stall_torque - drop)
+        return np.clip(
+            lagged_request(time),
+            -robot.stall_torque - drop,
+            robot.stall_torque - drop,
+        )
 
     states = [state]
     applied = []
@@ -219,7 +223,11 @@ def check_record(plant, states, applied, tensions, lines):
     robot = plant.robot
     least = np.min(tensions, axis=0)
     assert np.any(least < tensions[0])
-    at_start = {kernel.TORQUE: applied[0], kernel.SPEED: drive_speed(robot, states[0]), kernel.TENSION: tensions[0]}
+    at_start = {
+        kernel.TORQUE: applied[0],
+        kernel.SPEED: drive_speed(robot, states[0]),
+        kernel.TENSION: tensions[0],
+    }
     for row, expected in (at_start | {kernel.LEAST_TENSION: least}).items():
         np.testing.assert_allclose(plant.per_cable(row), expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(plant.per_cable(kernel.SLACK), np.sum(np.stack(tensions) <= 0, axis=0))
@@ -227,7 +235,12 @@ def check_record(plant, states, applied, tensions, lines):
     distance = np.linalg.norm(errors[..., : robot.dimensions], axis=-1)
     turned = np.abs(errors[..., robot.dimensions :]).max(axis=(0, 2), initial=0)
     record = record_of(plant)
-    np.testing.assert_allclose(record[:, kernel.POSITION_PEAK], distance.max(axis=0), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        record[:, kernel.POSITION_PEAK],
+        distance.max(axis=0),
+        rtol=0,
+        atol=1e-13,
+    )
     np.testing.assert_allclose(record[:, kernel.ROTATION_PEAK], turned, rtol=0, atol=1e-13)
     return distance.argmax(axis=0)
 
@@ -330,7 +343,12 @@ def test_friction_too_steep_for_the_substeps_raises(robot):
     assert make_settings(robot=steep, count=1).substeps >= least > 2
     uncertainty = {"parameters": {"coulomb_friction": {"low": 0.0, "high": 30.0, "relative": False}}}
     with pytest.raises(ValueError, match=f"use at least {least}"):
-        make_settings(robot=free_motors(robot), count=1, substeps=least - 1, uncertainty=uncertainty)
+        make_settings(
+            robot=free_motors(robot),
+            count=1,
+            substeps=least - 1,
+            uncertainty=uncertainty,
+        )
     start, torques = holding_state(robot, robot.home)
     speeds = []
     for step in (1 / (500 * least), 2.9 / textbook.fastest_decay_rate(steep)):
@@ -357,7 +375,11 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
     plant = loaded_plant(UNEQUAL, state, "unilateral")
     expected = np.zeros((plant.width, 6))
     np.testing.assert_array_equal(wrench_rows(plant), expected)
-    plant.set_wrench(np.array([4, 32]), np.array([[1, 2, 3], [4, 5, 6.0]]), np.array([[7, 8, 9.0]] * 2))
+    plant.set_wrench(
+        np.array([4, 32]),
+        np.array([[1, 2, 3], [4, 5, 6.0]]),
+        np.array([[7, 8, 9.0]] * 2),
+    )
     expected[4] = [1, 2, 3, 7, 8, 9]
     expected[32:] = [4, 5, 6, 7, 8, 9]
     plant.set_action(action)
@@ -384,7 +406,10 @@ def test_sine_and_cosine_are_right_to_the_last_digit():
     near = (quarter[:, None] + np.array([-1e-3, -1e-6, -1e-8, 0.0, 1e-8, 1e-6, 1e-3])).ravel()
     for angle in np.concatenate([np.linspace(-100, 100, 20_001), near]).tolist():
         sine, cosine = sine_and_cosine(angle)
-        for value, expected in ((sine, math.sin(angle)), (cosine, math.cos(angle))):
+        for value, expected in (
+            (sine, math.sin(angle)),
+            (cosine, math.cos(angle)),
+        ):
             assert abs(value - expected) <= 1.2e-16
             assert abs(expected) <= 1e-9 or abs(value - expected) <= 2 * math.ulp(expected)
 
@@ -401,7 +426,12 @@ def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
         plant = loaded_plant(robot, state, "unilateral")
         for _ in range(3):
             plant.set_action(action)
-            plant.advance(np.zeros((1, 50, robot.coordinates)), np.array([49]), substeps=5, step=2e-3)
+            plant.advance(
+                np.zeros((1, 50, robot.coordinates)),
+                np.array([49]),
+                substeps=5,
+                step=2e-3,
+            )
         return record_of(plant)
 
     healthy = run()

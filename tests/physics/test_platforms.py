@@ -12,8 +12,14 @@ from cablebot_gym.physics import textbook
 SWIVELLED = CRANE.replace(name="swivelled", swivel_radius=0.05)
 LOWER_WINCHES = CRANE.replace(  # four cables come from below and pull downwards
     name="lower-winches",
-    base_anchors=[*CRANE.base_anchors[:4], *((x, y, 8.0) for x, y, _ in CRANE.base_anchors[4:])],
-    platform_anchors=[*CRANE.platform_anchors[:4], *((x, y, z + 1.0) for x, y, z in CRANE.platform_anchors[4:])],
+    base_anchors=[
+        *CRANE.base_anchors[:4],
+        *((x, y, 8.0) for x, y, _ in CRANE.base_anchors[4:]),
+    ],
+    platform_anchors=[
+        *CRANE.platform_anchors[:4],
+        *((x, y, z + 1.0) for x, y, z in CRANE.platform_anchors[4:]),
+    ],
     center_of_mass=(),
     swivel_radius=(0.05, 0.0, 0.1, 0.05, 0.05, 0.2, 0.05, 0.05),
 )
@@ -24,14 +30,23 @@ def random_motion(robot, count=5):
     """Poses near home, velocities and accelerations, each (count, n)."""
     random = np.random.default_rng(7)
     size = (count, robot.coordinates)
-    return robot.home + random.uniform(-0.2, 0.2, size), random.normal(size=size), random.normal(size=size)
+    return (
+        robot.home + random.uniform(-0.2, 0.2, size),
+        random.normal(size=size),
+        random.normal(size=size),
+    )
 
 
 def gradient(function, point):
     """∂f/∂X by central differences, with a last axis n."""
     columns = []
     for direction in np.eye(point.shape[-1]):
-        columns.append(differentiated(lambda step, direction=direction: function(point + step * direction), 1e-3))
+        columns.append(
+            differentiated(
+                lambda step, direction=direction: function(point + step * direction),
+                1e-3,
+            )
+        )
     return np.stack(columns, axis=-1)
 
 
@@ -39,7 +54,11 @@ def gradient(function, point):
 def test_jacobian_and_its_rate_are_derivatives_of_the_lengths(robot):
     pose, velocity, _ = random_motion(robot)
     structure = textbook.jacobian(robot, pose)
-    np.testing.assert_allclose(structure, gradient(lambda x: textbook.cable_lengths(robot, x), pose), atol=1e-9)
+    np.testing.assert_allclose(
+        structure,
+        gradient(lambda x: textbook.cable_lengths(robot, x), pose),
+        atol=1e-9,
+    )
     rate = textbook.jacobian_rate(robot, pose, velocity)
     slope = differentiated(lambda time: textbook.jacobian(robot, pose + time * velocity), 1e-4)
     np.testing.assert_allclose(rate, slope, atol=1e-9)
@@ -52,7 +71,11 @@ def test_jacobian_and_rate_at_once_are_those_alone(robot):
     ends = robot.base, robot.platform
     shape = (2, 3, robot.coordinates)
     jacobian, rate = kinematics.jacobian_and_rate(*ends, pose.reshape(shape), velocity.reshape(shape))
-    np.testing.assert_allclose(jacobian[1, 2], kinematics.structure_jacobian(*ends, pose[5]), atol=1e-14)
+    np.testing.assert_allclose(
+        jacobian[1, 2],
+        kinematics.structure_jacobian(*ends, pose[5]),
+        atol=1e-14,
+    )
     alone = kinematics.structure_jacobian_rate(*ends, pose[5], velocity[5])
     np.testing.assert_allclose(rate[1, 2], alone, atol=1e-13)
 
@@ -63,7 +86,16 @@ def test_cable_wraps_its_swivel_pulley_on_the_right_side():
         length = kinematics.cable_lengths([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [0.2, 0.0, depth], [swivel])
         np.testing.assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
-    assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
+    assert np.sign(LOWER_WINCHES.swivel).tolist() == [
+        1,
+        0,
+        1,
+        1,
+        -1,
+        -1,
+        -1,
+        -1,
+    ]
 
 
 def lagrangian(robot, mass, pose, velocity):
@@ -90,7 +122,10 @@ def test_load_agrees_with_lagranges_equations(robot):
 
     def momentum(time):
         moved = pose + time * velocity
-        return gradient(lambda v: lagrangian(robot, mass, moved, v), velocity + time * acceleration)
+        return gradient(
+            lambda v: lagrangian(robot, mass, moved, v),
+            velocity + time * acceleration,
+        )
 
     expected = differentiated(momentum, 1e-3) - gradient(lambda x: lagrangian(robot, mass, x, velocity), pose)
     load = textbook.load(robot, mass, pose, velocity, acceleration)

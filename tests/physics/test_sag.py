@@ -13,7 +13,12 @@ from cablebot_gym.physics.distribution import least_norm
 from cablebot_gym.physics.sag import catenary, parabola, sag, settle
 from cablebot_gym.robots import find_robot
 
-CASES = [(9.0, 3.0, 60.0, 1.5), (9.0, -8.0, 20.0, 2.0), (0.5, 12.0, 100.0, 5.0), (40.0, 0.0, 40.0, 3.0)]
+CASES = [
+    (9.0, 3.0, 60.0, 1.5),
+    (9.0, -8.0, 20.0, 2.0),
+    (0.5, 12.0, 100.0, 5.0),
+    (40.0, 0.0, 40.0, 3.0),
+]
 """Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]; sags of 1 to 80 %."""
 
 
@@ -28,7 +33,14 @@ def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
         slope = state[2] / horizontal
         return [1.0, slope, weight * np.hypot(1, slope), np.hypot(1, slope)]
 
-    end = solve_ivp(element, (0, across), [0, 0, start, 0], rtol=1e-11, atol=1e-12, dense_output=True)
+    end = solve_ivp(
+        element,
+        (0, across),
+        [0, 0, start, 0],
+        rtol=1e-11,
+        atol=1e-12,
+        dense_output=True,
+    )
     chord = np.hypot(across, rise)
     depth, extra = catenary(across, rise, tension, weight)
     assert end.y[1, -1] == pytest.approx(rise, abs=1e-7)  # the closed form of the first slope is that of this chord
@@ -52,7 +64,11 @@ def test_stiffness_factor_is_the_derivative_of_the_chord():
     more = sag(robot, robot.home, tension + step).extra_length
     less = sag(robot, robot.home, tension - step).extra_length
     straight = loose.length / robot.axial_stiffness
-    np.testing.assert_allclose(loose.stiffness_factor, straight / (straight - (more - less) / (2 * step)), rtol=2e-3)
+    np.testing.assert_allclose(
+        loose.stiffness_factor,
+        straight / (straight - (more - less) / (2 * step)),
+        rtol=2e-3,
+    )
     assert (loose.stiffness_factor < 0.9).all()
 
 
@@ -78,7 +94,12 @@ def test_settled_platform_is_in_equilibrium_with_its_cables(robot):
     for step in 1e-4 * np.eye(robot.coordinates):
         weight.append((energy(robot.home + step) - energy(robot.home - step)) / 2e-4)
     largest = np.abs(load).max()
-    np.testing.assert_allclose(-structure.T @ settled.tensions, load + weight, rtol=1e-6, atol=1e-6 * largest)
+    np.testing.assert_allclose(
+        -structure.T @ settled.tensions,
+        load + weight,
+        rtol=1e-6,
+        atol=1e-6 * largest,
+    )
     soft = loose.length / robot.axial_stiffness if robot.elastic else 0.0
     stretch = (settled.tensions - straight) * soft - loose.extra_length  # of the catenary, not of the parabola
     np.testing.assert_allclose(structure @ settled.pose_change, stretch, rtol=0.02, atol=1e-6)

@@ -27,7 +27,13 @@ def random_motion(robot, count, seed=3):
 
 def least_by_linear_program(structure, load, minimum, cost):
     cables = structure.shape[0]
-    return linprog(cost, A_eq=-structure.T, b_eq=load, bounds=[(minimum, None)] * cables, method="highs")
+    return linprog(
+        cost,
+        A_eq=-structure.T,
+        b_eq=load,
+        bounds=[(minimum, None)] * cables,
+        method="highs",
+    )
 
 
 coordinate = st.floats(-0.2, 0.2)
@@ -35,7 +41,14 @@ force = st.floats(-20, 20).filter(lambda value: value == 0 or abs(value) > 1e-3)
 
 
 @settings(max_examples=60, derandomize=True)
-@given(coordinate, coordinate, force, force, st.sampled_from([0.0, 1.0, 5.0]), st.sampled_from([PLANAR, QUAD]))
+@given(
+    coordinate,
+    coordinate,
+    force,
+    force,
+    st.sampled_from([0.0, 1.0, 5.0]),
+    st.sampled_from([PLANAR, QUAD]),
+)
 def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot):
     structure = textbook.jacobian(robot, [x, y])
     load = np.array([fx, fy])
@@ -105,13 +118,21 @@ def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
     torques = textbook.required_torques(robot, tension, pose, velocity, acceleration)
     at_once = textbook.inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum)
     np.testing.assert_allclose(at_once.torques, torques, rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(at_once.speeds, textbook.pulley_speed(robot, pose, velocity), rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(
+        at_once.speeds,
+        textbook.pulley_speed(robot, pose, velocity),
+        rtol=1e-10,
+        atol=1e-10,
+    )
     taut = np.all(tension > 0.1, axis=1)
     if robot.planar and minimum == 0.0:
         assert not taut.any()  # the least tensions leave one cable without any
     else:
         assert taut.sum() > 20
-    for cable, members in (("bilateral", np.full(200, True)), ("unilateral", taut)):
+    for cable, members in (
+        ("bilateral", np.full(200, True)),
+        ("unilateral", taut),
+    ):
         motion = mass[members], pose[members], velocity[members]
         moved, pulled = textbook.forward_dynamics(robot, *motion, torques[members], cable=cable)
         np.testing.assert_allclose(moved, acceleration[members], rtol=0, atol=1e-10)

@@ -16,22 +16,39 @@ from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Infeasible, Margins, MotionProgram
-from cablebot_gym.planning.stage_functions import TENSION, flexible_stage, rigid_stage, start_stage
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot, find_robot
+from cablebot_gym.planning.stage_functions import (
+    TENSION,
+    flexible_stage,
+    rigid_stage,
+    start_stage,
+)
+from cablebot_gym.robots import (
+    FLEX_PLANAR,
+    FLEX_SPATIAL,
+    PLANAR,
+    SPATIAL,
+    Robot,
+    find_robot,
+)
 from cablebot_gym.task import ErrorBounds, start_pose
 from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("casadi")
 
 BOUNDS = ErrorBounds(position=0.01, rotation=0.01)
-CIRCLE, LINE = find_trajectory("paper-planar", 2), find_trajectory("line-planar", 2)
+CIRCLE = find_trajectory("paper-planar", 2)
+LINE = find_trajectory("line-planar", 2)
 
 
 def random_state(robot: Robot) -> tuple[np.ndarray, ...]:
     """A pose near home, a velocity and an acceleration, each (1, n)."""
     shape = (1, robot.coordinates)
     rng = np.random.default_rng(0)
-    return robot.home + rng.uniform(-0.05, 0.05, shape), rng.uniform(-1, 1, shape), rng.uniform(-3, 3, shape)
+    return (
+        robot.home + rng.uniform(-0.05, 0.05, shape),
+        rng.uniform(-1, 1, shape),
+        rng.uniform(-3, 3, shape),
+    )
 
 
 # --- one instant ------------------------------------------------------------------------------------------------------
@@ -49,10 +66,17 @@ def check_actions(robot, actions, torque, speed, acceleration, tolerance) -> Non
         np.testing.assert_allclose(action, expected, rtol=tolerance)
 
 
-@each_of(rubbing(PLANAR), rubbing(SPATIAL), rubbing(find_robot("cogiro")), rubbing(find_robot("ttk4900")))
+@each_of(
+    rubbing(PLANAR),
+    rubbing(SPATIAL),
+    rubbing(find_robot("cogiro")),
+    rubbing(find_robot("ttk4900")),
+)
 def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     x, v, a = random_state(robot)
-    mass, period, n = robot.mass + 1.7, 0.004, robot.coordinates
+    mass = robot.mass + 1.7
+    period = 0.004
+    n = robot.coordinates
     needed = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
     numbers = np.concatenate([*(array[0] for array in (x, v, a, needed.tensions / TENSION)), [mass]])
     values = np.array(rigid_stage(robot, period)(numbers))[:, 0]
@@ -70,11 +94,13 @@ def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 @each_of(rubbing(FLEX_PLANAR), rubbing(FLEX_SPATIAL))
 def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     x, v, a = random_state(robot)
-    mass, m = robot.mass + 1.7, robot.cables
+    mass = robot.mass + 1.7
+    m = robot.cables
     needed = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
     # The spring torque is the torque of a rigid motor: r T + J β̈ + c β̇.
     angle = textbook.pulley_angle(robot, x) + needed.torques / robot.stiffness
-    speed, acceleration = np.linspace(-20, 30, m), np.linspace(400, -300, m)
+    speed = np.linspace(-20, 30, m)
+    acceleration = np.linspace(400, -300, m)
     balance, limits = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
     np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-11)
@@ -90,12 +116,14 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
     robot = find_robot(f"flex-{name}")
     x, v, a = random_state(robot)
-    mass, m = robot.mass + 1.7, robot.cables
+    mass = robot.mass + 1.7
+    m = robot.cables
     minimum = textbook.allocated_minimum(robot)
     needed = textbook.inverse_dynamics(find_robot(name), mass, x, v, a, minimum=minimum, strict=False)
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
     angle, _ = textbook.rest_angles(robot, needed.tensions, x)
-    speed, acceleration = needed.speeds[0], np.arange(m) - 2.0
+    speed = needed.speeds[0]
+    acceleration = np.arange(m) - 2.0
     balance, limits = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
     np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
@@ -103,14 +131,20 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
     torque = textbook.holding_torque(robot, robot.pulley_radius * needed.tensions[0])
     torque += robot.pulley_inertia * acceleration + robot.damping * speed + textbook.coulomb_torque(robot, speed)
     check_actions(robot, (first, second), torque, speed, acceleration, 1e-7)
-    np.testing.assert_allclose(TENSION * np.array([tensions, springs]), [needed.tensions[0]] * 2, rtol=1e-7)
+    np.testing.assert_allclose(
+        TENSION * np.array([tensions, springs]),
+        [needed.tensions[0]] * 2,
+        rtol=1e-7,
+    )
 
 
 SPRING_CAMERA = with_transmission(find_robot("stadium-camera"), stiffness=200.0, motor_inertia=1e-3)
 
 
 @each_of(FLEX_SPATIAL, find_robot("flex-stadium-camera"), SPRING_CAMERA)
-def test_start_of_a_flexible_robot_is_that_of_the_environment(robot: Robot) -> None:
+def test_start_of_a_flexible_robot_is_that_of_the_environment(
+    robot: Robot,
+) -> None:
     """The tensions of redundant cables at rest are not linear in the payload."""
     env = gym.make(fitting_env_id(robot), robot=robot, payload=3.1)
     observation, _ = env.reset(seed=0)
@@ -143,16 +177,27 @@ def test_start_of_a_flexible_robot_is_that_of_the_environment(robot: Robot) -> N
 def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float | None) -> None:
     reference = find_trajectory(default_trajectory(robot), robot.kind)
     margins = Margins(position=1e-3, rotation=1e-3, action=0.1, tension=1.0)
-    program = MotionProgram(robot, reference, BOUNDS, intervals=3, margins=margins, lightest=lightest, period=0.002)
+    program = MotionProgram(
+        robot,
+        reference,
+        BOUNDS,
+        intervals=3,
+        margins=margins,
+        lightest=lightest,
+        period=0.002,
+    )
     solver, lowest, _ = program._assemble({})
-    oracle, rng = solver.oracle(), np.random.default_rng(1)
-    z, lam = rng.uniform(-0.5, 0.5, oracle.size1_in("x")), rng.uniform(-1, 1, len(lowest))
+    oracle = solver.oracle()
+    rng = np.random.default_rng(1)
+    z = rng.uniform(-0.5, 0.5, oracle.size1_in("x"))
+    lam = rng.uniform(-1, 1, len(lowest))
     assembled = np.array(solver.get_function("nlp_jac_g")(z, [])[1])
     expected = np.array(oracle.factory("j", ["x", "p"], ["jac:g:x"])(z, []))
     np.testing.assert_allclose(assembled, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert np.linalg.matrix_rank(expected) > len(z) // 2
     assembled = np.array(solver.get_function("nlp_hess_l")(z, [], 1.0, lam))
-    inputs, outputs = ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"]
+    inputs = ["x", "p", "lam:f", "lam:g"]
+    outputs = ["triu:hess:gamma:x:x"]
     expected = np.array(oracle.factory("h", inputs, outputs, {"gamma": ["f", "g"]})(z, [], 1.0, lam))
     np.testing.assert_allclose(assembled, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
     assert np.count_nonzero(expected) > len(z)
@@ -162,13 +207,15 @@ def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float |
 
 
 @pytest.mark.parametrize(
-    ("inertia", "free_speed", "damping"), [(0.0, 1e9, 0.0), (0.0, 100.0, 0.0), (0.02, 100.0, 0.05)]
+    ("inertia", "free_speed", "damping"),
+    [(0.0, 1e9, 0.0), (0.0, 100.0, 0.0), (0.02, 100.0, 0.05)],
 )
 def test_motion_in_one_dimension_has_the_payload_in_closed_form(
     inertia: float, free_speed: float, damping: float
 ) -> None:
     drive = {"inertia": inertia, "free_speed": free_speed, "damping": damping}
-    robot, bounds = one_dimension.line_robot(**drive), ErrorBounds(position=one_dimension.BOUND)
+    robot = one_dimension.line_robot(**drive)
+    bounds = ErrorBounds(position=one_dimension.BOUND)
     plan = MotionProgram(robot, one_dimension.Accelerating(), bounds, intervals=30).solve()
     assert 1 + plan.payload == pytest.approx(one_dimension.largest_mass(**drive), rel=2e-3)
 
@@ -188,12 +235,14 @@ def test_optimum_does_not_depend_on_the_initial_guess() -> None:
 
 
 def test_resolving_with_other_margins_has_the_same_optimum() -> None:
-    margins, problem = Margins(position=1e-3, action=0.05, tension=2.0), (PLANAR, CIRCLE, BOUNDS)
+    margins = Margins(position=1e-3, action=0.05, tension=2.0)
+    problem = (PLANAR, CIRCLE, BOUNDS)
     fresh = MotionProgram(*problem, intervals=30, margins=margins).solve()
     program = MotionProgram(*problem, intervals=30)
     with pytest.raises(Infeasible, match="no solution to start from"):
         program.resolve(Margins())
-    free, again = program.solve(), program.resolve(margins)
+    free = program.solve()
+    again = program.resolve(margins)
     assert again.payload == pytest.approx(fresh.payload, abs=1e-4)
     assert again.payload < free.payload - 0.1
 
@@ -201,7 +250,10 @@ def test_resolving_with_other_margins_has_the_same_optimum() -> None:
 def test_robot_with_motor_lag_is_rejected() -> None:
     """A plan that ignores the lag would fail in the environment."""
     robot = PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01))
-    with pytest.raises(ValueError, match="need motors without lag, but the motors of robot 'planar' have a lag"):
+    with pytest.raises(
+        ValueError,
+        match="need motors without lag, but the motors of robot 'planar' have a lag",
+    ):
         MotionProgram(robot, CIRCLE, BOUNDS, intervals=30)
 
 

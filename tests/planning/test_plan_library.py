@@ -11,7 +11,14 @@ from typing import Any
 import pytest
 from oracles.episodes import check_equal
 
-from cablebot_gym.planning import Infeasible, Margins, MotionProgram, PlannedMotion, library, plan_motion
+from cablebot_gym.planning import (
+    Infeasible,
+    Margins,
+    MotionProgram,
+    PlannedMotion,
+    library,
+    plan_motion,
+)
 from cablebot_gym.planning.library import cache_folder, fingerprint
 from cablebot_gym.robots import PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
@@ -27,7 +34,8 @@ BOUNDS = ErrorBounds(position=0.01)
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """One entry for every program that is solved."""
-    calls, solve = [], MotionProgram.solve
+    calls = []
+    solve = MotionProgram.solve
 
     def counted(program: MotionProgram, *arguments: Any, **keywords: Any) -> PlannedMotion:
         calls.append(1)
@@ -38,7 +46,12 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def plan(**changes: Any) -> PlannedMotion:
-    settings = {"robot": PLANAR, "trajectory": LINE, "error_bounds": BOUNDS, "intervals": 8} | changes
+    settings = {
+        "robot": PLANAR,
+        "trajectory": LINE,
+        "error_bounds": BOUNDS,
+        "intervals": 8,
+    } | changes
     robot, trajectory, error_bounds = (settings.pop(name) for name in ("robot", "trajectory", "error_bounds"))
     return plan_motion(robot, trajectory, error_bounds, **settings)
 
@@ -54,12 +67,21 @@ def test_stored_plan_is_not_solved_again(cache: Path, solved: list[int]) -> None
     assert [path.suffix for path in cache.iterdir()] == [".npz"]
 
 
-def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_setting_makes_another_plan(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     motors = Motors(stall_torque=5.1, free_speed=PLANAR.motors.free_speed)
     others: list[dict[str, Any]] = [
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
-        {"trajectory": PointToPoint(name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4)},
+        {
+            "trajectory": PointToPoint(
+                name="line-planar",
+                start=(-0.1, -0.1),
+                end=(0.1, 0.16),
+                duration=0.4,
+            )
+        },
         {"error_bounds": ErrorBounds(position=0.011)},
         {"intervals": 9},
         {"margins": Margins(action=0.1)},
@@ -73,9 +95,17 @@ def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(list(cache_folder().iterdir())) == len(others) + 1
 
 
-def test_fingerprint_depends_on_code_and_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fingerprint_depends_on_code_and_solver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def key(module: str = "cablebot_gym.planning.program", frequency: float = 500.0) -> str:
-        return fingerprint(module, PLANAR, LINE, control_frequency=frequency, error_bounds=BOUNDS)
+        return fingerprint(
+            module,
+            PLANAR,
+            LINE,
+            control_frequency=frequency,
+            error_bounds=BOUNDS,
+        )
 
     usual = key()
     assert usual == key()
@@ -105,7 +135,11 @@ def test_plan_without_a_usable_folder_is_solved(tmp_path: Path, monkeypatch: pyt
 
 def test_infeasible_plan_leaves_no_file(cache: Path) -> None:
     with pytest.raises(Infeasible):
-        plan(error_bounds=ErrorBounds(position=1e-7), trajectory=find_trajectory("paper-planar", 2), intervals=4)
+        plan(
+            error_bounds=ErrorBounds(position=1e-7),
+            trajectory=find_trajectory("paper-planar", 2),
+            intervals=4,
+        )
     assert not cache.exists()
 
 
@@ -120,7 +154,9 @@ def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytes
     assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
 
 
-def test_missing_casadi_raises_with_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_casadi_raises_with_the_pip_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
         plan()
@@ -129,5 +165,10 @@ def test_missing_casadi_raises_with_the_pip_command(monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 def test_planning_can_be_imported_without_casadi() -> None:
     code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"
-    ended = subprocess.run([sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        env=dict(os.environ),
+        capture_output=True,
+        check=False,
+    )
     assert ended.returncode == 0, ended.stderr.decode()

@@ -22,7 +22,8 @@ pytest.importorskip("casadi")
 
 BOUNDS = ErrorBounds(position=0.01, rotation=0.008)
 MARGINS = Margins(position=0.002, rotation=0.003, action=0.1, tension=8.0)
-PERIOD, FINER = 0.002, 20
+PERIOD = 0.002
+FINER = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +66,8 @@ CASES = {
     ),
 }
 each_case = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "planar" else pytest.mark.slow) for name in CASES]
+    "name",
+    [pytest.param(name, marks=() if name == "planar" else pytest.mark.slow) for name in CASES],
 )
 planar_cases = pytest.mark.parametrize("name", ["planar", pytest.param("flexible planar", marks=pytest.mark.slow)])
 
@@ -73,7 +75,12 @@ planar_cases = pytest.mark.parametrize("name", ["planar", pytest.param("flexible
 @cache
 def plan(name: str, **changes: Any) -> PlannedMotion:
     case = replace(CASES[name], **changes)
-    keywords = {"intervals": case.intervals, "margins": case.margins, "lightest": case.lightest, "period": PERIOD}
+    keywords = {
+        "intervals": case.intervals,
+        "margins": case.margins,
+        "lightest": case.lightest,
+        "period": PERIOD,
+    }
     return MotionProgram(case.robot, case.reference, BOUNDS, **keywords).solve()
 
 
@@ -85,7 +92,11 @@ def payloads(name: str) -> list[float]:
 
 def fine_times(name: str) -> Array:
     case = CASES[name]
-    return np.linspace(0.0, plan(name).duration, FINER * STAGES_PER_INTERVAL[case.robot.joints] * case.intervals + 1)
+    return np.linspace(
+        0.0,
+        plan(name).duration,
+        FINER * STAGES_PER_INTERVAL[case.robot.joints] * case.intervals + 1,
+    )
 
 
 def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
@@ -93,8 +104,11 @@ def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
 
     Those of a flexible robot follow from the motor angles, those of a rigid one from the motion alone.
     """
-    robot, motion, times = CASES[name].robot, plan(name), fine_times(name)
-    x, mass = motion(times), robot.mass + payload
+    robot = CASES[name].robot
+    motion = plan(name)
+    times = fine_times(name)
+    x = motion(times)
+    mass = robot.mass + payload
     pulley = textbook.pulley_acceleration(robot, x.position, x.velocity, x.acceleration)
     speed = textbook.pulley_speed(robot, x.position, x.velocity)
     if robot.flexible:
@@ -105,8 +119,10 @@ def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
     else:
         minimum = robot.minimum_tension + CASES[name].margins.tension
         rigid = textbook.inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=minimum)
-        tensions, torques = rigid.tensions, rigid.torques
-        motor_speed, acceleration = speed, pulley
+        tensions = rigid.tensions
+        torques = rigid.torques
+        motor_speed = speed
+        acceleration = pulley
         springs = tensions * robot.pulley_radius
     structure = textbook.jacobian(robot, x.position)
     unbalanced = textbook.load(robot, mass, x.position, x.velocity, x.acceleration)
@@ -121,18 +137,24 @@ def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
 
 @each_case
 def test_error_bounds_hold_and_are_used_between_instants(name: str) -> None:
-    motion, times, margins = plan(name), fine_times(name), CASES[name].margins
+    motion = plan(name)
+    times = fine_times(name)
+    margins = CASES[name].margins
     error = motion(times).position - CASES[name].reference(times).position
-    position, most = np.linalg.norm(error[:, :3], axis=1).max(), BOUNDS.position - margins.position
+    position = np.linalg.norm(error[:, :3], axis=1).max()
+    most = BOUNDS.position - margins.position
     assert most * (1 - 1e-3) < position < most * (1 + 3e-3)
     if not CASES[name].robot.planar:
-        rotation, most = np.abs(error[:, 3:]).max(), BOUNDS.rotation - margins.rotation
+        rotation = np.abs(error[:, 3:]).max()
+        most = BOUNDS.rotation - margins.rotation
         assert 0.9 * most < rotation < most * (1 + 6e-3)
 
 
 @each_case
 def test_limits_hold_between_instants_for_all_payloads(name: str) -> None:
-    robot, margins, peaks = CASES[name].robot, CASES[name].margins, []
+    robot = CASES[name].robot
+    margins = CASES[name].margins
+    peaks = []
     least = robot.minimum_tension + margins.tension
     for payload in payloads(name):
         tensions, springs, actions, unbalanced = demands_of(name, payload)
@@ -150,7 +172,9 @@ def test_limits_hold_between_instants_for_all_payloads(name: str) -> None:
 @each_case
 def test_motion_starts_in_the_state_of_an_episode(name: str) -> None:
     """A spatial robot starts lower by half the position bound."""
-    start, reference, robot = plan(name)(0.0), CASES[name].reference, CASES[name].robot
+    start = plan(name)(0.0)
+    reference = CASES[name].reference
+    robot = CASES[name].robot
     lowered = np.zeros(2) if robot.planar else np.array([0, 0, BOUNDS.position / 2, 0, 0, 0])
     np.testing.assert_allclose(start.position, reference(0.0).position + lowered, atol=1e-9)
     np.testing.assert_allclose(start.velocity, reference(0.0).velocity, atol=1e-6)
@@ -161,14 +185,19 @@ def test_motion_starts_in_the_state_of_an_episode(name: str) -> None:
 
 @planar_cases
 def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
-    motion, times = plan(name), fine_times(name)
+    motion = plan(name)
+    times = fine_times(name)
     assert find_trajectory(motion, 2) is motion
-    assert (motion.name, motion.duration) == (CASES[name].reference.name, CASES[name].reference.duration)
+    assert (motion.name, motion.duration) == (
+        CASES[name].reference.name,
+        CASES[name].reference.duration,
+    )
     x = motion(times)
     for rate, value in ((x.velocity, x.position), (x.acceleration, x.velocity)):
         integral = value[0] + cumulative_simpson(rate, x=times, axis=0, initial=0.0)
         np.testing.assert_allclose(integral, value, atol=1e-5 * np.ptp(value))
-    after, before = motion(motion.duration + 0.3), motion(-0.3)
+    after = motion(motion.duration + 0.3)
+    before = motion(-0.3)
     np.testing.assert_array_equal(after.position, motion(motion.duration).position)
     for rate in (after.velocity, after.acceleration, after.jerk, after.snap):
         np.testing.assert_array_equal(rate, 0.0)
@@ -180,7 +209,14 @@ def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
 def test_motion_is_restored_from_its_arrays(name: str) -> None:
     motion = plan(name)
     again = PlannedMotion.from_arrays(motion.to_arrays())
-    for field in ("name", "payload", "lightest", "minimum_tension", "duration", "degree"):
+    for field in (
+        "name",
+        "payload",
+        "lightest",
+        "minimum_tension",
+        "duration",
+        "degree",
+    ):
         assert getattr(again, field) == getattr(motion, field)
     np.testing.assert_array_equal(again(0.37).acceleration, motion(0.37).acceleration)
     np.testing.assert_array_equal(np.array(again.motors), np.array(motion.motors))
@@ -195,8 +231,16 @@ def test_motion_is_restored_from_its_arrays(name: str) -> None:
         (PLANAR, {"position": -1e-3}, "margins: position must be"),
         (PLANAR, {"rotation": np.nan}, "margins: rotation must be"),
         (PLANAR, {"action": 1.0}, "margins: action must be"),
-        (SPATIAL, {"position": BOUNDS.position}, "position must be below the error bound"),
-        (SPATIAL, {"rotation": BOUNDS.rotation}, "rotation must be below the error bound"),
+        (
+            SPATIAL,
+            {"position": BOUNDS.position},
+            "position must be below the error bound",
+        ),
+        (
+            SPATIAL,
+            {"rotation": BOUNDS.rotation},
+            "rotation must be below the error bound",
+        ),
         (FLEX_PLANAR, {"tension": 4.5}, "at most 4 N for 'flex-planar'"),
     ],
 )
