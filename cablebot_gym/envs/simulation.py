@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,10 @@ from cablebot_gym.envs.sensors import Sensors
 from cablebot_gym.envs.settings import check_options, check_stability, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import kernel
 from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.robots import Robot
+from cablebot_gym.physics.rest import equilibrium_torques, motor_start
+from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.task import ErrorBounds, Task, at_rest, start_pose
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
@@ -289,25 +290,12 @@ class Simulation:
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
-        torque = angle = speed = pulley_angle = np.zeros((len(env_indices), robot.cables))
+        moved = any(PARAMETERS[name].position for name in uncertainty.parameters)
         try:
-            torque = torque + self._torques_at_rest(robot, uncertainty, robot.mass + payload, pose)
+            torque = equilibrium_torques(self.settings.robot, robot, robot.mass + payload, pose, moved=moved)
         except np.linalg.LinAlgError as error:
             raise ValueError("no tensions hold the robot at rest at its start pose: choose another one") from error
-        stretch: Array | float = 1.0
-        if robot.flexible:
-            wound = np.clip(torque, -robot.stall_torque, robot.stall_torque)
-            if robot.elastic:
-                tensions = wound / robot.pulley_radius
-                strain = tensions / robot.axial_stiffness
-                angle, pulley_angle = textbook.rest_angles(robot, tensions, pose)
-                torque = textbook.holding_torque(robot, torque)
-                stretch = 1 + strain
-            else:
-                angle = textbook.pulley_angle(robot, pose) + wound / robot.stiffness
-        if robot.flexible or uncertainty.delay:
-            speed = textbook.pulley_speed(robot, pose, velocity)
-            speed = speed / stretch
+        motors = motor_start(robot, np.broadcast_to(torque, (len(env_indices), robot.cables)), pose, velocity)
 
         def apply() -> None:
             self._stall[env_indices] = robot.stall_torque
@@ -316,29 +304,14 @@ class Simulation:
             self._plant.set_parameters(env_indices, rows)
             self._plant.set_state(env_indices, pose, velocity)
             if robot.flexible:
-                self._plant.set_motors(env_indices, angle, speed)
+                self._plant.set_motors(env_indices, motors.motor_angle, motors.speed)
             if robot.jointed and robot.elastic:
-                self._plant.set_pulleys(env_indices, pulley_angle, speed)
-            self._plant.set_torques(env_indices, torque)
-            holding = np.clip(textbook.normalised_action(robot, torque, speed), -1.0, 1.0)
+                self._plant.set_pulleys(env_indices, motors.pulley_angle, motors.speed)
+            self._plant.set_torques(env_indices, motors.torque)
+            holding = np.clip(normalised_action(robot, motors.torque, motors.speed), -1.0, 1.0)
             self._disturbances.reset(env_indices, uncertainty, holding)
 
         return apply
-
-    def _torques_at_rest(self, robot: RobotArrays, uncertainty: Uncertainty, mass: Array, pose: Array) -> Array:
-        """Torques r T that hold robots of masses (k,) at rest at poses (k, n), (k, m) or (1, m)."""
-        nominal = self.settings.robot
-        minimum = textbook.allocated_minimum(nominal)
-        # Without weight the torques do not depend on the mass. Unique torques are proportional to it, and no parameters
-        # but the positions change them per mass.
-        redundant = robot.cables > robot.coordinates and not robot.weightless
-        drawn = any(redundant or PARAMETERS[name].position for name in uncertainty.parameters)
-        unit = mass if redundant else np.ones(len(pose))
-        if drawn or np.any(pose != pose[0]) or np.any(unit != unit[0]):
-            torques = textbook.static_torque(robot, unit, pose, minimum=minimum)
-        else:
-            torques = _nominal_static_torque(nominal, float(unit[0]), tuple(pose[0].tolist()))
-        return torques if redundant or robot.weightless else torques * mass[:, None]
 
     def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
@@ -381,12 +354,6 @@ class Simulation:
 def _both(first: Callable[[], None], second: Callable[[], None]) -> None:
     first()
     second()
-
-
-@lru_cache(maxsize=64)
-def _nominal_static_torque(robot: Robot, mass: float, pose: tuple[float, ...]) -> Array:
-    """Torques that hold a mass at rest at one pose, (1, m): most episodes start at the same one."""
-    return textbook.static_torque(robot, np.array([mass]), np.array([pose]), minimum=textbook.allocated_minimum(robot))
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

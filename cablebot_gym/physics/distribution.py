@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.inlining import entry_point, helper
+from cablebot_gym.physics.inlining import compiled_when_frequent, helper
 from cablebot_gym.utils.checks import all_finite
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
@@ -317,7 +317,8 @@ def _approximate(problem, factors, structure, load, low, high, weights, u):
     total = 0.0
     for i in range(m):
         for j in range(n):
-            total += (weights[j] * structure[i, j]) ** 2
+            weighted = weights[j] * structure[i, j]
+            total += weighted * weighted
     eta = _WRENCH_FIRST * (math.sqrt(total / (m * n)) if total > 0.0 else 1.0)
     for i in range(m):
         for j in range(n):
@@ -361,7 +362,7 @@ def _within(value, low, high):
     return min(value, high) if min(value, high) > low else low
 
 
-@entry_point
+@compiled_when_frequent
 def _least_norm(structure, load, lower, upper, reference, weights, tensions, status):
     items, m, n = structure.shape
     problem, factors, u = _new_problem(m - n, 2 * m), _new_factors(m, n), np.zeros(m + n)
@@ -389,7 +390,7 @@ def _least_norm(structure, load, lower, upper, reference, weights, tensions, sta
             tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
 
 
-@entry_point
+@compiled_when_frequent
 def _least_largest(structure, load, lower, upper, slope, offset, smoothing, weights, tensions, status):
     items, m, n = structure.shape
     size, root = m - n + 1, math.sqrt(smoothing)
@@ -483,7 +484,7 @@ def _unreachable(factors, rank, load, direction):
     return max(best, 0.0)
 
 
-@entry_point
+@compiled_when_frequent
 def _feasible(structure, load, lower, upper, reference, status, excess, direction, coefficients):
     items, m, n = structure.shape
     problem, factors, u = _new_problem(m - n, 2 * m), _new_factors(m, n), np.zeros(m)
@@ -537,7 +538,7 @@ def _extreme(problem, step, tolerance, scale, x, before):
     return count
 
 
-@entry_point
+@compiled_when_frequent
 def _interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, ends, found, status, coefficients):
     items, m, n = structure.shape
     size = m - n + 1

@@ -10,6 +10,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.rest import motor_start
 from cablebot_gym.robots import Robot
 
 TENSION = 50.0
@@ -131,9 +132,8 @@ def start_motors(robot: Robot, mass: Array, pose: Array, velocity: Array) -> tup
     """
     minimum = textbook.allocated_minimum(robot)
     poses = np.broadcast_to(pose, (*np.shape(mass), robot.coordinates))
-    tensions = textbook.static_torque(robot, mass, poses, minimum=minimum) / robot.pulley_radius
-    stretch = 1 + tensions / robot.axial_stiffness if robot.elastic else np.ones_like(tensions)
-    return textbook.rest_angles(robot, tensions, poses)[0], textbook.pulley_speed(robot, poses, velocity) / stretch
+    start = motor_start(robot, textbook.static_torque(robot, mass, poses, minimum=minimum), poses, velocity)
+    return start.motor_angle, start.speed
 
 
 def _piecewise(ca: Any, at: Any, points: Array, values: Array) -> Any:

@@ -212,8 +212,8 @@ def test_global_random_state_is_neither_read_nor_changed():
     for seed in (0, 1):
         np.random.seed(seed)  # noqa: NPY002 - the test is about the global generator
         random.seed(seed)
-        numpy_state = np.random.get_state()
-        python_state = random.getstate()  # noqa: NPY002
+        numpy_state = np.random.get_state()  # noqa: NPY002
+        python_state = random.getstate()
         env = rugged(uncertainty="table6+sensors")
         results.append((env.reset(seed=3), env.step(np.zeros((4, 3)))))
         make_single(PLANAR, payload_range=(0, 1)).reset()

@@ -25,6 +25,7 @@ from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.kinematics import turned
 from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.kernel.arithmetic import atan2
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.trajectories import Dwell
 
@@ -122,7 +123,7 @@ def holding_torques(robot, state):
 
 
 def test_arctangent_is_right_to_the_last_digits():
-    arctangent = njit(lambda y, x: kernel._atan2(y, x))
+    arctangent = njit(lambda y, x: atan2(y, x))
     points = np.random.default_rng(0).normal(size=(4000, 2)).tolist()
     points += [(0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, 1.0), (1e-9, -1.0)]
     for y, x in points:

@@ -40,6 +40,7 @@ from oracles.plants import (
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.kernel.arithmetic import sincos
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
@@ -401,7 +402,7 @@ def test_sine_and_cosine_are_right_to_the_last_digit():
 
     Closer than 1e-9 to a zero the reduction's last digit shows (3e-27 at π/2), and relative errors mean nothing.
     """
-    sine_and_cosine = njit(lambda angle: kernel._sincos(angle))
+    sine_and_cosine = njit(lambda angle: sincos(angle))
     quarter = np.arange(-63, 64) * (math.pi / 2)
     near = (quarter[:, None] + np.array([-1e-3, -1e-6, -1e-8, 0.0, 1e-8, 1e-6, 1e-3])).ravel()
     for angle in np.concatenate([np.linspace(-100, 100, 20_001), near]).tolist():

@@ -1,0 +1,278 @@
+"""RK4 steps of a tile, and what its record notes of them."""
+
+from __future__ import annotations
+
+import math
+
+from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.kernel.motors import (
+    drive_motors,
+    pulley_row,
+    request_torques,
+    stretch_cables,
+    subtract_friction,
+    twist_springs,
+)
+from cablebot_gym.physics.kernel.rows import (
+    CABLE_RECORDS,
+    CABLE_ROWS,
+    DRIVE,
+    FIRST_CABLE,
+    FIRST_CABLE_RECORD,
+    FREE_TENSION,
+    GAP,
+    LAGGED,
+    LEAST_TENSION,
+    MOTOR_ANGLE,
+    MOTOR_RATE,
+    MOTOR_STAGE,
+    MOTOR_START,
+    MOTOR_SUM,
+    MOTOR_TORQUE,
+    POSE,
+    POSITION_PEAK,
+    PULLEY_RATE,
+    PULLEY_RECORDS,
+    PULLEY_STAGE,
+    PULLEY_START,
+    PULLEY_SUM,
+    REQUEST,
+    ROTATION_PEAK,
+    SLACK,
+    STAGE,
+    START,
+    SUM,
+    TAUT,
+    TENSION,
+    TORQUE,
+    VELOCITY,
+    pulley_record_row,
+)
+from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, stage_kinematics
+
+
+@inline
+def _note_tensions(form, period_starts, unilateral, w, record, lanes):
+    """Counts slack cables and updates the least tensions at the start of a physics step.
+
+    Stores the tensions at the start of the control period.
+    """
+    for i in range(form.cables):
+        row = FIRST_CABLE + CABLE_ROWS * i
+        rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
+        for at in range(lanes):
+            tension = w[(row + FREE_TENSION) * lanes + at]
+            slack = 1.0 - w[(row + TAUT) * lanes + at] if unilateral else (0.0 if tension > 0.0 else 1.0)
+            tension = max(tension, 0.0) if unilateral else tension
+            if period_starts:
+                record[(rec + TENSION) * lanes + at] = tension
+                record[(rec + LEAST_TENSION) * lanes + at] = tension
+                record[(rec + SLACK) * lanes + at] = slack
+            else:
+                record[(rec + LEAST_TENSION) * lanes + at] = min(tension, record[(rec + LEAST_TENSION) * lanes + at])
+                record[(rec + SLACK) * lanes + at] += slack
+
+
+@inline
+def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
+    """RK4 update of one row: the value of the next stage or, after the last stage, the new state."""
+    ahead = h if stage == 2 else 0.5 * h
+    weight = 2.0 if stage in (1, 2) else 1.0
+    rate, begin = w[rate_row * lanes + at], w[start * lanes + at]
+    sum_ = weight * rate + (w[total * lanes + at] if stage > 0 else 0.0)
+    if stage < 3:
+        w[total * lanes + at] = sum_
+        w[value * lanes + at] = begin + ahead * rate
+    else:
+        end = begin + h / 6.0 * sum_
+        w[start * lanes + at] = end
+        w[value * lanes + at] = end
+
+
+@inline
+def _rk4(
+    form,
+    lags,
+    rubs,
+    period_starts,
+    unilateral,
+    h,
+    p,
+    w,
+    record,
+    lanes,
+):
+    """One physics step of a tile; START becomes the new state."""
+    for stage in range(4):
+        stage_kinematics(form, form.flexible, p, w, lanes)
+        if stage == 0 and period_starts:
+            request_torques(form, lags, h, p, w, record, lanes)
+        drive_motors(form, lags, stage, p, w, lanes)
+        if stage == 0 and period_starts:
+            for i in range(form.cables):
+                row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+                for at in range(lanes):
+                    record[(rec + TORQUE) * lanes + at] = w[
+                        (row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at
+                    ]
+        if rubs:
+            subtract_friction(form, p, w, lanes)
+        if form.elastic:
+            stretch_cables(form, unilateral, p, w, lanes)
+        elif form.jointed:
+            twist_springs(form, unilateral, p, w, lanes)
+        stage_dynamics(form, unilateral, p, w, lanes)
+        if stage == 0:
+            _note_tensions(form, period_starts, unilateral, w, record, lanes)
+        # Positions first: their rate is the velocity of the stage, which changes next.
+        for half in range(2):
+            rate_row = STAGE + 6 if half == 0 else acceleration_row(form)
+            for j in range(form.coordinates):
+                value = 6 * half + j
+                for at in range(lanes):
+                    _blend(stage, h, w, at, lanes, START + value, SUM + value, STAGE + value, rate_row + j)
+        if form.flexible:
+            for half in range(2):
+                rate_row = MOTOR_STAGE + 1 if half == 0 else MOTOR_RATE
+                for i in range(form.cables):
+                    row = FIRST_CABLE + CABLE_ROWS * i
+                    start, total, value = row + MOTOR_START + half, row + MOTOR_SUM + half, row + MOTOR_STAGE + half
+                    for at in range(lanes):
+                        _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
+        if form.double:
+            for half in range(2):
+                rate_row = PULLEY_STAGE + 1 if half == 0 else PULLEY_RATE
+                for i in range(form.cables):
+                    row = pulley_row(form, i)
+                    start, total, value = (
+                        row + PULLEY_START + half,
+                        row + PULLEY_SUM + half,
+                        row + PULLEY_STAGE + half,
+                    )
+                    for at in range(lanes):
+                        _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
+
+
+@inline
+def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
+    """Updates the largest position and rotation error after a physics step, against a line of a path.
+
+    A view of the line would count a reference.
+    """
+    dx, dy = w[START * lanes + at] - paths[path, line, 0], w[(START + 1) * lanes + at] - paths[path, line, 1]
+    square, rotation = dx * dx + dy * dy, 0.0
+    if form.dimensions == 3:
+        dz = w[(START + 2) * lanes + at] - paths[path, line, 2]
+        square += dz * dz
+    for j in range(form.dimensions, form.coordinates):
+        rotation = max(rotation, abs(w[(START + j) * lanes + at] - paths[path, line, j]))
+    position = math.sqrt(square)
+    if not period_starts:
+        position = max(position, record[POSITION_PEAK * lanes + at])
+        rotation = max(rotation, record[ROTATION_PEAK * lanes + at])
+    record[POSITION_PEAK * lanes + at] = position
+    record[ROTATION_PEAK * lanes + at] = rotation
+
+
+@inline
+def _load_tile(form, record, w, lanes):
+    """Copies the state to the scratch memory. The search starts with the last known slack cables."""
+    for j in range(form.coordinates):
+        for at in range(lanes):
+            w[(START + j) * lanes + at] = record[(POSE + j) * lanes + at]
+            w[(STAGE + j) * lanes + at] = record[(POSE + j) * lanes + at]
+            w[(START + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
+            w[(STAGE + 6 + j) * lanes + at] = record[(VELOCITY + j) * lanes + at]
+    for i in range(form.cables):
+        for at in range(lanes):
+            slack = record[(FIRST_CABLE_RECORD + CABLE_RECORDS * i + SLACK) * lanes + at]
+            w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
+    if form.flexible:
+        for i in range(form.cables):
+            row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            for at in range(lanes):
+                for half in range(2):
+                    value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
+                    w[(row + MOTOR_START + half) * lanes + at] = value
+                    w[(row + MOTOR_STAGE + half) * lanes + at] = value
+    if form.double:
+        for i in range(form.cables):
+            for half in range(2):
+                for at in range(lanes):
+                    value = record[(pulley_record_row(form.cables) + PULLEY_RECORDS * i + half) * lanes + at]
+                    w[(pulley_row(form, i) + PULLEY_START + half) * lanes + at] = value
+                    w[(pulley_row(form, i) + PULLEY_STAGE + half) * lanes + at] = value
+
+
+@inline
+def advance_tiles(form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h):
+    """One control period of all tiles, see :class:`entry_points.Compiled`."""
+    for tile in range(record.shape[0]):
+        p, r = parameters[tile], record[tile]
+        _load_tile(form, r, w, lanes)
+        if not unilateral:
+            for i in range(form.cables):
+                for at in range(lanes):
+                    w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at] = 1.0
+        for substep in range(steps):
+            _rk4(
+                form,
+                lags,
+                rubs,
+                substep == 0,
+                unilateral,
+                h,
+                p,
+                w,
+                r,
+                lanes,
+            )
+            for at in range(lanes):
+                lane = tile * lanes + at
+                line = min(step[lane] * steps + substep + 1, ends[path[lane]])
+                _note_errors(form, substep == 0, w, r, at, lanes, paths, path[lane], line)
+        for at in range(lanes):
+            step[tile * lanes + at] += 1
+        for j in range(form.coordinates):
+            for at in range(lanes):
+                r[(POSE + j) * lanes + at] = w[(START + j) * lanes + at]
+                r[(VELOCITY + j) * lanes + at] = w[(START + 6 + j) * lanes + at]
+        for i in range(form.cables):
+            row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            if form.double:
+                for half in range(2):
+                    for at in range(lanes):
+                        value = w[(pulley_row(form, i) + PULLEY_START + half) * lanes + at]
+                        r[(pulley_record_row(form.cables) + PULLEY_RECORDS * i + half) * lanes + at] = value
+            if form.flexible:
+                for half in range(2):
+                    for at in range(lanes):
+                        r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + MOTOR_START + half) * lanes + at]
+            if lags:
+                for at in range(lanes):
+                    lagged = w[(row + REQUEST) * lanes + at] + w[(row + GAP) * lanes + at]
+                    r[(rec + LAGGED) * lanes + at] = lagged
+
+
+@inline
+def evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration):
+    """Accelerations and tensions of all tiles for the torques in ``record``."""
+    for tile in range(record.shape[0]):
+        p, r = parameters[tile], record[tile]
+        _load_tile(form, r, w, lanes)
+        for i in range(form.cables):
+            row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            for at in range(lanes):
+                w[(row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + TAUT) * lanes + at] = 1.0
+        stage_kinematics(form, form.flexible, p, w, lanes)
+        subtract_friction(form, p, w, lanes)
+        if form.elastic:
+            stretch_cables(form, unilateral, p, w, lanes)
+        elif form.jointed:
+            twist_springs(form, unilateral, p, w, lanes)
+        stage_dynamics(form, unilateral, p, w, lanes)
+        _note_tensions(form, True, unilateral, w, r, lanes)
+        for j in range(form.coordinates):
+            for at in range(lanes):
+                acceleration[tile, j * lanes + at] = w[(acceleration_row(form) + j) * lanes + at]

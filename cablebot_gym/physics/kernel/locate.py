@@ -1,0 +1,89 @@
+"""Forward kinematics of a tile: poses from the lengths of all cables."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.kernel.rows import (
+    CABLE_ROWS,
+    ENDED,
+    FIRST_CABLE,
+    KNOWN,
+    LENGTH,
+    REQUEST,
+    SQUARES,
+    STAGE,
+    START,
+    SUM,
+    TAUT,
+    TRIAL,
+)
+from cablebot_gym.physics.kernel.stage import acceleration_row, stage_accelerations, stage_kinematics
+from cablebot_gym.physics.kernel.taut import solve_lane
+
+
+@inline
+def locate_tiles(form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
+    """Poses of given cable lengths: Gauss-Newton steps of all lanes in tiles.
+
+    The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of the length as t_i,
+    μ_i = 1, and the damping as mass and inertia, y is the step. A step that increases the sum of the squares is halved.
+    A lane ends after a step below the tolerance.
+    """
+    count = lengths.shape[0]
+    for row in range(parameters.shape[0]):
+        for at in range(lanes):
+            p[row * lanes + at] = parameters[row]
+    for first in range(0, count, lanes):
+        for at in range(lanes):
+            lane = min(first + at, count - 1)
+            for j in range(form.coordinates):
+                w[(START + j) * lanes + at] = w[(STAGE + j) * lanes + at] = pose[lane, j]
+                w[(STAGE + 6 + j) * lanes + at] = 0.0
+                w[(SUM + j) * lanes + at] = np.nan
+            for i in range(form.cables):
+                row = FIRST_CABLE + CABLE_ROWS * i
+                w[(row + REQUEST) * lanes + at] = lengths[lane, i]
+                w[(row + TAUT) * lanes + at] = 1.0
+            w[SQUARES * lanes + at], w[ENDED * lanes + at] = np.inf, 0.0
+        for _ in range(iterations):
+            stage_kinematics(form, True, p, w, lanes)
+            for at in range(lanes):
+                w[TRIAL * lanes + at] = 0.0
+            for i in range(form.cables):
+                row = FIRST_CABLE + CABLE_ROWS * i
+                for at in range(lanes):
+                    excess = w[(row + LENGTH) * lanes + at] - w[(row + REQUEST) * lanes + at]
+                    w[(row + KNOWN) * lanes + at] = excess
+                    w[TRIAL * lanes + at] += excess * excess
+            for at in range(lanes):
+                solve_lane(form, p, w, at, lanes)
+            stage_accelerations(form, p, w, lanes)
+            finished = 1.0
+            for at in range(lanes):
+                finished *= _take_step(form, tolerance, w, at, lanes)
+            if finished == 1.0:
+                break
+        for at in range(min(lanes, count - first)):
+            for j in range(form.coordinates):
+                pose[first + at, j] = w[(START + j) * lanes + at]
+            squares[first + at], ended[first + at] = w[SQUARES * lanes + at], w[ENDED * lanes + at] == 1.0
+
+
+@inline
+def _take_step(form, tolerance, w, at, lanes):
+    """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended before."""
+    before = w[ENDED * lanes + at]
+    better = (w[TRIAL * lanes + at] <= w[SQUARES * lanes + at] + 1e-24) | (before == 1.0)  # NaN is not better
+    w[SQUARES * lanes + at] = w[TRIAL * lanes + at] if better else w[SQUARES * lanes + at]
+    size = 0.0
+    for j in range(form.coordinates):
+        start = w[(STAGE + j) * lanes + at] if better else w[(START + j) * lanes + at]
+        step = w[(acceleration_row(form) + j) * lanes + at] if better else w[(SUM + j) * lanes + at] / 2
+        step = 0.0 if before == 1.0 else step
+        size += abs(step)
+        w[(START + j) * lanes + at], w[(SUM + j) * lanes + at] = start, step
+        w[(STAGE + j) * lanes + at] = start + step
+    w[ENDED * lanes + at] = 1.0 if size <= tolerance else 0.0
+    return before

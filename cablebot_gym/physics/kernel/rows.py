@@ -1,0 +1,125 @@
+"""Rows of a tile's memory, and the form of a robot for which the kernel is compiled.
+
+Robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row * lanes + lane]``, so the
+innermost loops run over lanes and vectorise. An array with two indices would be three times slower.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cablebot_gym.physics.inlining import compile_time_constant, inline
+
+LANES = 32
+"""Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""
+
+# Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
+# on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
+# whose distance is a multiple of 4 KiB share a set of the first-level cache. From stretch_parameter(m, lopsided) on,
+# robots with elastic cables or swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
+MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
+BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
+STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
+CABLE_PARAMETERS = 17
+PRODUCTS, CENTER, BODY_PARAMETERS = 0, 3, 6
+RADIUS, PER_PULLEY_INERTIA, AXIAL_STIFFNESS, AXIAL_DAMPING, FULL_LENGTH, EXTRA_LENGTH, SWIVEL = 0, 1, 2, 3, 4, 5, 6
+STRETCH_PARAMETERS = 7
+
+# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period. With
+# joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow, angle and speed.
+POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
+DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED, LEAST_TENSION, LAGGED = 0, 1, 2, 3, 4, 5, 6, 7, 8
+CABLE_RECORDS, PULLEY_RECORDS = 9, 2
+
+# Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG of a platform in a
+# plane: sine and cosine of φ.
+START, SUM, STAGE, RATE = 0, 12, 24, 36
+ROTATION, BODY_VELOCITY, OMEGA, SPIN, LOAD, TRIG = 42, 51, 54, 57, 60, 66
+UNKNOWNS, WRONG, LEAST_SUM, PAIR, FIRST_CABLE = 70, 76, 77, 78, 82
+CENTRE = LEAST_SUM  # of platforms that turn
+ROW, LENGTH_RATE, BIAS, REQUEST, DRIVE, TAUT, FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
+# Flexible robots: MOTOR_START, MOTOR_SUM and MOTOR_STAGE have two rows each, angle β′ and speed β̇′.
+LENGTH, MOTOR_START, MOTOR_SUM, MOTOR_STAGE, MOTOR_RATE, MOTOR_TORQUE = 12, 13, 15, 17, 19, 20
+RESULTS = 21
+GAP, DECAY, KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
+CABLE_ROWS = 28
+# Forward kinematics: START and SUM have the best pose and the step from there; their last rows serve sums and flags.
+SQUARES, TRIAL, ENDED = 9, 10, 11
+# The pulleys between joint springs and elastic cables, after all cables.
+PULLEY_START, PULLEY_SUM, PULLEY_STAGE, PULLEY_RATE, PULLEY_ROWS = 0, 2, 4, 6, 7
+
+TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
+"""Order of the results of the inverse dynamics."""
+
+
+@compile_time_constant
+class Form(NamedTuple):
+    """Constants of the compiled code, which is compiled once for each form of robots."""
+
+    dimensions: int
+    """Number of coordinates of the position: 2 or 3."""
+    coordinates: int
+    """Number of coordinates n: with ``dimensions`` it determines the kind of the platform."""
+    cables: int
+    """Number of cables m."""
+    jointed: bool
+    """Whether there are springs between motors and pulleys."""
+    elastic: bool
+    """Whether the cables stretch."""
+    swivel: bool
+    """Whether the cables run over swivel pulleys."""
+    lopsided: bool
+    """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
+    for every platform in a plane."""
+
+    @property
+    def flexible(self) -> bool:
+        """Whether the motors move independently of the platform."""
+        return self.jointed or self.elastic
+
+    @property
+    def double(self) -> bool:
+        """Whether there are pulleys between joint springs and elastic cables."""
+        return self.jointed and self.elastic
+
+    @property
+    def robot_text(self) -> str:
+        """The kind of robot in words, without the number of lanes."""
+        body = "point mass" if self.coordinates == self.dimensions else "platform"
+        place = "in space" if self.dimensions == 3 else "in a plane"
+        springs = [text for flag, text in ((self.jointed, "joint springs"), (self.elastic, "elastic cables")) if flag]
+        return " with ".join([f"{body} {place} on {self.cables} cables", *([" and ".join(springs)] if springs else [])])
+
+
+def body_parameter(cables: int) -> int:
+    """Row of the first parameter that only lopsided robots have."""
+    return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables
+
+
+def stretch_parameter(cables: int, lopsided: bool) -> int:
+    """Row of the first parameter that only robots with elastic cables or swivel pulleys have."""
+    return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables + BODY_PARAMETERS * lopsided
+
+
+def pulley_record(cables: int) -> int:
+    """Row of the angle of the first pulley between a joint spring and an elastic cable."""
+    return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
+
+
+def parameter_rows(form: Form) -> int:
+    """Number of parameter rows of a tile."""
+    stretch = STRETCH_PARAMETERS * form.cables * (form.elastic or form.swivel)
+    return stretch_parameter(form.cables, form.lopsided) + stretch
+
+
+def record_rows(form: Form) -> int:
+    """Number of record rows of a tile."""
+    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * (form.elastic and form.jointed)
+
+
+def scratch_rows(form: Form) -> int:
+    """Number of rows of the scratch memory."""
+    return FIRST_CABLE + CABLE_ROWS * form.cables + PULLEY_ROWS * form.cables * (form.elastic and form.jointed)
+
+
+body_row, stretch_row, pulley_record_row = (inline(row) for row in (body_parameter, stretch_parameter, pulley_record))

@@ -1,0 +1,254 @@
+"""Accelerations of one lane for given tensions, and the set of cables that pull."""
+
+from __future__ import annotations
+
+from cablebot_gym.physics.inlining import helper, inline
+from cablebot_gym.physics.kernel.arithmetic import (
+    add_outer,
+    add_scaled,
+    dot,
+    factor_symmetric,
+    fma,
+    load_vector,
+    solve_factored,
+    store_vector,
+    symmetric_inverse,
+    symmetric_times,
+)
+from cablebot_gym.physics.kernel.plane import three_masses
+from cablebot_gym.physics.kernel.rows import (
+    BIAS,
+    CABLE_PARAMETERS,
+    CABLE_ROWS,
+    DAMPING_PER_RADIUS2,
+    DRIVE,
+    FIRST_CABLE,
+    FIRST_CABLE_PARAMETER,
+    FORCE,
+    FREE_TENSION,
+    GRAVITY,
+    INERTIA_PER_RADIUS2,
+    KNOWN,
+    LENGTH_RATE,
+    LOAD,
+    MASS,
+    PER_RADIUS,
+    ROW,
+    TAUT,
+    UNKNOWNS,
+    WRONG,
+)
+from cablebot_gym.physics.kernel.space import inertia_tensor
+
+
+@inline
+def cable_weights(p, w, at, lanes, i):
+    """(J/r²) and the tension without the unknown part of q̈; both are zero for a slack cable."""
+    taut = w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at]
+    mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    return taut * mu, taut * w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
+
+
+@inline
+def _known_tensions(form, p, w, at, lanes):
+    """κ/r + (J/r²)·bias + (c/r²) q̇ of all cables."""
+    for i in range(form.cables):
+        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+        drive = w[(row + DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
+        damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + LENGTH_RATE) * lanes + at]
+        inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
+        w[(row + KNOWN) * lanes + at] = fma(inertia, w[(row + BIAS) * lanes + at], drive + damping)
+
+
+@inline
+def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
+    """Adds cable i to the left side ((a, b), (bᵀ, c)) and subtracts its known tension from the right side (f, g)."""
+    mu, known = cable_weights(p, w, at, lanes, i)
+    a, b, c = add_row(a, b, c, mu, w, at, lanes, i)
+    f, g = add_pull(f, g, known, w, at, lanes, i)
+    return a, b, c, f, g
+
+
+@inline
+def add_row(a, b, c, weight, w, at, lanes, i):
+    """Adds weight · row_i row_iᵀ to ((a, b), (bᵀ, c))."""
+    row = FIRST_CABLE + CABLE_ROWS * i + ROW
+    u, n = load_vector(w, row, at, lanes), load_vector(w, row + 3, at, lanes)
+    heavy = (weight * u[0], weight * u[1], weight * u[2])
+    a = add_outer(a, heavy, u)
+    c = add_outer(c, (weight * n[0], weight * n[1], weight * n[2]), n)
+    return a, (add_scaled(heavy[0], n, b[0]), add_scaled(heavy[1], n, b[1]), add_scaled(heavy[2], n, b[2])), c
+
+
+@inline
+def add_pull(f, g, tension, w, at, lanes, i):
+    """Subtracts the pull of cable i, row_i · tension, from (f, g)."""
+    row = FIRST_CABLE + CABLE_ROWS * i + ROW
+    return add_scaled(-tension, load_vector(w, row, at, lanes), f), add_scaled(
+        -tension, load_vector(w, row + 3, at, lanes), g
+    )
+
+
+@inline
+def _spatial_solve(form, p, w, at, lanes):
+    """y for the current set of taut cables. The cables are not in a loop: a loop that carries tuples is slower."""
+    mass, zero = p[MASS * lanes + at], (0.0, 0.0, 0.0)
+    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), inertia_tensor(form, p, at, lanes)
+    f, g = load_vector(w, LOAD, at, lanes), load_vector(w, LOAD + 3, at, lanes)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 2)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
+    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
+    if form.cables > 6:
+        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 6)
+    if form.cables > 7:
+        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 7)
+    for i in range(8, form.cables):
+        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, i)
+    push, turn = solve_factored(factor_symmetric(a, b, c), f, g)
+    store_vector(w, UNKNOWNS, at, lanes, push)
+    store_vector(w, UNKNOWNS + 3, at, lanes, turn)
+
+
+@inline
+def _planar_solve(form, p, w, at, lanes):
+    """y = Ẍ for the current set of taut cables, from two equations. Gravity acts along y."""
+    mass = p[MASS * lanes + at]
+    xx, xy, yy, fx = mass, 0.0, mass, p[FORCE * lanes + at]
+    fy = fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
+    for i in range(form.cables):
+        row = FIRST_CABLE + CABLE_ROWS * i
+        mu, known = cable_weights(p, w, at, lanes, i)
+        ux, uy = w[(row + ROW) * lanes + at], w[(row + ROW + 1) * lanes + at]
+        xx, xy, yy = xx + mu * ux * ux, xy + mu * ux * uy, yy + mu * uy * uy
+        fx, fy = fx - known * ux, fy - known * uy
+    per = 1.0 / (xx * yy - xy * xy)
+    w[UNKNOWNS * lanes + at] = (yy * fx - xy * fy) * per
+    w[(UNKNOWNS + 1) * lanes + at] = (xx * fy - xy * fx) * per
+
+
+@inline
+def _three_solve(form, p, w, at, lanes):
+    """y for the current set of taut cables, from three equations."""
+    xx, yy, zz = three_masses(form, p, at, lanes)
+    xy, xz, yz = 0.0, 0.0, 0.0
+    fx, fy, fz = load_vector(w, LOAD, at, lanes)
+    for i in range(form.cables):
+        mu, known = cable_weights(p, w, at, lanes, i)
+        ux, uy, uz = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
+        hx, hy, hz = mu * ux, mu * uy, mu * uz
+        xx, xy, xz = fma(hx, ux, xx), fma(hx, uy, xy), fma(hx, uz, xz)
+        yy, yz, zz = fma(hy, uy, yy), fma(hy, uz, yz), fma(hz, uz, zz)
+        fx, fy, fz = fma(-known, ux, fx), fma(-known, uy, fy), fma(-known, uz, fz)
+    store_vector(w, UNKNOWNS, at, lanes, symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)))
+
+
+@inline
+def length_acceleration(form, w, at, lanes, i):
+    """row_i · y."""
+    row = FIRST_CABLE + CABLE_ROWS * i + ROW
+    along = w[row * lanes + at] * w[UNKNOWNS * lanes + at]
+    along += w[(row + 1) * lanes + at] * w[(UNKNOWNS + 1) * lanes + at]
+    if form.coordinates > 2:
+        along += w[(row + 2) * lanes + at] * w[(UNKNOWNS + 2) * lanes + at]
+    if form.coordinates == 6:
+        along += dot(load_vector(w, row + 3, at, lanes), load_vector(w, UNKNOWNS + 3, at, lanes))
+    return along
+
+
+@inline
+def _free_tension(form, p, w, at, lanes, i):
+    """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque u."""
+    mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    known = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
+    tension = known + mu * length_acceleration(form, w, at, lanes, i)
+    w[(FIRST_CABLE + CABLE_ROWS * i + FREE_TENSION) * lanes + at] = tension
+    return tension
+
+
+@inline
+def pulled_lane(form, p, w, at, lanes):
+    """y for the tensions of elastic cables."""
+    mass = p[MASS * lanes + at]
+    if form.coordinates == 6:
+        f, g = load_vector(w, LOAD, at, lanes), load_vector(w, LOAD + 3, at, lanes)
+        for i in range(form.cables):
+            f, g = add_pull(f, g, w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at], w, at, lanes, i)
+        store_vector(w, UNKNOWNS, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
+        store_vector(
+            w, UNKNOWNS + 3, at, lanes, symmetric_times(symmetric_inverse(inertia_tensor(form, p, at, lanes)), g)
+        )
+    elif form.coordinates == 3:
+        masses, (fx, fy, fz) = three_masses(form, p, at, lanes), load_vector(w, LOAD, at, lanes)
+        for i in range(form.cables):
+            tension = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
+            ux, uy, uz = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
+            fx, fy, fz = fma(-tension, ux, fx), fma(-tension, uy, fy), fma(-tension, uz, fz)
+        store_vector(w, UNKNOWNS, at, lanes, (fx / masses[0], fy / masses[1], fz / masses[2]))
+    else:
+        fx, fy = p[FORCE * lanes + at], fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
+        for i in range(form.cables):
+            row = FIRST_CABLE + CABLE_ROWS * i
+            tension = w[(row + KNOWN) * lanes + at]
+            fx = fma(-tension, w[(row + ROW) * lanes + at], fx)
+            fy = fma(-tension, w[(row + ROW + 1) * lanes + at], fy)
+        w[UNKNOWNS * lanes + at], w[(UNKNOWNS + 1) * lanes + at] = fx / mass, fy / mass
+
+
+@inline
+def solve_lane(form, p, w, at, lanes):
+    """y for the current set of taut cables."""
+    if form.coordinates == 6:
+        _spatial_solve(form, p, w, at, lanes)
+    elif form.coordinates == 3:
+        _three_solve(form, p, w, at, lanes)
+    else:
+        _planar_solve(form, p, w, at, lanes)
+
+
+@helper
+def _settle_lane(form, p, w, at, lanes):
+    """Finds the taut set of one lane. All wrong cables change sides; after too many trials, only the last one does.
+
+    The second rule is Murty's least-index rule, which terminates for every P-matrix, such as that of this problem.
+    """
+    for trial in range(10 + 2 ** min(form.cables, 20)):
+        wrong = 0
+        for i in range(form.cables):
+            taut = (FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at
+            pulls = 1.0 if _free_tension(form, p, w, at, lanes, i) > 0.0 else 0.0
+            if pulls != w[taut]:
+                wrong = i + 1
+                if trial < 10:
+                    w[taut] = pulls
+        if wrong == 0:
+            return
+        if trial >= 10:
+            taut = (FIRST_CABLE + CABLE_ROWS * (wrong - 1) + TAUT) * lanes + at
+            w[taut] = 1.0 - w[taut]
+        solve_lane(form, p, w, at, lanes)
+
+
+@inline
+def taut_sets(form, unilateral, p, w, lanes):
+    """y and the taut sets of all lanes whose cables do not stretch."""
+    for at in range(lanes):
+        _known_tensions(form, p, w, at, lanes)
+        solve_lane(form, p, w, at, lanes)
+    for at in range(lanes):
+        wrong = 0.0
+        for i in range(form.cables):
+            pulls = 1.0 if _free_tension(form, p, w, at, lanes, i) > 0.0 else 0.0
+            taut = w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at]
+            wrong += (pulls - taut) * (pulls - taut)
+        w[WRONG * lanes + at] = wrong
+    if unilateral:
+        wrong = 0.0
+        for at in range(lanes):
+            wrong = max(wrong, w[WRONG * lanes + at])
+        if wrong > 0.0:
+            for at in range(lanes):
+                if w[WRONG * lanes + at] > 0.0:
+                    _settle_lane(form, p, w, at, lanes)
