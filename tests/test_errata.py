@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.mujoco_model import MujocoRobot
 from oracles.plants import (
     State,
@@ -142,7 +143,7 @@ def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
     torques = np.linalg.solve(g.T, needed_force(UNEVEN, time, pulleys=True)) + friction
     tensions = np.linalg.solve(RADIUS * g.T, needed_force(UNEVEN, time, pulleys=False))
     corrected = (torques - j * (rate @ v + g @ a) - friction) / RADIUS
-    np.testing.assert_allclose(corrected, tensions, rtol=0, atol=1e-6)
+    assert_allclose(corrected, tensions, rtol=0, atol=1e-6)
     for printed in (
         j * (g @ a),
         j * rate @ v + g @ a,
@@ -153,25 +154,25 @@ def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
 @each_time
 def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
     (x, v, a), (g, rate) = motion(RUBBING, time), turning(RUBBING, time)
-    needed = RADIUS * (needed_force(RUBBING, time, pulleys=True) + g.T @ (0.02 * g @ v))
+    required = RADIUS * (needed_force(RUBBING, time, pulleys=True) + g.T @ (0.02 * g @ v))
 
     def equation(s):
         return (RADIUS * np.eye(2) + s @ (8e-4 * g)) @ a + s @ ((8e-4 * rate + 0.02 * g) @ v)
 
     theta = np.arctan2(*(x - RUBBING.base).T[::-1])  # from the anchor to the platform
     s = -np.array([np.cos(theta), np.sin(theta)])
-    np.testing.assert_allclose(equation(s), needed, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(s, RADIUS * g.T, rtol=0, atol=1e-12)  # S τ is r times the generalised force of τ
-    assert np.abs(equation(-s) - needed).max() > 0.01
+    assert_allclose(equation(s), required, rtol=0, atol=1e-8)
+    assert_allclose(s, RADIUS * g.T, rtol=0, atol=1e-12)  # S τ is r times the generalised force of τ
+    assert np.abs(equation(-s) - required).max() > 0.01
 
 
 @each_time
 def test_eq3_angles_for_rates_break_lagranges_equation(time):
     (x, v, a), inertia = motion(UNEVEN, time), np.array(UNEVEN.inertia)
-    needed = needed_force(UNEVEN, time, pulleys=False)
+    required = needed_force(UNEVEN, time, pulleys=False)
     inertial = textbook.mass_matrix(UNEVEN, 10.0, x) @ a
     bias = textbook.bias(UNEVEN, 10.0, x, v)
-    np.testing.assert_allclose(inertial + bias, needed, rtol=0, atol=1e-6)
+    assert_allclose(inertial + bias, required, rtol=0, atol=1e-6)
     (c1, c2, _), (s1, s2, _) = np.cos(x[3:]), np.sin(x[3:])
     to_omega = np.array([[1, 0, -s2], [0, c1, s1 * c2], [0, -s1, c1 * c2]])
     omega = to_omega @ v[3:]
@@ -179,7 +180,7 @@ def test_eq3_angles_for_rates_break_lagranges_equation(time):
     exchanged[3:] += to_omega.T @ np.cross(omega, inertia * (to_omega @ x[3:]) - inertia * omega)
     twice = np.concatenate([bias[:3], bias[3:] * v[3:]])  # "C(X, Ẋ) Ẋ", C being a vector
     for printed in (exchanged, twice):
-        assert np.abs(inertial + printed - needed).max() > 0.1
+        assert np.abs(inertial + printed - required).max() > 0.1
 
 
 def test_eq4_is_a_force_law_and_no_constraint():
@@ -212,9 +213,9 @@ def test_eq9_and_eq10_need_both_rows_and_a_pseudoinverse(time):
         return textbook.forward_dynamics(RUBBING, 1.0, x, v, torques, cable="bilateral")[0]
 
     torques = np.array([2.0, 1.0, 3.0])
-    asked = np.array([3.0, -4.0])
+    requested = np.array([3.0, -4.0])
     right = s @ torques - bias
-    np.testing.assert_allclose(
+    assert_allclose(
         np.linalg.solve(matrix, right),
         accelerations(torques),
         rtol=0,
@@ -223,8 +224,8 @@ def test_eq9_and_eq10_need_both_rows_and_a_pseudoinverse(time):
     assert np.abs(right / np.diag(matrix) - accelerations(torques)).max() > 0.01
     with pytest.raises(ValueError, match="mismatch"):
         matrix @ np.linalg.pinv(s)
-    found = accelerations(np.linalg.pinv(s) @ (matrix @ asked + bias))
-    np.testing.assert_allclose(found, asked, rtol=0, atol=1e-9)
+    reached = accelerations(np.linalg.pinv(s) @ (matrix @ requested + bias))
+    assert_allclose(reached, requested, rtol=0, atol=1e-9)
 
 
 def test_eq10_two_motors_alone_would_have_to_push():
@@ -237,14 +238,14 @@ def test_eq10_two_motors_alone_would_have_to_push():
 @each_time
 def test_eq11_matrix_a_is_s(time):
     s = RADIUS * turning(RUBBING, time)[0].T
-    wanted = np.array([3.0, -4.0])
+    desired_force = np.array([3.0, -4.0])
     null = np.linalg.svd(s)[2][2]
     null = null * np.sign(null[0])
     assert null.min() > 0  # inside the triangle: α raises every torque at once
-    particular = s.T @ np.linalg.solve(s @ s.T, wanted)
-    np.testing.assert_allclose(s @ (particular + 7.0 * null), wanted, rtol=0, atol=1e-12)
+    particular = s.T @ np.linalg.solve(s @ s.T, desired_force)
+    assert_allclose(s @ (particular + 7.0 * null), desired_force, rtol=0, atol=1e-12)
     another = s + 0.1 * np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert np.abs(s @ s.T @ np.linalg.solve(another @ another.T, wanted) - wanted).max() > 0.1
+    assert np.abs(s @ s.T @ np.linalg.solve(another @ another.T, desired_force) - desired_force).max() > 0.1
 
 
 def outer_loop(law, pose, velocity, reference=0.0, acceleration=0.0):
@@ -277,7 +278,7 @@ def test_eq14_law_is_pd_and_leaves_an_error_under_a_force(stiffness, damping):
     )
     root = np.sqrt(complex(damping**2 - 4 * stiffness))
     poles = (-damping + np.array([root, -root])) / 2
-    np.testing.assert_allclose(
+    assert_allclose(
         np.sort_complex(np.linalg.eigvals(matrix)),
         np.sort_complex(poles),
         rtol=1e-6,
@@ -295,16 +296,16 @@ def test_eq15_and_eq16_printed_sign_drops_the_platform():
         -textbook.jacobian(SPATIAL, x).T,
         needed_force(SPATIAL, 0.1, pulleys=False),
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         textbook.required_tensions(SPATIAL, 10.0, x, v, a),
         tensions,
         rtol=0,
         atol=1e-6,
     )
     g, _ = turning(SPATIAL, 0.1)
-    whole = np.linalg.solve(g.T, needed_force(SPATIAL, 0.1, pulleys=True)) + 0.01 * g @ v
+    complete = np.linalg.solve(g.T, needed_force(SPATIAL, 0.1, pulleys=True)) + 0.01 * g @ v
     torques = textbook.required_torques(SPATIAL, tensions, x, v, a)
-    np.testing.assert_allclose(torques, whole, rtol=0, atol=1e-7)
+    assert_allclose(torques, complete, rtol=0, atol=1e-7)
     transposed = textbook.jacobian(SPATIAL, SPATIAL.home).T
     gravity = textbook.bias(SPATIAL, 10.0, SPATIAL.home, still)
     hanging = np.linalg.solve(-transposed, gravity)
@@ -329,7 +330,7 @@ def test_eq17_and_eq20_need_each_coordinate_before_its_rate(time):
         assert np.allclose(slope(state, time)[::2], state(time)[1::2], rtol=0, atol=1e-6) is follows
     inputs = motion(UNEVEN, time)[2]
     rows = slope(interleaved, time)[1::2]
-    np.testing.assert_allclose(rows, inputs, rtol=1e-6)  # row i has the input i/2; row 4 is ÿ and not ψ̈
+    assert_allclose(rows, inputs, rtol=1e-6)  # row i has the input i/2; row 4 is ÿ and not ψ̈
     assert abs(rows[1] - inputs[3]) > 0.1
 
 
@@ -346,7 +347,7 @@ def test_eq21_inertia_of_the_pulleys_adds_to_the_platform(time):
     spring = np.linalg.solve(g.T, needed_force(FLEXIBLE, time, pulleys=True))  # τ − J′ β̈′
     right = -textbook.bias(FLEXIBLE, 11.0, x, v) + g.T @ (spring - j * rate @ v)
     mass = textbook.mass_matrix(FLEXIBLE, 11.0, x)
-    np.testing.assert_allclose(np.linalg.solve(mass + j * g.T @ g, right), a, rtol=0, atol=1e-5)
+    assert_allclose(np.linalg.solve(mass + j * g.T @ g, right), a, rtol=0, atol=1e-5)
     assert np.abs(np.linalg.solve(mass - j * g.T @ g, right) - a).max() > 0.1
 
 
@@ -355,24 +356,24 @@ def test_eq21_and_eq23_platform_has_no_motor_torque():
     wound = textbook.static_motor_angle(FLEXIBLE, 11.0, x)
     peer = mujoco_state((x, v, wound, np.zeros(6)))
     by_none, by_five = (peer.accelerations(np.full(6, torque)) for torque in (0.0, 5.0))
-    np.testing.assert_allclose(by_five, by_none, rtol=0, atol=1e-9)
+    assert_allclose(by_five, by_none, rtol=0, atol=1e-9)
     motors = peer.motor_accelerations(np.full(6, 5.0)) - peer.motor_accelerations(np.zeros(6))
-    np.testing.assert_allclose(motors, 5.0 / 4e-4, rtol=1e-9)
+    assert_allclose(motors, 5.0 / 4e-4, rtol=1e-9)
     spring = FLEXIBLE.stiffness * (wound - textbook.pulley_angle(FLEXIBLE, x))
     expected, _ = textbook.forward_dynamics(FLEXIBLE, 11.0, x, v, spring, cable="bilateral")
-    np.testing.assert_allclose(by_none, expected, rtol=0, atol=1e-8)  # K (β′ − β) in the place of τ − J′ β̈′
+    assert_allclose(by_none, expected, rtol=0, atol=1e-8)  # K (β′ − β) in the place of τ − J′ β̈′
     by_spring = mujoco_state((x, v, wound + 0.1, np.zeros(6))).accelerations(np.zeros(6))
     assert np.abs(by_spring - by_none).max() > 1
 
 
 def test_eq22_measured_acceleration_determines_no_torque():
     """τ = r T + J β̈ + J′ β̈′ as the law and J′ β̈′ = τ − κ of Eq. 4 are the same equation, but for r T + J β̈ = κ."""
-    torque, second, wanted, spring = sympy.symbols("tau beta_m wanted kappa")
+    torque, second, desired_force, spring = sympy.symbols("tau beta_m wanted kappa")
     inertia = sympy.symbols("J_m", positive=True)
-    law = sympy.Eq(torque, wanted + inertia * second)
+    law = sympy.Eq(torque, desired_force + inertia * second)
     motor = sympy.Eq(inertia * second, torque - spring)
     assert sympy.solve([law, motor], [torque, second]) == []
-    agreed = sympy.solve([law.subs(wanted, spring), motor], [torque, second])
+    agreed = sympy.solve([law.subs(desired_force, spring), motor], [torque, second])
     assert agreed == {torque: spring + inertia * second}  # any β̈′ will do
 
 
@@ -408,12 +409,12 @@ def test_eq22_loop_of_one_joint_has_no_cubic_term(stiffness, damping):
             ],
         ]
     )
-    rest = stiffness * (load + motor) / (load * motor)
-    np.testing.assert_allclose(
+    stiff_rate = stiffness * (load + motor) / (load * motor)
+    assert_allclose(
         np.poly(loop),
-        [1, 0, rest, rest * damping, rest * KP],
+        [1, 0, stiff_rate, stiff_rate * damping, stiff_rate * KP],
         rtol=1e-6,
-        atol=1e-6 * rest,
+        atol=1e-6 * stiff_rate,
     )
     fastest = np.linalg.eigvals(loop).real.max()
     assert fastest > 0
@@ -438,8 +439,8 @@ def test_eq22_is_unstable_without_motor_friction(stiffness, friction, low, high)
     def rates(states):
         x = states[:, :6]
         v = states[:, 6:12]
-        needed = textbook.inverse_dynamics(robot, 11.0, x, v, KP * (robot.home - x) - KD * v)
-        torques = needed.torques + robot.motor_inertia * needed.pulley_accelerations + friction * needed.speeds
+        required = textbook.inverse_dynamics(robot, 11.0, x, v, KP * (robot.home - x) - KD * v)
+        torques = required.torques + robot.motor_inertia * required.pulley_accelerations + friction * required.speeds
         return flexible_rates(robot, states, torques)
 
     loop = by_columns(rates, resting(robot))
@@ -453,23 +454,23 @@ def test_eq22_is_unstable_without_motor_friction(stiffness, friction, low, high)
 def test_eq24_inertia_of_the_motors_cancels(time):
     """MuJoCo, wound by β′ = β + (r T + J β̈)/K and driven by Eq. 22, moves as asked; Eq. 24 says β̈′ = 0 there."""
 
-    def needed(at):
+    def required(at):
         return textbook.inverse_dynamics(FLEXIBLE, 11.0, *motion(FLEXIBLE, at)).torques
 
     def motor(at):
-        return textbook.pulley_angle(FLEXIBLE, motion(FLEXIBLE, at)[0]) + needed(at) / FLEXIBLE.stiffness
+        return textbook.pulley_angle(FLEXIBLE, motion(FLEXIBLE, at)[0]) + required(at) / FLEXIBLE.stiffness
 
     (x, v, a), angle, second = (
         motion(FLEXIBLE, time),
         motor(time),
         slope(lambda at: slope(motor, at), time),
     )
-    torques = needed(time) + 4e-4 * second
+    torques = required(time) + 4e-4 * second
     peer = mujoco_state((x, v, angle, slope(motor, time)))
-    np.testing.assert_allclose(peer.accelerations(torques), a, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(peer.motor_accelerations(torques), second, rtol=1e-5, atol=1e-2)
+    assert_allclose(peer.accelerations(torques), a, rtol=0, atol=1e-6)
+    assert_allclose(peer.motor_accelerations(torques), second, rtol=1e-5, atol=1e-2)
     for divisor in (1 + 4e-4, 4e-4):
-        printed = (needed(time) + 3.0 * (textbook.pulley_angle(FLEXIBLE, x) - angle)) / divisor
+        printed = (required(time) + 3.0 * (textbook.pulley_angle(FLEXIBLE, x) - angle)) / divisor
         assert np.abs(printed - second).max() > 0.5 * np.abs(second).max()
 
 
@@ -548,25 +549,25 @@ def parts_of_law(robot, pose, velocity):
 @each_time
 def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
     """γ = ∂τ/∂v from the kinetic energy; η of Eq. 30 against a plant that is heavier than the model."""
-    x, v, asked = motion(SPATIAL, time)
+    x, v, requested = motion(SPATIAL, time)
     true = with_transmission(SPATIAL.replace(mass=11.5), pulley_inertia=3e-3)
     (alpha, gamma), (model_alpha, model_gamma) = (
         parts_of_law(true, x, v),
         parts_of_law(SPATIAL, x, v),
     )
     g, _ = turning(SPATIAL, time)
-    whole = np.stack([momentum(SPATIAL, x, e) for e in np.eye(6)], axis=1)  # linear in Ẋ
-    np.testing.assert_allclose(model_gamma, np.linalg.solve(g.T, whole), rtol=0, atol=1e-8)
+    complete = np.stack([momentum(SPATIAL, x, e) for e in np.eye(6)], axis=1)  # linear in Ẋ
+    assert_allclose(model_gamma, np.linalg.solve(g.T, complete), rtol=0, atol=1e-8)
     printed = [np.linalg.solve(g.T, textbook.mass_matrix(SPATIAL, mass, x)) for mass in (11.5, 10.0)]
     assert np.abs(printed[1] - model_gamma).max() > 0.005
-    torques = model_alpha + model_gamma @ asked
-    found, _ = textbook.forward_dynamics(true, 11.5, x, v, torques, cable="bilateral")
+    torques = model_alpha + model_gamma @ requested
+    reached, _ = textbook.forward_dynamics(true, 11.5, x, v, torques, cable="bilateral")
 
     def eta(gamma, model_gamma):
-        return np.linalg.solve(gamma, model_gamma @ asked + model_alpha - alpha) - asked
+        return np.linalg.solve(gamma, model_gamma @ requested + model_alpha - alpha) - requested
 
-    np.testing.assert_allclose(eta(gamma, model_gamma), found - asked, rtol=0, atol=1e-7)
-    assert np.abs(eta(*printed) - (found - asked)).max() > 0.1
+    assert_allclose(eta(gamma, model_gamma), reached - requested, rtol=0, atol=1e-7)
+    assert np.abs(eta(*printed) - (reached - requested)).max() > 0.1
 
 
 def test_eq27_fewer_inputs_than_coordinates_are_controllable():
@@ -584,7 +585,7 @@ def test_eq27_fewer_inputs_than_coordinates_are_controllable():
     assert min(np.linalg.svd(end, compute_uv=False)[-1] for end in ends) > 1e-5  # the test of Hautus
     outputs = np.eye(6, 24)
     for power in range(3):
-        np.testing.assert_allclose(
+        assert_allclose(
             outputs @ np.linalg.matrix_power(plant, power) @ inputs,
             0,
             atol=1e-6,
@@ -630,33 +631,33 @@ def robust_run(error, sign):
     zeta = 0.15
     force = 1.0
 
-    def parts(time, state):
+    def dynamics(time, state):
         desired = 0.1 * np.array([np.sin(3 * time), 3 * np.cos(3 * time), -9 * np.sin(3 * time)])
         e = error * (desired[:2] - state)
         s = LYAPUNOV[1] @ e
         feedback = KP * e[0] + KD * e[1]
         rho = (zeta * (abs(desired[2]) + np.linalg.norm([e[1], feedback])) + force) / (1 - zeta)
         extra = sign * rho * s / max(abs(s), 1e-4)
-        asked = desired[2] + error * feedback + extra
-        eta = (1 / 1.15 - 1) * asked - force * np.cos(2 * time)
-        residual = error * (desired[2] - asked - eta) + feedback - (eta + extra)
-        return e, asked + eta, residual
+        requested = desired[2] + error * feedback + extra
+        eta = (1 / 1.15 - 1) * requested - force * np.cos(2 * time)
+        residual = error * (desired[2] - requested - eta) + feedback - (eta + extra)
+        return e, requested + eta, residual
 
     times = np.linspace(0.0, 2.0, 401)
     options = {"t_eval": times, "rtol": 1e-8, "atol": 1e-10, "method": "LSODA"}
     run = solve_ivp(
-        lambda time, state: [state[1], parts(time, state)[1]],
+        lambda time, state: [state[1], dynamics(time, state)[1]],
         (0.0, 2.0),
         [0.02, 0.0],
         **options,
     )
-    found = [parts(time, state) for time, state in zip(times, run.y.T, strict=True)]
-    errors = np.array([e for e, _, _ in found])
+    reached = [dynamics(time, state) for time, state in zip(times, run.y.T, strict=True)]
+    errors = np.array([e for e, _, _ in reached])
     value = np.einsum("ki,ij,kj->k", errors, LYAPUNOV, errors)
     return (
         value,
         np.abs(errors[:, 0]).mean(),
-        np.array([residual for *_, residual in found]),
+        np.array([residual for *_, residual in reached]),
     )
 
 
@@ -682,7 +683,7 @@ def test_eq36_printed_system_has_no_lyapunov_matrix():
     for sign, positive in ((1, False), (-1, True)):  # as printed, and corrected
         system = np.kron(np.eye(6), [[0.0, 1.0], [sign * KP, sign * KD]])
         solution = solve_continuous_lyapunov(system.T, -np.eye(12))  # the only one
-        np.testing.assert_allclose(system.T @ solution + solution @ system, -np.eye(12), atol=1e-10)
+        assert_allclose(system.T @ solution + solution @ system, -np.eye(12), atol=1e-10)
         assert bool(np.linalg.eigvalsh(solution).min() > 0) is positive
 
 
@@ -691,7 +692,7 @@ def test_eq36_input_matrix_has_two_rows_too_many():
     with pytest.raises(ValueError, match="mismatch"):
         printed.T @ np.eye(12)
     corrected = np.kron(np.eye(6), [[0.0], [1.0]])  # an input is the second derivative of its own error
-    np.testing.assert_array_equal(np.delete(printed, [8, 9], axis=0), corrected)
+    assert_array_equal(np.delete(printed, [8, 9], axis=0), corrected)
 
 
 def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
@@ -701,8 +702,8 @@ def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
     extra = []
     for unit in (1.0, 100.0):
         scale = np.array([unit] * 3 + [1.0] * 3)
-        asked = outer_loop(law, np.zeros(6), np.zeros(6), scale * e, turn)
-        extra.append((asked - turn - KP * scale * e) / scale)
+        requested = outer_loop(law, np.zeros(6), np.zeros(6), scale * e, turn)
+        extra.append((requested - turn - KP * scale * e) / scale)
     assert extra[0][3] > 0.1
     assert extra[1][3] < 0.5 * extra[0][3]  # the same errors, in centimetres
 
@@ -710,17 +711,17 @@ def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
 def test_eq36_bracket_of_rho_closes_after_the_last_term():
     """ρ has to bound ‖ψ‖, which ρ itself enlarges: at the worst of what ζ, γ̄ and φ allow, it is just enough."""
     rng = np.random.default_rng(3)
-    zeta, (gain, phi, asked, drift) = (
+    zeta, (gain, phi, requested, drift) = (
         rng.uniform(0.05, 0.9, 200),
         rng.uniform(0.1, 5, (4, 200)),
     )
-    known = zeta * (asked + drift)
+    known = zeta * (requested + drift)
     unknown = gain * phi
 
     def slack(rho):
-        return rho - (zeta * (asked + drift + rho) + unknown)  # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
+        return rho - (zeta * (requested + drift + rho) + unknown)  # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
 
-    np.testing.assert_allclose(slack((known + unknown) / (1 - zeta)), 0, atol=1e-9)
+    assert_allclose(slack((known + unknown) / (1 - zeta)), 0, atol=1e-9)
     assert slack(known / (1 - zeta) + unknown).max() < 0
 
 
@@ -733,15 +734,15 @@ def bisected():
     path = find_trajectory("paper-spatial", 6)(np.arange(500) / 500)
 
     def feasible(payload):
-        needed = textbook.inverse_dynamics(
+        required = textbook.inverse_dynamics(
             SPATIAL,
             10.0 + payload,
             path.position,
             path.velocity,
             path.acceleration,
         )
-        drop = 10.0 / (1000 * RPM) * needed.speeds
-        return np.all((needed.torques <= 10.0 - drop) & (needed.torques >= -10.0 - drop))
+        drop = 10.0 / (1000 * RPM) * required.speeds
+        return np.all((required.torques <= 10.0 - drop) & (required.torques >= -10.0 - drop))
 
     low = 0.0
     high = 20.0
@@ -753,8 +754,8 @@ def bisected():
 
 def test_eq37_printed_margin_finds_half_of_the_load(bisected):
     circle = find_trajectory("paper-spatial", 6)
-    whole, half = (iterate_load(SPATIAL, circle, guess=5.0, corrected=corrected) for corrected in (True, False))
-    assert whole.payload == pytest.approx(bisected, abs=1e-5)
+    complete, half = (iterate_load(SPATIAL, circle, guess=5.0, corrected=corrected) for corrected in (True, False))
+    assert complete.payload == pytest.approx(bisected, abs=1e-5)
     assert half.payload == pytest.approx(bisected / 2, abs=1e-5)
     assert half.converged  # without a warning
 
@@ -806,14 +807,14 @@ def test_eq41_least_tensions_are_not_linear_in_the_mass():
         x = path.position
         v = path.velocity
         a = path.acceleration
-        one, two, three = (textbook.inverse_dynamics(robot, m, x, v, a, minimum=minimum).torques for m in masses)
-        return one - 2 * two + three, textbook.jacobian(robot, x)
+        torques = [textbook.inverse_dynamics(robot, mass, x, v, a, minimum=minimum).torques for mass in masses]
+        return torques[0] - 2 * torques[1] + torques[2], textbook.jacobian(robot, x)
 
     bent, s = second_difference(PLANAR, (0.1, 2.1, 4.1), 5.0)
-    np.testing.assert_allclose(np.einsum("kij,ki->kj", s, bent), 0, atol=1e-12)  # S τ is, as Eq. 41 says
+    assert_allclose(np.einsum("kij,ki->kj", s, bent), 0, atol=1e-12)  # S τ is, as Eq. 41 says
     assert np.abs(bent).max() > 0.1  # τ is not: it has a kink where the pair of cables above T_min changes
-    np.testing.assert_allclose(second_difference(PLANAR, (0.1, 2.1, 4.1), 0.0)[0], 0, atol=1e-12)  # none at T_min = 0
-    np.testing.assert_allclose(second_difference(SPATIAL, (10.0, 12.0, 14.0), 0.0)[0], 0, atol=1e-10)
+    assert_allclose(second_difference(PLANAR, (0.1, 2.1, 4.1), 0.0)[0], 0, atol=1e-12)  # none at T_min = 0
+    assert_allclose(second_difference(SPATIAL, (10.0, 12.0, 14.0), 0.0)[0], 0, atol=1e-10)
 
 
 # --- tables and text --------------------------------------------------------------------------------------------------
@@ -851,7 +852,7 @@ def test_table5_inertias_are_halves_of_table4():
     assert FLEXIBLE.pulley_inertia[0] + FLEXIBLE.motor_inertia[0] == pytest.approx(SPATIAL.pulley_inertia[0])
     robots = [with_transmission(FLEXIBLE, stiffness=k) for k in (2.0, 3.0)]
     soft, stiff = (textbook.static_motor_angle(robot, 11.0, SPATIAL.home) for robot in robots)
-    np.testing.assert_allclose(soft, 1.5 * stiff, rtol=1e-12)
+    assert_allclose(soft, 1.5 * stiff, rtol=1e-12)
 
 
 def test_table6_variance_is_in_square_newtons():
@@ -895,8 +896,8 @@ def test_text_of_6_load_drops_by_no_thirty_percent():
 
 def test_page_names_every_test_and_every_equation():
     """Each section names a test that exists, and each test of this file is named."""
-    parts = re.split(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    named = [re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", text) for text in parts[::2]]
+    sections = re.split(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    named = [re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", text) for text in sections[::2]]
     assert all(named)
     for file, name in {pair for pairs in named for pair in pairs}:
         assert f"def {name}(" in (ROOT / file).read_text(encoding="utf-8")
@@ -906,5 +907,8 @@ def test_page_names_every_test_and_every_equation():
         re.MULTILINE,
     )
     assert set(here) <= {name for pairs in named for _, name in pairs}
-    ranges = re.findall(r"Eqs?\. (\d+)(?:–(\d+))?", " ".join(parts[1::2]))
-    assert {n for first, last in ranges for n in range(int(first), int(last or first) + 1)} == set(range(1, 42))
+    ranges = re.findall(r"Eqs?\. (\d+)(?:–(\d+))?", " ".join(sections[1::2]))
+    covered = set()
+    for lowest, highest in ranges:
+        covered |= set(range(int(lowest), int(highest or lowest) + 1))
+    assert covered == set(range(1, 42))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cablebot_gym.importers import import_robot
@@ -87,23 +88,23 @@ def test_lengths_and_tensions_at_rest_are_those_of_the_file(write, source):
         tensions = np.linalg.pinv(np.vstack([units.T, np.cross(arms, units).T])) @ carried
         turned = Rotation.from_matrix(Z_DOWN @ rotation.as_matrix() @ Z_DOWN).as_euler("ZYX")[::-1]
         pose = np.concatenate([Z_DOWN @ position, turned])
-        np.testing.assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
+        assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
         load = textbook.bias(robot, 5.0, pose, np.zeros(6))
         least = least_norm(textbook.jacobian(robot, pose), load, -1e9, 1e9, np.zeros(8))
-        np.testing.assert_allclose(least.tensions, tensions, atol=1e-9)
+        assert_allclose(least.tensions, tensions, atol=1e-9)
 
 
 def test_values_of_a_caspr_file_reach_the_robot(write, tmp_path):
     imported = import_robot(write(bodies=bodies(), cables=cables()))
     robot = imported.robot
-    np.testing.assert_allclose(
+    assert_allclose(
         robot.inertia_tensor,
         Z_DOWN @ [[1, 0.1, 0.2], [0.1, 2, 0], [0.2, 0, 2.5]] @ Z_DOWN,
     )
-    np.testing.assert_allclose(robot.stall_torque / robot.pulley_radius, 100 + np.arange(8), rtol=1e-5)
+    assert_allclose(robot.stall_torque / robot.pulley_radius, 100 + np.arange(8), rtol=1e-5)
     turn = Z_DOWN @ Rotation.from_euler("XYZ", [0.05, -0.06, 0.04]).as_matrix() @ Z_DOWN
     home = [0.1, 0, -1.1, *Rotation.from_matrix(turn).as_euler("ZYX")[::-1]]
-    np.testing.assert_allclose(robot.home, home, atol=1e-5)
+    assert_allclose(robot.home, home, atol=1e-5)
     assert (robot.mass, robot.minimum_tension) == (5.0, 2.0)
     assumed = {name for name, text in imported.sources.items() if text.startswith("assumed")}
     motors = {"motors.stall_torque", "motors.free_speed"}
@@ -168,7 +169,7 @@ def test_planar_joints_keep_lengths(write, joint, axes, about, plane, angle):
     down = -1 if plane == "vertical" else 1
     turn = {"PLANAR_YZ": -angle}.get(joint, angle)
     pose = [0.3, -0.1 * down, *([turn] if turns else [])]
-    np.testing.assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
+    assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.robots import PLANAR, SPATIAL, Robot
@@ -76,7 +77,7 @@ GOLDEN = [
 def test_seed_gives_the_recorded_curve(name: str, seed: int, duration: float, pose: list[float]) -> None:
     motion = loop(name, seed)
     assert motion.duration == duration
-    np.testing.assert_allclose(motion(0.4 * duration).position, pose, rtol=0, atol=1e-13)
+    assert_allclose(motion(0.4 * duration).position, pose, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ["loop-planar", "loop-spatial"])
@@ -99,7 +100,7 @@ def test_curve_is_the_documented_draw(name: str) -> None:
         shift = (reach - scale) * (2 * offset[group] - 1) / math.sqrt(len(group))
         unit = series[:, group] / np.linalg.norm(series[:, group], axis=1).max()
         expected = np.array(motion.center)[group] + shift + scale * unit
-        np.testing.assert_allclose(position[:, group], expected, rtol=0, atol=1e-3 * reach)
+        assert_allclose(position[:, group], expected, rtol=0, atol=1e-3 * reach)
 
 
 # --- shape --------------------------------------------------------------------------------------------------------
@@ -127,7 +128,7 @@ def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> N
     path = motion(times)
     values = stacked(motion, times)
     scale = np.abs(values).max(axis=(1, 2))
-    np.testing.assert_allclose(values[0, 0], values[0, -1], rtol=0, atol=1e-12)
+    assert_allclose(values[0, 0], values[0, -1], rtol=0, atol=1e-12)
     assert np.all(np.abs(values[1:, [0, -1]]).max(axis=(1, 2)) <= 1e-9 * scale[1:])  # at rest up to snap
     away = norms(motion, path.position - np.array(motion.center)).max(axis=0)
     assert np.all((away <= 1.001 * reach) & (away >= 0.25 * reach))

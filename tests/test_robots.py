@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import PLANAR as PLANAR_ID
 from oracles.episodes import make
 from oracles.plants import UNEQUAL, each_of
@@ -52,8 +53,8 @@ def test_planar_robot_has_the_values_of_tables_2_and_7():
     assert (PLANAR.cables, PLANAR.coordinates, PLANAR.planar) == (3, 2, True)
     root = math.sqrt(3)  # A1 lower left, A2 lower right, A3 top; side 1 m
     expected = [[-0.5, -0.5 / root], [0.5, -0.5 / root], [0, 1 / root]]
-    np.testing.assert_allclose(PLANAR.base, expected, rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(PLANAR.home, [0, 0])
+    assert_allclose(PLANAR.base, expected, rtol=0, atol=1e-15)
+    assert_array_equal(PLANAR.home, [0, 0])
 
 
 def test_spatial_robot_has_the_values_of_tables_4_and_8():
@@ -81,16 +82,16 @@ def test_spatial_robot_has_the_values_of_tables_4_and_8():
         "P3": (b, b / root, 0),
     }
     ring = ["A1P1", "A2P1", "A2P3", "A3P3", "A3P2", "A1P2"]
-    np.testing.assert_allclose(SPATIAL.base, [base[cable[:2]] for cable in ring], rtol=1e-15)
-    np.testing.assert_allclose(SPATIAL.platform, [platform[cable[2:]] for cable in ring], rtol=1e-15)
-    np.testing.assert_array_equal(SPATIAL.home, [0, 0, 0.1, 0, 0, 0])
+    assert_allclose(SPATIAL.base, [base[cable[:2]] for cable in ring], rtol=1e-15)
+    assert_allclose(SPATIAL.platform, [platform[cable[2:]] for cable in ring], rtol=1e-15)
+    assert_array_equal(SPATIAL.home, [0, 0, 0.1, 0, 0, 0])
 
 
 def test_free_speed_is_1000_rpm_and_ends_the_torque():
     """k₂ = τ_s/ω_n (Eq. 37)."""
     for robot, stall in ((PLANAR, 5.0), (SPATIAL, 10.0)):
         assert robot.motors.free_speed == pytest.approx(1000 * 2 * math.pi / 60, rel=1e-15) == 1000 * RPM
-        np.testing.assert_allclose(robot.speed_slope, stall / 104.71975511965978, rtol=1e-15)
+        assert_allclose(robot.speed_slope, stall / 104.71975511965978, rtol=1e-15)
 
 
 # --- kinds --------------------------------------------------------------------------------------------------------
@@ -123,9 +124,9 @@ def test_data_have_the_keys_of_used_options_only():
 def test_workspace_is_the_box_of_the_anchors_or_the_given_one():
     diagonal = math.hypot(0.94, 3 * 0.47 / math.sqrt(3))
     low, high = SPATIAL.pose_bounds
-    np.testing.assert_allclose(low, [-0.47, -0.47 / math.sqrt(3), 0, -1, -1, -1], rtol=1e-15)
-    np.testing.assert_allclose(high, [0.47, 2 * 0.47 / math.sqrt(3), diagonal, 1, 1, 1], rtol=1e-15)
-    np.testing.assert_array_equal(WALLED.pose_bounds, [[-0.3, -0.2], [0.3, 0.4]])
+    assert_allclose(low, [-0.47, -0.47 / math.sqrt(3), 0, -1, -1, -1], rtol=1e-15)
+    assert_allclose(high, [0.47, 2 * 0.47 / math.sqrt(3), diagonal, 1, 1, 1], rtol=1e-15)
+    assert_array_equal(WALLED.pose_bounds, [[-0.3, -0.2], [0.3, 0.4]])
 
 
 def test_robots_are_found_by_name():
@@ -364,7 +365,7 @@ def test_planar_home_is_accepted_exactly_if_tensions_exist(anchors, home):
         "workspace": ((-1.5, 1.5), (-1.5, 1.5)),
     }
     if largest > 0 and np.linalg.matrix_rank(jacobian, tol=1e-6) == 2:
-        np.testing.assert_array_equal(PLANAR.replace(**changes).home, home)
+        assert_array_equal(PLANAR.replace(**changes).home, home)
     else:
         with pytest.raises(
             ValueError,
@@ -445,7 +446,7 @@ def test_robots_and_their_copies_cannot_be_changed(robot, duplicate):
         "motor_lag",
     } <= {*arrays}
     for name, value in arrays.items():
-        np.testing.assert_array_equal(value, expected[name])
+        assert_array_equal(value, expected[name])
         with pytest.raises(ValueError, match="read-only"):
             value *= 0.5
         with pytest.raises(ValueError, match="WRITEABLE"):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
@@ -100,7 +101,7 @@ def test_spatial_robots_start_lower_than_a_motion_at_rest(robot, trajectory, at_
     expected = task.trajectory(0.0).position.copy()
     if at_rest and not robot.planar:
         expected[2] += min(position / 2, 0.05)
-    np.testing.assert_array_equal(task.start_pose, expected)
+    assert_array_equal(task.start_pose, expected)
     assert task.starts_at_rest == at_rest
 
 

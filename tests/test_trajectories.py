@@ -12,6 +12,7 @@ import pytest
 import sympy
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.robots import ROBOTS, find_robot
 from cablebot_gym.task import to_jsonable
@@ -62,10 +63,10 @@ def test_paper_circle_is_that_of_tables_1_and_3(robot: str, radius: float, rest:
     y = np.where(t <= 0.5, np.sin(speeding_up), -np.sin(slowing_down))
     circle = TRAJECTORIES[f"paper-{robot}"]()
     position = circle(t).position
-    np.testing.assert_allclose(position[:, :2], radius * np.stack([x, y], axis=1), rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(position[:, 2:], [rest] * 501)
+    assert_allclose(position[:, :2], radius * np.stack([x, y], axis=1), rtol=0, atol=1e-15)
+    assert_array_equal(position[:, 2:], [rest] * 501)
     named = TRAJECTORIES[f"circle-{robot}"](dwell=0)
-    np.testing.assert_array_equal(stacked(named(t)), stacked(circle(t)))
+    assert_array_equal(stacked(named(t)), stacked(circle(t)))
     with pytest.raises(ValueError, match="unknown key of trajectory 'dwell'"):
         find_trajectory({"name": f"paper-{robot}", "dwell": 0.3}, robot)
 
@@ -76,13 +77,13 @@ def test_first_branch_of_the_paper_circle_holds_at_half_time() -> None:
     middle = motion(0.85)
     after = motion(0.85 * (1 + 1e-15))
     jump = 0.3 * 8 * np.pi / 1.7**2
-    np.testing.assert_allclose(
+    assert_allclose(
         [middle.acceleration[1], after.acceleration[1]],
         [-jump, jump],
         rtol=1e-9,
     )
-    np.testing.assert_allclose(middle.position, after.position, atol=1e-12)
-    np.testing.assert_allclose(middle.velocity, after.velocity, atol=1e-9)
+    assert_allclose(middle.position, after.position, atol=1e-12)
+    assert_allclose(middle.velocity, after.velocity, atol=1e-9)
 
 
 # --- the derivatives, against sympy -------------------------------------------------------------------------------
@@ -149,7 +150,7 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
         derivative = sympy.diff(component, T, order) + 0 * T
         expected[:, index] = sympy.lambdify(T, derivative, "numpy")(times)
     values = getattr(motion(times), ORDERS[order])
-    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
+    assert_allclose(values, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
 
 
 SCALED = [name for name in TRAJECTORIES if not name.startswith("chain")]
@@ -185,13 +186,13 @@ def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell: float, ca
     expected = stacked(motion(time - dwell))
     if time < dwell:
         expected[1:] = 0.0
-    np.testing.assert_array_equal(stacked(between(time)), expected)
+    assert_array_equal(stacked(between(time)), expected)
     for times, end in (
         ([-1.0, 0.0, dwell / 2], 0.0),
         ([dwell * 1.5 + motion.duration, 99.0], motion.duration),
     ):
         values = stacked(between(times))
-        np.testing.assert_array_equal(values[0], [motion(end).position] * len(times))
+        assert_array_equal(values[0], [motion(end).position] * len(times))
         assert dwell == 0 or not values[1:].any()
 
 
@@ -216,7 +217,7 @@ def test_chain_derivatives_equal_finite_differences() -> None:
     values = stacked(motion(times))[1:]
     slope = (stacked(motion(times + 1e-5)) - stacked(motion(times - 1e-5)))[:-1] / 2e-5
     scale = np.abs(values).max(axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(slope / scale, values / scale, atol=1e-4)  # the next derivative jumps
+    assert_allclose(slope / scale, values / scale, atol=1e-4)  # the next derivative jumps
 
 
 def test_number_in_a_chain_is_a_dwell_where_the_robot_is() -> None:
@@ -224,12 +225,12 @@ def test_number_in_a_chain_is_a_dwell_where_the_robot_is() -> None:
     back = PointToPoint(start=line.end, end=line.start, duration=1.0)
     chain = Chain(motions=(line, 0.25, back))
     assert chain.duration == 1.75
-    np.testing.assert_array_equal(
+    assert_array_equal(
         stacked(chain([0.5, 0.6, 0.75])),
         stacked(Dwell(pose=line.end)([0.0, 0.1, 0.2])),
     )
-    np.testing.assert_array_equal(stacked(chain([0.2, 0.3])), stacked(line([0.2, 0.3])))
-    np.testing.assert_array_equal(chain(1.25).position, [0.1, 0.05])
+    assert_array_equal(stacked(chain([0.2, 0.3])), stacked(line([0.2, 0.3])))
+    assert_array_equal(chain(1.25).position, [0.1, 0.05])
 
 
 # --- motions in files ---------------------------------------------------------------------------------------------
@@ -289,11 +290,11 @@ def test_motion_rests_outside_its_duration(name: str) -> None:
     """The last instant still belongs to the motion: the paper's circle brakes at t = 1 s, with −8π rad/s² at (R, 0)."""
     motion = TRAJECTORIES[name]()
     after = motion([np.nextafter(motion.duration, np.inf), motion.duration + 7.0, np.inf])
-    np.testing.assert_array_equal(after.position, [motion(motion.duration).position] * 3)
+    assert_array_equal(after.position, [motion(motion.duration).position] * 3)
     assert not stacked(after)[1:].any()
-    np.testing.assert_array_equal(stacked(motion(-0.3)), stacked(motion(0.0)))
+    assert_array_equal(stacked(motion(-0.3)), stacked(motion(0.0)))
     if name == "paper-planar":
-        np.testing.assert_allclose(motion(1.0).acceleration, [0, -0.2165 * 8 * np.pi], atol=1e-12)
+        assert_allclose(motion(1.0).acceleration, [0, -0.2165 * 8 * np.pi], atol=1e-12)
 
 
 @every_name
@@ -304,31 +305,13 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
     assert batch.shape == (5, 2, 3, motion.coordinates)
     for index in np.ndindex(times.shape):
         single = motion(float(times[index]))
-        np.testing.assert_allclose(batch[:, *index], stacked(single), rtol=1e-14, atol=1e-12)
+        assert_allclose(batch[:, *index], stacked(single), rtol=1e-14, atol=1e-12)
         for order in ORDERS:
             getattr(single, order)[:] = 9.0  # writing into a reference does not change the motion
-    np.testing.assert_array_equal(batch, stacked(motion(times)))
+    assert_array_equal(batch, stacked(motion(times)))
 
 
 # --- names --------------------------------------------------------------------------------------------------------
-
-
-def test_registry_has_all_names() -> None:
-    motions = [
-        "circle",
-        "smooth-circle",
-        "dwell",
-        "line",
-        "lemniscate",
-        "loop",
-        "chain",
-    ]
-    for kind in COORDINATES:
-        names = {f"{motion}-{kind}" for motion in motions}
-        if kind in ("planar", "spatial"):
-            names.add(f"paper-{kind}")
-        assert {*trajectory_names(kind)} == names
-        assert names <= {*trajectory_names()}
 
 
 @every_name

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import each_of, with_transmission
 from scipy import stats
 
@@ -103,7 +104,7 @@ def test_wide_normal_bounds_give_finite_draws():
 def test_deviation_is_a_fraction_or_an_amount(relative, expected):
     distribution = ParameterDistribution(low=-1, high=1, relative=relative)
     applied = distribution.applied(np.array([2.0, 4.0]), np.array([0.1, -0.5]))
-    np.testing.assert_allclose(applied, expected, rtol=1e-15)
+    assert_allclose(applied, expected, rtol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -154,10 +155,10 @@ def test_parameter_changes_its_own_value_and_no_other(name):
     different = {key for key in PARAMETERS if not np.array_equal(values_of(nominal, key), values_of(changed, key))}
     assert different == {name}
     deviation = values_of(changed, name) - values_of(nominal, name)
-    np.testing.assert_allclose(deviation, deviation[:, :1] + 0 * deviation, atol=1e-14)
+    assert_allclose(deviation, deviation[:, :1] + 0 * deviation, atol=1e-14)
     assert np.ptp(deviation[:, 0]) > 9e-4
     speed = changed.stall_torque / changed.speed_slope
-    np.testing.assert_allclose(
+    assert_allclose(
         speed,
         ELASTIC.stall_torque / ELASTIC.speed_slope + 0 * speed,
         rtol=1e-14,
@@ -169,7 +170,7 @@ def test_another_uncertain_parameter_does_not_change_a_draw(name):
     alone = values_of(drawn(ELASTIC, {name: tenth_of(name)}, payload=2.0), name)
     everything = {key: tenth_of(key) for key in PARAMETERS}
     for parameters in (everything, dict(reversed(everything.items()))):
-        np.testing.assert_array_equal(values_of(drawn(ELASTIC, parameters, payload=2.0), name), alone)
+        assert_array_equal(values_of(drawn(ELASTIC, parameters, payload=2.0), name), alone)
 
 
 @rigid_and_flexible
@@ -385,8 +386,8 @@ def test_table_6_is_that_of_the_paper(robot):
     assert dict(table.parameters) == dict.fromkeys(names, tenth_of_all)
     mean, std = table.wrench.statistics(robot)
     forces = robot.dimensions
-    np.testing.assert_allclose(mean[:forces], 0.5)
-    np.testing.assert_allclose(std[:forces] ** 2, 0.2, rtol=1e-14)  # the table gives the variance
+    assert_allclose(mean[:forces], 0.5)
+    assert_allclose(std[:forces] ** 2, 0.2, rtol=1e-14)  # the table gives the variance
     assert not np.any([mean[forces:], std[forces:]])  # no moments
     assert (table.wrench.correlation_time, table.wrench.factor) == (
         0.01,
@@ -461,7 +462,7 @@ def test_uncertainty_survives_json_and_pickle():
         assert (again, hash(again)) == (uncertainty, hash(uncertainty))
         same = drawn(ELASTIC, again.parameters, 3)
         for name in PARAMETERS:
-            np.testing.assert_array_equal(values_of(same, name), values_of(draws, name))
+            assert_array_equal(values_of(same, name), values_of(draws, name))
 
 
 def test_caller_cannot_change_an_uncertainty_through_its_dict():

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_gym.robots import load_robot
 from cablebot_gym.task import to_jsonable
@@ -31,7 +32,7 @@ def test_spline_meets_the_waypoints_and_rests_at_both_ends(write_file):
     assert (motion.name, motion.duration, motion.dwell) == ("way.csv", 3.6, 0.3)
     reference = motion(np.array([0.0, 0.3, 1.3, 2.8, 3.3, 3.6, 99.0]))
     expected = [[0, 0], [0, 0], [0.1, 0.1], [0.1, -0.1], [0, 0], [0, 0], [0, 0]]
-    np.testing.assert_allclose(reference.position, expected, atol=1e-9)
+    assert_allclose(reference.position, expected, atol=1e-9)
     Chain(motions=(motion.motion, 0.5))  # it checks the rest up to snap
 
 
@@ -43,7 +44,7 @@ def test_spline_is_continuous_up_to_snap(write_file):
     for below, order in pairwise(ORDERS):
         rate = (getattr(after, below) - getattr(before, below)) / (2 * step)
         scale = np.abs(getattr(at, order)).max()
-        np.testing.assert_allclose(rate, getattr(at, order), atol=2e-4 * scale)
+        assert_allclose(rate, getattr(at, order), atol=2e-4 * scale)
     ends = motion(np.array([step, motion.duration - step]))
     assert np.abs(ends.snap).max() < 1e-3 * np.abs(at.snap).max()
 
@@ -74,7 +75,7 @@ def test_coordinates_alone_take_a_duration(write_file, kind, text, pose):
     name = write_file(text, "WAY.CSV")
     motion = find_trajectory({"name": name, "duration": 4, "dwell": 0}, kind)
     assert motion.duration == 4
-    np.testing.assert_allclose(motion(4.0).position, pose)
+    assert_allclose(motion(4.0).position, pose)
     with pytest.raises(
         ValueError,
         match=r"has no column t\. Add it, or give a duration: \{\"name\"",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import pickle
 import re
 import subprocess
@@ -13,8 +12,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from clock import HANG
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     FLEX_SPATIAL,
     PLANAR,
@@ -36,30 +35,6 @@ from cablebot_gym.envs.observation import PREVIEWS, observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.trajectories import find_trajectory
-
-JSON_KEYWORDS = {
-    "trajectory": {"name": "line-spatial", "duration": 1.5},
-    "robot": ROBOTS[FLEX_SPATIAL].replace(mass=8.0).to_dict(),
-    "error_bounds": {"position": 0.02},
-    "payload_range": [0.5, 1.5],
-    "initial_error_range": [0.001, 0.0, 0.001, 0.0, 0.01, 0.0],
-    "cable": "bilateral",
-    "reward_weights": {"saturation": 0.5},
-    "uncertainty": {
-        "parameters": {
-            "stiffness": {
-                "low": -0.2,
-                "high": 0.2,
-                "distribution": "normal",
-                "std": 0.1,
-            }
-        },
-        "wrench": {"force_mean": [1.0, -1.0, 0.0], "factor": [0.5, 1.5]},
-        "sensors": {"position": 1e-4, "motor_angle": 1e-3},
-        "delay": 2,
-    },
-}
-"""Keywords as a JSON file can contain them."""
 
 DAILY = (PLANAR, FLEX_SPATIAL, "CableBot-FlexPlanarPlatform-v0")
 """Each kind of robot is compiled for itself."""
@@ -123,17 +98,6 @@ def test_checkers_of_gymnasium_and_sb3_raise_nothing(env_id):
     check_env(env, skip_render_check=True)
 
 
-def test_spec_survives_json_and_makes_the_same_environment():
-    keywords = json.loads(json.dumps(JSON_KEYWORDS))
-    env = gym.make(FLEX_SPATIAL, **keywords)
-    spec = EnvSpec.from_json(env.spec.to_json())
-    assert spec.kwargs == keywords
-    again = gym.make(spec)
-    actions = random_actions(env, 20)
-    assert not different_results(rollout(env, actions, seed=3), rollout(again, actions, seed=3))
-    assert again.unwrapped.settings.robot == env.unwrapped.settings.robot
-
-
 @pytest.mark.parametrize("construct", [gym.make, gym.make_vec])
 def test_robot_of_another_kind_raises(construct):
     construct(PLANAR, robot=ROBOTS[PLANAR].replace(mass=2.0, name="mine")).reset(seed=0)
@@ -193,7 +157,7 @@ def test_action_out_of_bounds_acts_like_the_bound(env_id, delay):
     theirs = rollout(clipped, np.clip(actions, -1, 1), seed=0)
     recorded = {"commanded_action", "torque_margin", "reward_saturation"}
     assert different_results(ours, theirs) == recorded | {"rewards"}
-    np.testing.assert_array_equal(ours.info["commanded_action"][-1], actions[-1 - delay])
+    assert_array_equal(ours.info["commanded_action"][-1], actions[-1 - delay])
 
 
 # --- results ------------------------------------------------------------------------------------------------------
@@ -289,9 +253,9 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
         blocks = env.layout.split(observation)
         now = expected(time)
         assert blocks["time_to_go"][0] == pytest.approx(max(0.5 - time, 0.0), abs=1e-12)
-        np.testing.assert_allclose(blocks["reference_pose"], now.position, atol=1e-12)
+        assert_allclose(blocks["reference_pose"], now.position, atol=1e-12)
         for order, tolerance in orders.items():
-            np.testing.assert_allclose(
+            assert_allclose(
                 blocks[f"reference_{order}"],
                 getattr(now, order),
                 rtol=1e-12,
@@ -299,7 +263,7 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
             )
         for ahead in PREVIEWS:
             preview = blocks[f"preview_{round(ahead * 1000)}ms"]
-            np.testing.assert_allclose(
+            assert_allclose(
                 preview,
                 expected(time + ahead).position - now.position,
                 atol=1e-12,
@@ -312,21 +276,21 @@ def test_measured_blocks_are_the_true_state(env_id):
     env = make(env_id, control_frequency=1000.0)
     episode = rollout(env, random_actions(env, 30, -1, 1), seed=3)
     blocks = env.layout.split(episode.observations)
-    np.testing.assert_array_equal(blocks["pose"][-1], env.pose)
+    assert_array_equal(blocks["pose"][-1], env.pose)
     rates = {"pose": "velocity"}
     if "motor_angle" in blocks:
         rates["motor_angle"] = "motor_speed"
-        np.testing.assert_array_equal(blocks["motor_angle"][-1], env._simulation._plant.motor_angle[0])
-        np.testing.assert_array_equal(blocks["motor_speed"][:-1], episode.info["motor_speeds"][1:])
+        assert_array_equal(blocks["motor_angle"][-1], env._simulation._plant.motor_angle[0])
+        assert_array_equal(blocks["motor_speed"][:-1], episode.info["motor_speeds"][1:])
     for name, rate in rates.items():
         slope = np.diff(blocks[name], axis=0) * 1000.0
         mean = (blocks[rate][1:] + blocks[rate][:-1]) / 2
-        np.testing.assert_allclose(slope, mean, atol=0.04 * np.abs(mean).max())
+        assert_allclose(slope, mean, atol=0.04 * np.abs(mean).max())
     error = blocks["pose"] - blocks["reference_pose"]
     distance = np.linalg.norm(error[:, :3], axis=1)
-    np.testing.assert_allclose(episode.info["tracking_error"], distance, atol=1e-14)
+    assert_allclose(episode.info["tracking_error"], distance, atol=1e-14)
     turn = np.abs(error[:, 3:]).max(axis=1, initial=0)
-    np.testing.assert_allclose(episode.info["rotation_error"], turn, atol=1e-14)
+    assert_allclose(episode.info["rotation_error"], turn, atol=1e-14)
 
 
 @two_ids
@@ -351,7 +315,7 @@ def test_observation_and_task_hide_the_true_values(env_id, known):
     payloads = set()
     for seed in range(4):
         observation, info = env.reset(seed=seed)
-        np.testing.assert_array_equal(observation[visible], nominal.reset(seed=seed)[0][visible])
+        assert_array_equal(observation[visible], nominal.reset(seed=seed)[0][visible])
         assert 3.0 <= info["payload"] == env.truth["payload"] <= 4.0
         payloads.add(info["payload"])
         observation, _, _, _, later = env.step(np.full(ROBOTS[env_id].cables, 0.3))
@@ -393,7 +357,7 @@ def test_copy_in_mid_episode_continues_independently(count, duplicate):
     for ours, theirs in zip(results, go_on(twin, actions), strict=True):
         check_equal(ours, theirs)
     if env.render_mode:
-        np.testing.assert_array_equal(env.render(), twin.render())
+        assert_array_equal(env.render(), twin.render())
 
 
 def test_copies_need_no_compilation_of_their_own():

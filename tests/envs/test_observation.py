@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     FLEX_SPATIAL,
     PLANAR,
@@ -45,7 +46,7 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
     ends = 0
     for actions in random_actions(env, 150, -0.8, 1.6):
         assert observation in env.observation_space
-        np.testing.assert_array_equal(
+        assert_array_equal(
             env.layout.split(observation)["last_actions"],
             sent.reshape(count, -1),
         )
@@ -61,8 +62,8 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
             observation, _ = env.reset(options={"reset_mask": done})
         elif done.any():
             for index in np.flatnonzero(done):
-                last = env.layout.split(info["final_obs"][index])["last_actions"]
-                np.testing.assert_array_equal(last, sent[index].ravel())
+                sent_last = env.layout.split(info["final_obs"][index])["last_actions"]
+                assert_array_equal(sent_last, sent[index].ravel())
         sent[done] = 0.0
     assert ends > 2 * count
 
@@ -157,17 +158,17 @@ def test_normalised_observation_is_the_layouts_function(env_id):
     }
     raw, normalised, env, twin = tracked(env_id, **keywords)
     assert np.any(raw == env.observation_space.high)  # velocities saturate
-    np.testing.assert_array_equal(normalised, env.layout.normalise(raw))
-    np.testing.assert_array_equal(normalised[0], env.layout.normalise(raw[0]))
+    assert_array_equal(normalised, env.layout.normalise(raw))
+    assert_array_equal(normalised[0], env.layout.normalise(raw[0]))
     assert twin.observation_space == env.layout.space(normalised=True)
     assert all(observation in twin.observation_space for observation in normalised)
     assert np.all(np.isfinite([twin.observation_space.low, twin.observation_space.high]))
     vector = make_vector(env_id, 3, normalised_observation=True, **keywords)
     assert vector.single_observation_space == twin.observation_space
-    np.testing.assert_array_equal(vector.reset(seed=[4, 0, 7])[0][1], normalised[0])
+    assert_array_equal(vector.reset(seed=[4, 0, 7])[0][1], normalised[0])
     action = np.full(vector.action_space.shape, 0.4)
     twin.reset(seed=0)
-    np.testing.assert_array_equal(vector.step(action)[0][1], twin.step(action[1])[0])
+    assert_array_equal(vector.step(action)[0][1], twin.step(action[1])[0])
 
 
 @pytest.mark.parametrize("env_id", [PLANAR, pytest.param(FLEX_SPATIAL, marks=pytest.mark.slow)])
@@ -193,12 +194,12 @@ def test_pose_and_velocity_become_tracking_errors():
     env = make(SPATIAL, normalised_observation=True, trajectory="paper-spatial")
     error = np.array([0.01, -0.02, 0.0, 0.005, 0.0, -0.01])
     blocks = env.layout.split(env.reset(options={"initial_error": error})[0])
-    np.testing.assert_allclose(blocks["pose"], error / 0.01, atol=1e-9)
-    np.testing.assert_allclose(blocks["velocity"], 0.0, atol=1e-9)
+    assert_allclose(blocks["pose"], error / 0.01, atol=1e-9)
+    assert_allclose(blocks["velocity"], 0.0, atol=1e-9)
     bounds = ROBOTS[SPATIAL].pose_bounds[:, :3]
     reference = env.task.trajectory(0.0).position[:3] - bounds.mean(axis=0)
     length = np.ptp(bounds, axis=0).max() / 2
-    np.testing.assert_allclose(blocks["reference_pose"][:3], reference / length, atol=1e-12)
+    assert_allclose(blocks["reference_pose"][:3], reference / length, atol=1e-12)
 
 
 @pytest.mark.parametrize("normalised", [False, True])
@@ -217,9 +218,9 @@ def test_observation_in_float32_is_the_rounded_one_in_its_space(normalised):
     for action in random_actions(env, 2, -1, 1):
         for observation in rounded:
             assert observation in env.observation_space
-            np.testing.assert_array_equal(observation, expected.astype(np.float32), strict=True)
+            assert_array_equal(observation, expected.astype(np.float32), strict=True)
         expected = double.step(action)[0]
         observations, _, _, truncated, info = envs.step(np.tile(action, (2, 1)))
         rounded = [env.step(action)[0], observations[0]]
     assert truncated.all()
-    np.testing.assert_array_equal(info["final_obs"][0], expected.astype(np.float32), strict=True)
+    assert_array_equal(info["final_obs"][0], expected.astype(np.float32), strict=True)

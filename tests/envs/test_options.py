@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     FLEX_SPATIAL,
     PLANAR,
@@ -164,9 +165,9 @@ def test_start_errors_are_uniform_within_their_half_widths():
         middle = task.trajectory(0.0).position + 0.01 if keywords else task.start_pose
         shifted.append(env.pose - middle)
     assert np.all(np.abs(shifted[0]) <= widths + 1e-15)
-    np.testing.assert_allclose(np.abs(shifted[0]).max(axis=0), widths, rtol=0.1)
-    np.testing.assert_allclose(shifted[0].mean(axis=0), 0.0, atol=4 * widths.max() / np.sqrt(3 * 200))
-    np.testing.assert_allclose(*shifted, atol=1e-15)  # the option is in place of the start pose
+    assert_allclose(np.abs(shifted[0]).max(axis=0), widths, rtol=0.1)
+    assert_allclose(shifted[0].mean(axis=0), 0.0, atol=4 * widths.max() / np.sqrt(3 * 200))
+    assert_allclose(*shifted, atol=1e-15)  # the option is in place of the start pose
 
 
 @pytest.mark.parametrize("trajectory", ["circle", "paper", "loop"])
@@ -179,10 +180,10 @@ def test_episodes_start_at_the_start_pose_of_the_task(env_id, trajectory):
     }
     env = make_vector(env_id, 3, payload=[0.0, 2.0, 20.0], uncertainty="table6", **keywords)
     env.reset(seed=0)
-    np.testing.assert_array_equal(env.pose, [env.tasks[0].start_pose] * 3)
+    assert_array_equal(env.pose, [env.tasks[0].start_pose] * 3)
     for error in (0, np.full(robot.coordinates, 1e-3)):
         env.reset(options={"initial_error": error})
-        np.testing.assert_array_equal(env.pose, [env.tasks[0].trajectory(0.0).position + error] * 3)
+        assert_array_equal(env.pose, [env.tasks[0].trajectory(0.0).position + error] * 3)
 
 
 @paper_ids
@@ -207,7 +208,7 @@ def test_torques_after_a_reset_hold_the_true_robot_at_rest(env_id):
     )
     _, info = env.reset(seed=0)
     margin = robot.stall_torque - np.abs(info["torques"])
-    np.testing.assert_allclose(info["torque_margin"], margin, rtol=1e-14)
+    assert_allclose(info["torque_margin"], margin, rtol=1e-14)
     assert (margin.min(axis=1) < 0).tolist() == [False, not robot.planar]
     start = env.pose
     for _ in range(20):
@@ -225,7 +226,7 @@ def test_redundant_cables_hold_each_payload_after_a_reset():
         _, info = env.reset(options={"payload": payload})
         minimum = textbook.allocated_minimum(robot)
         torques = textbook.static_torque(robot, robot.mass + payload, env.pose, minimum=minimum)
-        np.testing.assert_array_equal(info["torques"], torques)
+        assert_array_equal(info["torques"], torques)
 
 
 @pytest.mark.parametrize("payload", [1.0, 14.0])
@@ -241,9 +242,9 @@ def test_delayed_motors_start_within_the_stall_torque(payload):
     assert (info["torques"] > stall).any() == (payload == 14.0)
     held = np.minimum(info["torques"], stall)
     twist = env.layout.split(observation)["motor_angle"] - textbook.pulley_angle(robot, env.pose)
-    np.testing.assert_allclose(robot.stiffness * twist, held, rtol=1e-9)
+    assert_allclose(robot.stiffness * twist, held, rtol=1e-9)
     commanded = np.array([env.step(np.zeros(6))[4]["commanded_action"] for _ in range(3)])
-    np.testing.assert_allclose(commanded[:2], [held / stall] * 2, rtol=1e-9)
+    assert_allclose(commanded[:2], [held / stall] * 2, rtol=1e-9)
     assert not commanded[2].any()
 
 
@@ -285,7 +286,7 @@ def test_values_per_environment():
         ]
         assert info["payload"].tolist() == options["payload"]
         errors = blocks["pose"] - blocks["reference_pose"]
-        np.testing.assert_allclose(errors, options["initial_error"], atol=1e-15)
+        assert_allclose(errors, options["initial_error"], atol=1e-15)
     mask = np.array([False, True, False, True])
     by_keyword.reset(
         options={
@@ -323,7 +324,7 @@ def test_uncertainty_per_environment():
     mask = np.array([False, True, False, False, True])
     env.reset(options={"reset_mask": mask})
     after = env.truth["platform_mass"]
-    np.testing.assert_array_equal(after[~mask], before[~mask])
+    assert_array_equal(after[~mask], before[~mask])
     assert after[1] == nominal
     assert 0.9 * nominal <= after[4] <= 1.1 * nominal
     assert after[4] != before[4]
@@ -341,8 +342,8 @@ def test_default_physics_step_is_at_most_a_millisecond(frequency, substeps):
     assert env.settings.substeps == substeps
     assert env.settings.physics_step <= 1e-3 * (1 + 1e-9)
     info = rollout(env, np.full((3, 3), 0.2)).info
-    np.testing.assert_allclose(info["time"], np.arange(4) / frequency, rtol=1e-12)
-    np.testing.assert_allclose(info["action_time"][1:], np.arange(3) / frequency, rtol=1e-12)
+    assert_allclose(info["time"], np.arange(4) / frequency, rtol=1e-12)
+    assert_allclose(info["action_time"][1:], np.arange(3) / frequency, rtol=1e-12)
 
 
 def test_physics_step_must_suit_the_stiffest_springs():

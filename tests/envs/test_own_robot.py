@@ -7,6 +7,7 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from oracles.episodes import PLANAR as PLANAR_ID
 from oracles.episodes import make
 
@@ -58,7 +59,7 @@ def test_default_motion_is_smooth_and_within_the_limits(name):
     top = default_payload_max(robot, check.trajectory, check.error_bounds)
     assert check.limit.largest < top < 60 * max(robot.mass, check.limit.largest)
     reference = check.trajectory(np.linspace(0, check.trajectory.duration, 101))
-    np.testing.assert_allclose(reference.position[[0, -1]], [robot.home, robot.home], atol=1e-12)
+    assert_allclose(reference.position[[0, -1]], [robot.home, robot.home], atol=1e-12)
     assert np.ptp(reference.position, axis=0)[:2].min() > 0.01 * np.ptp(robot.pose_bounds, axis=0)[:2].min()
     for order in ("velocity", "acceleration", "jerk", "snap"):
         assert np.abs(getattr(reference, order)[[0, -1]]).max() < 1e-9

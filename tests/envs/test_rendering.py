@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_array_equal
 from oracles.episodes import (
     FLEX_SPATIAL,
     PLANAR,
@@ -88,12 +89,12 @@ def test_vector_environment_paints_the_pictures_of_single_ones():
     for single in singles:
         single.reset()
         single.step(action[0])
-    np.testing.assert_array_equal(envs.render(), [single.render() for single in singles])
+    assert_array_equal(envs.render(), [single.render() for single in singles])
     for _ in range(20):
         envs.step(action)
     for single in singles:
         single.reset()
-    np.testing.assert_array_equal(envs.call("render"), [single.render() for single in singles])
+    assert_array_equal(envs.call("render"), [single.render() for single in singles])
     assert not np.array_equal(*envs.render())
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     FLEX_SPATIAL,
     PLANAR,
@@ -69,8 +70,8 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
     }
     assert list(terms) == list(REWARD_TERMS)
     for name, value in terms.items():
-        np.testing.assert_allclose(info[f"reward_{name}"], weights[name] * value, atol=1e-12)
-    np.testing.assert_allclose(
+        assert_allclose(info[f"reward_{name}"], weights[name] * value, atol=1e-12)
+    assert_allclose(
         episode.rewards,
         sum(info[f"reward_{name}"] for name in terms),
         atol=1e-12,
@@ -181,12 +182,12 @@ def test_violated_agrees_with_the_judge(env_id, cable):
     rng = np.random.default_rng(1)
     centre = 0.55 if env_id == SPATIAL else 0.1
     for _ in range(env.tasks[0].steps):
-        np.testing.assert_array_equal(info["violated"], judge.failed)
+        assert_array_equal(info["violated"], judge.failed)
         actions = centre * rng.uniform(0.5, 1.5, env.action_space.shape)
         _, _, terminated, _, info = env.step(actions)
         judge.observe(info, terminated)
         costs += info["cost"]
-        np.testing.assert_array_equal(costs > 0, judge.failed)
+        assert_array_equal(costs > 0, judge.failed)
         alive.append(np.mean(~judge.failed))
     assert alive[0] > 0.2
     assert alive[-1] < alive[0] - 0.1
@@ -204,12 +205,12 @@ def test_terminate_on_violation_ends_the_episode_there(env_id):
     step = np.flatnonzero(patient.info["violated"])[0] - 1
     assert np.flatnonzero(strict.terminated)[0] == step
     assert TERMINATION_REASONS[strict.info["termination_reason"][step + 1]] == "violation"
-    np.testing.assert_array_equal(patient.rewards[: step + 1], strict.rewards[: step + 1])
+    assert_array_equal(patient.rewards[: step + 1], strict.rewards[: step + 1])
     assert not patient.terminated[: step + 1].any()
     rows = np.flatnonzero(patient.terminated) + 1
     assert rows.size
     reasons = patient.info["termination_reason"][rows]
-    np.testing.assert_array_equal(strict.info["termination_reason"][rows], reasons)
+    assert_array_equal(strict.info["termination_reason"][rows], reasons)
 
 
 # --- order of returns ---------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     FLEX_SPATIAL,
     PLANAR,
@@ -97,7 +98,7 @@ def test_streams_do_not_depend_on_what_was_read():
     for purpose in Purpose:
         expected = fresh.uniform(indices(0, 1), purpose, 5)
         for _ in range(2):
-            np.testing.assert_array_equal(disturbed.uniform(indices(0, 1), purpose, 5), expected)
+            assert_array_equal(disturbed.uniform(indices(0, 1), purpose, 5), expected)
 
 
 def test_rows_depend_on_the_interval_only():
@@ -113,15 +114,15 @@ def test_rows_depend_on_the_interval_only():
     expected = np.array([in_order.at(everyone, indices(step, step)) for step in range(5 * BLOCK)])
     assert len(np.unique(expected)) == expected.size
     jumping = reader()
-    for first, second in ((100, 3), (0, 159), (33, 32)):
-        rows = jumping.at(everyone, indices(first, second))
-        np.testing.assert_array_equal(rows, [expected[first, 0], expected[second, 1]])
-        np.testing.assert_array_equal(jumping.at(indices(1), indices(second)), [expected[second, 1]])
+    for one_index, two_index in ((100, 3), (0, 159), (33, 32)):
+        rows = jumping.at(everyone, indices(one_index, two_index))
+        assert_array_equal(rows, [expected[one_index, 0], expected[two_index, 1]])
+        assert_array_equal(jumping.at(indices(1), indices(two_index)), [expected[two_index, 1]])
     random.start_episode(indices(0))
     jumping.restart(indices(0))
     rows = jumping.at(everyone, indices(33, 32))
     assert not np.any(rows[0] == expected[33, 0])
-    np.testing.assert_array_equal(rows[1], expected[32, 1])
+    assert_array_equal(rows[1], expected[32, 1])
 
 
 # --- environments -------------------------------------------------------------------------------------------------
@@ -147,23 +148,23 @@ def draws_of(env_id, seed=5, steps=(1,), **keywords):
 
 @two_ids
 def test_draws_do_not_depend_on_the_other_uncertainties(env_id):
-    others = MASS | {name: ParameterDistribution(low=-0.1, high=0.1) for name in ("motor_strength", "payload")}
-    parts = {
+    other_draws = MASS | {name: ParameterDistribution(low=-0.1, high=0.1) for name in ("motor_strength", "payload")}
+    fields_of = {
         "mass": {"parameters": MASS},
         "wrench": {"wrench": FORCES},
         "sensors": {"sensors": NOISE},
     }
-    everything = Uncertainty(parameters=others, wrench=FORCES, sensors=NOISE, delay=2)
+    everything = Uncertainty(parameters=other_draws, wrench=FORCES, sensors=NOISE, delay=2)
     together = draws_of(env_id, uncertainty=everything)
     nominal = draws_of(env_id)
     assert len(np.unique(nominal["payload"])) == 4
-    for part, fields in parts.items():
+    for source, fields in fields_of.items():
         draws = draws_of(env_id, uncertainty=Uncertainty(**fields))
         for name in ("payload", "error"):
-            np.testing.assert_array_equal(draws[name], nominal[name], err_msg=part)
-            np.testing.assert_array_equal(together[name], nominal[name])
-        assert [name for name in parts if np.ptp(draws[name])] == [part]
-        np.testing.assert_allclose(draws[part], together[part], rtol=0, atol=1e-15)
+            assert_array_equal(draws[name], nominal[name], err_msg=source)
+            assert_array_equal(together[name], nominal[name])
+        assert [name for name in fields_of if np.ptp(draws[name])] == [source]
+        assert_allclose(draws[source], together[source], rtol=0, atol=1e-15)
 
 
 @two_ids
@@ -172,7 +173,7 @@ def test_draws_do_not_depend_on_the_length_of_the_last_episode(env_id):
     short = draws_of(env_id, uncertainty=uncertainty)
     long = draws_of(env_id, uncertainty=uncertainty, steps=(40, 3, 170, 1))
     for name, values in short.items():
-        np.testing.assert_array_equal(values, long[name], err_msg=name)
+        assert_array_equal(values, long[name], err_msg=name)
         assert len(np.unique(values)) >= 4
 
 
@@ -182,10 +183,10 @@ def test_seed_determines_all_draws(seed):
     draws = draws_of(PLANAR, seed=seed, uncertainty=uncertainty)
     again = draws_of(PLANAR, seed=seed, uncertainty=uncertainty)
     for near in (seed + 1, seed + 2**64, seed + 2**128):
-        others = draws_of(PLANAR, seed=near, uncertainty=uncertainty)
+        other_draws = draws_of(PLANAR, seed=near, uncertainty=uncertainty)
         for name in ("payload", "mass", "wrench"):
-            np.testing.assert_array_equal(draws[name], again[name])
-            assert not np.any(draws[name] == others[name])
+            assert_array_equal(draws[name], again[name])
+            assert not np.any(draws[name] == other_draws[name])
 
 
 def noise_and_parameters(env, **reset):
@@ -228,8 +229,8 @@ def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
     assert len(np.unique(white)) == white.size
     for episode, same in zip(parameters, same_parameters, strict=True):
         for value, expected in zip(episode, same, strict=True):
-            np.testing.assert_array_equal(value, expected)
-    np.testing.assert_array_equal(noise_and_parameters(env, seed=1)[0], noises)
+            assert_array_equal(value, expected)
+    assert_array_equal(noise_and_parameters(env, seed=1)[0], noises)
 
 
 @pytest.mark.parametrize("bad", [-1, 0.5, [1, 2], "seed"])
@@ -239,8 +240,8 @@ def test_impossible_noise_seed_raises_and_keeps_the_streams(bad):
     twin.reset(seed=0)
     with pytest.raises(ValueError, match="noise_seed must be"):
         env.reset(seed=1, options={"noise_seed": bad})
-    np.testing.assert_array_equal(env.reset()[0], twin.reset()[0])
-    np.testing.assert_array_equal(env.truth["platform_mass"], twin.truth["platform_mass"])
+    assert_array_equal(env.reset()[0], twin.reset()[0])
+    assert_array_equal(env.truth["platform_mass"], twin.truth["platform_mass"])
 
 
 def test_noise_and_wrench_have_different_numbers():

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import PLANAR, ROBOTS, SPATIAL, rigid_ids, rollout
 from oracles.episodes import make as make_any
 
@@ -130,22 +131,22 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
     )
     episode = rollout(env, actions, seed=0)
     info = {name: values[1:] for name, values in episode.info.items()}
-    np.testing.assert_array_equal(info["commanded_action"], actions)
+    assert_array_equal(info["commanded_action"], actions)
     drop = robot.speed_slope * info["motor_speeds"]
     assert np.abs(drop).max() > 0.05
     torques = robot.stall_torque * np.clip(actions, -1, 1) - drop
-    np.testing.assert_allclose(info["torques"], torques, atol=1e-12)
-    np.testing.assert_allclose(
+    assert_allclose(info["torques"], torques, atol=1e-12)
+    assert_allclose(
         info["torque_margin"],
         robot.stall_torque * (1 - np.abs(actions)),
         atol=1e-12,
     )
-    np.testing.assert_allclose(info["action_time"], np.arange(150) / 60, atol=1e-12)
-    np.testing.assert_allclose(info["time"], np.arange(1, 151) / 60, atol=1e-12)
+    assert_allclose(info["action_time"], np.arange(150) / 60, atol=1e-12)
+    assert_allclose(info["time"], np.arange(1, 151) / 60, atol=1e-12)
     blocks = env.layout.split(episode.observations[:-1])
     speeds = textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"])
-    np.testing.assert_allclose(info["motor_speeds"], speeds, atol=1e-9)
-    np.testing.assert_array_equal(info["slack"], info["least_tensions"] == 0.0)
+    assert_allclose(info["motor_speeds"], speeds, atol=1e-9)
+    assert_array_equal(info["slack"], info["least_tensions"] == 0.0)
     assert 0.05 < info["slack"].mean() < 0.95
     assert np.any(info["tracking_error_peak"] > info["tracking_error"] + 1e-6)
     if env_id == SPATIAL:

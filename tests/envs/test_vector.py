@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from numpy.testing import assert_array_equal
 from oracles.episodes import (
     PLANAR,
     ROBOTS,
@@ -75,12 +76,12 @@ def check_same_info(ours, theirs):
             continue
         name = key[1:]
         if name in ("final_obs", "final_info"):
-            np.testing.assert_array_equal(ours[key], mask)
+            assert_array_equal(ours[key], mask)
         if name == "final_info":
             check_same_info(ours[name], theirs[name])
         else:
             for index in np.flatnonzero(mask):
-                np.testing.assert_array_equal(
+                assert_array_equal(
                     ours[name][index],
                     theirs[name][index],
                     err_msg=f"{name} {index}",
@@ -116,7 +117,7 @@ def check_run(ours, theirs, actions):
             check_same(ours.reset(**again), theirs.reset(**again))
         for name, values in ours.truth.items():
             expected = [env.unwrapped.truth[name] for env in theirs.envs]
-            np.testing.assert_array_equal(values, expected, err_msg=name)
+            assert_array_equal(values, expected, err_msg=name)
     return reasons, restarts, truncations
 
 
@@ -185,9 +186,9 @@ def rugged(count=4, **keywords):
 
 def test_seed_is_one_number_that_counts_up_or_a_list():
     observations, info = rugged().reset(seed=3)
-    np.testing.assert_array_equal(observations, rugged().reset(seed=[3, 4, 5, 6])[0])
-    np.testing.assert_array_equal(observations, rugged().reset(seed=[6, 5, 4, 3])[0][::-1])
-    np.testing.assert_array_equal(observations, rugged().reset(seed=np.int64(3))[0])
+    assert_array_equal(observations, rugged().reset(seed=[3, 4, 5, 6])[0])
+    assert_array_equal(observations, rugged().reset(seed=[6, 5, 4, 3])[0][::-1])
+    assert_array_equal(observations, rugged().reset(seed=np.int64(3))[0])
     unseeded = [env.reset()[1]["payload"] for env in (rugged(), rugged())]
     assert len(set(np.concatenate([info["payload"], *unseeded]))) == 12
 
@@ -199,12 +200,12 @@ def test_none_in_a_seed_list_continues_the_streams():
     twin.reset(seed=3)
     mixed = env.reset(seed=[9, None, None, 9])[1]["payload"]
     continued = twin.reset()[1]["payload"]
-    np.testing.assert_array_equal(mixed[1:3], continued[1:3])
+    assert_array_equal(mixed[1:3], continued[1:3])
     assert mixed[0] == mixed[3] != continued[0]
     only_one = {"reset_mask": np.array([True, False, False, False])}
     env.reset(seed=50, options=only_one)
     twin.reset(options=only_one)
-    np.testing.assert_array_equal(env.reset()[1]["payload"][1:3], twin.reset()[1]["payload"][1:3])
+    assert_array_equal(env.reset()[1]["payload"][1:3], twin.reset()[1]["payload"][1:3])
 
 
 def test_global_random_state_is_neither_read_nor_changed():
@@ -233,9 +234,9 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
     mask = np.array([True, True, False, True, False])
 
     def check_unmarked(ours, theirs):
-        np.testing.assert_array_equal(ours[0][~mask], theirs[0][~mask])
+        assert_array_equal(ours[0][~mask], theirs[0][~mask])
         for key, value in ours[-1].items():
-            np.testing.assert_array_equal(value[~mask], theirs[-1][key][~mask], err_msg=key)
+            assert_array_equal(value[~mask], theirs[-1][key][~mask], err_msg=key)
 
     env.reset(seed=1)
     twin.reset(seed=1)
@@ -254,7 +255,7 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
     assert info["payload"][mask].tolist() == [0.5, 0.25, 0.75]
     assert not info["time"][mask].any()
     single = make_single(env_id, **keywords)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         observation[1],
         single.reset(options={"payload": 0.25, "trajectory": long})[0],
     )
@@ -262,7 +263,7 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
         ours = env.step(action)
         check_unmarked(ours, twin.step(action))
         if step < 9:
-            np.testing.assert_array_equal(ours[0][1], single.step(action[1])[0])
+            assert_array_equal(ours[0][1], single.step(action[1])[0])
             assert [task.trajectory.duration for task in env.tasks] == [
                 3.6,
                 3.6,
@@ -344,11 +345,11 @@ def test_ended_environment_does_not_affect_the_others():
     ended = np.zeros(3, bool)
     for action in actions:
         result = env.step(action)
-        np.testing.assert_array_equal(result[0], twin.step(action)[0])
+        assert_array_equal(result[0], twin.step(action)[0])
         ended |= result[2]
     assert ended.tolist() == [False, True, False]
     env.reset(options={"reset_mask": ended})
-    np.testing.assert_array_equal(env.step(actions[-1])[4]["time"], [0.062, 0.002, 0.062])
+    assert_array_equal(env.step(actions[-1])[4]["time"], [0.062, 0.002, 0.062])
 
 
 def test_first_reset_must_start_all_environments():

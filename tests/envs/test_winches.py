@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     PLANAR,
     ROBOTS,
@@ -44,7 +45,7 @@ def test_environment_with_winches_keeps_the_contract(env_id, sensors):
     actions = np.random.default_rng(0).uniform(-0.2, 0.3, (20, *env.action_space.shape))
     alone = rollout(env, actions, seed=7).observations
     rows = rollout(vector, np.repeat(actions[:, None], 5, axis=1), seed=[7] * 5).observations
-    np.testing.assert_array_equal(rows, np.repeat(alone[:, None], 5, axis=1))
+    assert_array_equal(rows, np.repeat(alone[:, None], 5, axis=1))
 
 
 @rigid_ids
@@ -61,9 +62,9 @@ def test_motor_angles_are_those_of_the_true_anchors(env_id):
     poses = np.stack([robot.home, env.pose, before])
     angles = -cable_lengths(base, robot.platform, poses) / robot.pulley_radius
     reading = env.layout.split(observation)
-    np.testing.assert_allclose(reading["motor_angle"], angles[1] - angles[0], atol=1e-12)
+    assert_allclose(reading["motor_angle"], angles[1] - angles[0], atol=1e-12)
     rate = (angles[1] - angles[2]) / env.settings.period
-    np.testing.assert_allclose(reading["motor_speed"], rate, atol=0.2 * np.abs(rate).max())
+    assert_allclose(reading["motor_speed"], rate, atol=0.2 * np.abs(rate).max())
 
 
 def test_imu_at_rest_reads_gravity_and_load_cells_the_weight():
@@ -71,10 +72,10 @@ def test_imu_at_rest_reads_gravity_and_load_cells_the_weight():
     env = make(SPATIAL, measurement="winches+tensions+imu", payload=2.0)
     reading = env.layout.split(env.reset()[0])
     rotation = rotation_matrix(env.pose[3:])
-    np.testing.assert_allclose(reading["specific_force"], rotation.T @ [0, 0, -robot.gravity])
+    assert_allclose(reading["specific_force"], rotation.T @ [0, 0, -robot.gravity])
     cables = robot.base - env.pose[:3] - robot.platform @ rotation.T
     pulls = reading["tensions"] @ (cables / np.linalg.norm(cables, axis=1, keepdims=True))
-    np.testing.assert_allclose(pulls, [0, 0, -(robot.mass + 2.0) * robot.gravity], atol=1e-9)
+    assert_allclose(pulls, [0, 0, -(robot.mass + 2.0) * robot.gravity], atol=1e-9)
 
 
 def test_accelerometer_reads_the_mean_acceleration_of_a_period():
@@ -86,7 +87,7 @@ def test_accelerometer_reads_the_mean_acceleration_of_a_period():
         velocities.append(env._simulation._plant.velocity[0, :3])
     acceleration = (velocities[1] - velocities[0]) / env.settings.period
     expected = rotation_matrix(env.pose[3:]).T @ (acceleration - [0, 0, ROBOTS[SPATIAL].gravity])
-    np.testing.assert_allclose(env.layout.split(observation)["specific_force"], expected, atol=1e-9)
+    assert_allclose(env.layout.split(observation)["specific_force"], expected, atol=1e-9)
 
 
 def test_gyroscope_reads_the_rate_in_the_frame_of_the_platform():
@@ -96,7 +97,7 @@ def test_gyroscope_reads_the_rate_in_the_frame_of_the_platform():
     rate = inertial(ROBOTS[SPATIAL], pose, velocity, np.zeros(3))[1]
     step = 1e-6
     turn = rotation_matrix(pose[3:]).T @ rotation_matrix(pose[3:] + step * velocity[3:])
-    np.testing.assert_allclose(rate, turn[[2, 0, 1], [1, 2, 0]] / step, rtol=1e-4)
+    assert_allclose(rate, turn[[2, 0, 1], [1, 2, 0]] / step, rtol=1e-4)
 
 
 def test_zero_error_is_constant_in_an_episode():
@@ -114,7 +115,7 @@ def test_zero_error_is_constant_in_an_episode():
         for env in (exact, offset):
             observations = rollout(env, np.full((3, 3), 0.1), seed=seed).observations
             angles.append(env.layout.split(observations)["motor_angle"])
-        np.testing.assert_allclose(angles[1] / 1e-3, np.rint(angles[1] / 1e-3))
+        assert_allclose(angles[1] / 1e-3, np.rint(angles[1] / 1e-3))
         offsets.append(angles[1] - angles[0])
         assert np.ptp(offsets[-1], axis=0).max() <= 1e-3 + 1e-12
         tasks.add(str(offset.task))

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
@@ -101,4 +102,4 @@ def check_equal(ours: Any, theirs: Any, where: str = "") -> None:
             check_equal(mine, yours, where)
     else:
         assert np.asarray(ours).dtype == np.asarray(theirs).dtype, where
-        np.testing.assert_array_equal(ours, theirs, err_msg=where)
+        assert_array_equal(ours, theirs, err_msg=where)

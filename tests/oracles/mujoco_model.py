@@ -75,10 +75,11 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
         )
     )
     winches, springs = _winches_and_springs(robot) if robot.jointed else ("", "")
-    place, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
+    kind, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
     driven = "winch" if robot.jointed else "cable"
     motors = "".join(
-        f'<motor name="motor{i}" {place}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
+        f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>'
+        for i, radius in enumerate(radii)
     )
     return f"""<mujoco model="{_escaped(robot.name)}">
 <compiler angle="radian" inertiafromgeom="false"/>
@@ -124,20 +125,20 @@ def _body_frame(robot: Robot) -> str:
 
 
 def _joints_and_inertia(robot: Robot, mass: float) -> str:
-    place = f'<inertial pos="{_numbers(_padded(robot.mass_center))}" mass="{mass!r}"'
+    inertial = f'<inertial pos="{_numbers(_padded(robot.mass_center))}" mass="{mass!r}"'
     if robot.kind != "spatial":  # the moments that have no effect are the same: MuJoCo wants some
         axes = ("1 0 0", "0 1 0", "0 0 1")[: robot.dimensions]
         joints = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in axes)
         if robot.kind == "planar-platform":
             joints += '<joint type="hinge" axis="0 0 1"/>'
-        return f'{joints}{place} diaginertia="{_numbers([1.0 if robot.point_mass else robot.inertia[0]] * 3)}"/>'
+        return f'{joints}{inertial} diaginertia="{_numbers([1.0 if robot.point_mass else robot.inertia[0]] * 3)}"/>'
     tensor = robot.inertia_tensor
     if np.any(products := tensor[(0, 0, 1), (1, 2, 2)]):
-        return f'<freejoint/>{place} fullinertia="{_numbers([*tensor.diagonal(), *products])}"/>'
+        return f'<freejoint/>{inertial} fullinertia="{_numbers([*tensor.diagonal(), *products])}"/>'
     # A plate's largest moment is the sum of the others; MuJoCo refuses the last digit that rounding may put on top.
     largest = sum(sorted(robot.inertia)[:2])
     moments = _numbers(min(moment, largest) for moment in robot.inertia)
-    return f'<freejoint/>{place} diaginertia="{moments}"/>'
+    return f'<freejoint/>{inertial} diaginertia="{moments}"/>'
 
 
 def _padded(points: Array) -> Array:

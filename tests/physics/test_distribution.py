@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.platforms import CAMERA
 from scipy.optimize import linprog, lsq_linear
 from scipy.sparse import block_diag
@@ -80,7 +81,7 @@ def held_items(kind, count):
 
 def check_tensions(tensions, lower, upper):
     assert np.all(tensions.status == HELD)
-    np.testing.assert_allclose(tensions.missing, 0, atol=1e-7)
+    assert_allclose(tensions.missing, 0, atol=1e-7)
     assert np.all((tensions.tensions >= lower) & (tensions.tensions <= upper))
 
 
@@ -113,7 +114,7 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
     slope = rng.uniform(0.5, 1.5, (items, cables)) * rng.choice([-1, 1], (items, cables)) / 1000
     offset = rng.uniform(-0.3, 0.3, (items, cables))
     steep = slope[:, :, None] * np.eye(cables)
-    ones = np.ones((items, cables, 1))
+    unit_column = np.ones((items, cables, 1))
     largest = linear_programs(
         np.eye(cables + 1)[cables],
         np.concatenate(
@@ -121,7 +122,7 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
             axis=2,
         ),
         load,
-        np.concatenate([np.dstack([steep, -ones]), np.dstack([-steep, -ones])], axis=1),
+        np.concatenate([np.dstack([steep, -unit_column]), np.dstack([-steep, -unit_column])], axis=1),
         np.concatenate([-offset, offset], axis=1),
         np.concatenate(
             [
@@ -167,7 +168,7 @@ def test_least_norm_is_that_of_a_quadratic_program(kind, count):
             a=-structure[k].T,
             **limits,
         )["x"]
-        np.testing.assert_allclose(tensions, np.array(best)[:, 0], rtol=0, atol=2e-5)
+        assert_allclose(tensions, np.array(best)[:, 0], rtol=0, atol=2e-5)
 
 
 @each_kind
@@ -177,21 +178,21 @@ def test_every_load_is_held_or_proved_infeasible(kind, count):
     structure, load, lower, upper = random_items(kind, count)
     proof = feasible(structure, load, lower, upper)
     held = least_norm(structure, load, lower, upper)
-    np.testing.assert_array_equal(proof.status, held.status)
+    assert_array_equal(proof.status, held.status)
     fails = proof.status == INFEASIBLE
     assert 0.001 < fails.mean() < 0.95
     assert np.all(fails | (proof.status == HELD))
     assert np.abs(held.missing[~fails]).max() < 1e-6
     assert np.all((held.tensions >= lower) & (held.tensions <= upper))
     pulls = proof.coefficients[fails]
-    np.testing.assert_allclose(
+    assert_allclose(
         -np.einsum("kci,ki->kc", structure[fails], proof.direction[fails]),
         pulls,
         atol=1e-9,
     )
-    wanted = np.sum(proof.direction[fails] * load[fails], axis=1)
+    demanded = np.sum(proof.direction[fails] * load[fails], axis=1)
     most = np.sum(pulls * np.where(pulls > 0, upper[fails], lower[fails]), axis=1)
-    np.testing.assert_allclose(proof.excess[fails], wanted - most, rtol=1e-7, atol=1e-6)
+    assert_allclose(proof.excess[fails], demanded - most, rtol=1e-7, atol=1e-6)
     assert np.all(proof.excess[fails] > 0)
     assert np.all(np.count_nonzero(pulls, axis=1) <= pulls.shape[1] - load.shape[1] + 1)
     assert not proof.excess[~fails].any()
@@ -224,7 +225,7 @@ def test_largest_scale_is_that_of_a_linear_program(kind, count):
             less_than,
             bounds,
         )[:, -1]
-        np.testing.assert_allclose(end, best, rtol=1e-6, atol=1e-6)
+        assert_allclose(end, best, rtol=1e-6, atol=1e-6)
     inside = scale.largest < 1e3
     assert inside.any()
     beyond = (scale.largest + 1e-3)[:, None]
@@ -300,8 +301,8 @@ def test_impossible_structures_have_finite_tensions():
         assert np.all(solution.tensions >= lower)
     proof = feasible(structure, load, lower, upper)
     assert proof.status.tolist() == [SINGULAR, INFEASIBLE, HELD]
-    np.testing.assert_allclose(proof.direction[0], [-1, 0, 0, 1, 0, 0], atol=1e-9)
-    np.testing.assert_allclose(proof.excess[:2], [10.0, 7.0])
+    assert_allclose(proof.direction[0], [-1, 0, 0, 1, 0, 0], atol=1e-9)
+    assert_allclose(proof.excess[:2], [10.0, 7.0])
     assert np.isnan(largest_scale(structure[0], load[0], load[0], 0.0, 1.0, 1.0).largest)
 
 
@@ -314,7 +315,7 @@ def test_square_structure_gives_the_unique_tensions():
         least_action(structure, load, -np.inf, 1e-3, 0.1),
     ):
         assert np.all(solution.status == HELD)
-        np.testing.assert_allclose(solution.tensions, expected, rtol=1e-9, atol=1e-7)
+        assert_allclose(solution.tensions, expected, rtol=1e-9, atol=1e-7)
 
 
 def test_arguments_broadcast():
@@ -327,7 +328,7 @@ def test_arguments_broadcast():
         (2, 3, 3),
     )
     alone = least_norm(structure[4], load[4], lower[0], 2000.0)
-    np.testing.assert_array_equal(alone.tensions, batch.tensions[1, 1])
+    assert_array_equal(alone.tensions, batch.tensions[1, 1])
     scale = largest_scale(
         structure[:1],
         [0, 0, 0],
@@ -336,6 +337,6 @@ def test_arguments_broadcast():
         2000.0,
         np.array([1.0, 2.0, 1e4]),
     )
-    np.testing.assert_allclose(scale.largest[:2], [1, 2])
+    assert_allclose(scale.largest[:2], [1, 2])
     with pytest.raises(ValueError, match="do not match"):
         feasible(structure, load[:, :2], 0.0)

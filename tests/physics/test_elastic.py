@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from numba import njit
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import (
     State,
     advance,
@@ -154,15 +155,15 @@ def test_steps_are_those_of_a_python_loop(robot, cable):
             )
             plant.set_action(actions[members])
             plant.advance(*no_reference(robot), substeps=1, step=step)
-            np.testing.assert_allclose(plant.per_cable(kernel.TENSION), tension, rtol=1e-9, atol=1e-7)
-            np.testing.assert_array_equal(plant.per_cable(kernel.SLACK), tension <= 0)
+            assert_allclose(plant.per_cable(kernel.TENSION), tension, rtol=1e-9, atol=1e-7)
+            assert_array_equal(plant.per_cable(kernel.SLACK), tension <= 0)
         assert slack > 0 or len(members) == 1
         for value, reference in zip(
             vars(elastic_state_of(plant)).values(),
             vars(expected).values(),
             strict=True,
         ):
-            np.testing.assert_allclose(value, reference, rtol=1e-9, atol=1e-9)
+            assert_allclose(value, reference, rtol=1e-9, atol=1e-9)
 
 
 @each_of(SWIVELLED_CRANE, with_transmission(SWIVELLED_CAMERA, **JOINTS))
@@ -226,7 +227,7 @@ def test_energy_is_kept_while_slack_comes_and_goes(robot):
     for _ in range(20):
         advance(plant, torques, 0.01, 200)
         slack.append(plant.per_cable(kernel.SLACK) > 0)
-        np.testing.assert_allclose(total(), start, rtol=1e-6, atol=1e-3)
+        assert_allclose(total(), start, rtol=1e-6, atol=1e-3)
     assert np.abs(plant.pose - state.pose).max() > 0.05
     assert np.any(np.any(slack, axis=0) & ~np.all(slack, axis=0))
 

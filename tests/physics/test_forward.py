@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import each_of, slowly
 from oracles.platforms import PLATFORMS
 from scipy.optimize import least_squares
@@ -63,8 +64,8 @@ def test_wrong_lengths_give_the_least_squares_pose(robot):
             xtol=1e-15,
             ftol=1e-15,
         )
-        np.testing.assert_allclose(pose, best.x, atol=1e-7)
-        np.testing.assert_allclose(
+        assert_allclose(pose, best.x, atol=1e-7)
+        assert_allclose(
             solution.residual[k],
             np.sqrt(np.mean(errors(pose) ** 2)),
             rtol=1e-6,
@@ -82,7 +83,7 @@ def test_batch_equals_its_items(name):
     batch = forward_kinematics(robot, lengths, guess)
     for index in range(0, 40, 3):
         alone = forward_kinematics(robot, lengths[index], guess[index])
-        np.testing.assert_array_equal(alone.pose, batch.pose[index])
+        assert_array_equal(alone.pose, batch.pose[index])
         assert (alone.residual, alone.converged) == (
             batch.residual[index],
             batch.converged[index],

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import (
     FLEX_UNEQUAL,
     NINE,
@@ -132,7 +133,7 @@ def test_member_of_a_batch_has_the_bits_it_has_alone(robot, shape):
             minimum=2.0,
         )
         for field in dataclasses.fields(batch):
-            np.testing.assert_array_equal(getattr(batch, field.name)[index], getattr(alone, field.name))
+            assert_array_equal(getattr(batch, field.name)[index], getattr(alone, field.name))
 
 
 @rigid_robots
@@ -148,7 +149,7 @@ def test_arguments_are_broadcast(robot):
         velocity.copy(),
         np.zeros(pose.shape),
     )
-    np.testing.assert_array_equal(worst_errors(results, inverse_dynamics(robot, *plain)), 0)
+    assert_array_equal(worst_errors(results, inverse_dynamics(robot, *plain)), 0)
     with pytest.raises(ValueError, match="broadcast"):
         inverse_dynamics(robot, mass[:3], pose, velocity, at_rest)
     with pytest.raises(ValueError, match="coordinates"):
@@ -165,7 +166,7 @@ def test_arguments_are_broadcast(robot):
 def test_pulley_accelerations_are_those_of_eq_6(robot):
     motion = random_motion(robot, (20,))
     accelerations = textbook.inverse_dynamics(robot, *motion, strict=False).pulley_accelerations
-    np.testing.assert_allclose(
+    assert_allclose(
         accelerations,
         textbook.pulley_acceleration(robot, *motion[1:]),
         rtol=1e-13,

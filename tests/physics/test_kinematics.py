@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import QUAD, differentiated, each_of
 from oracles.platforms import CRANE
 from scipy.spatial.transform import Rotation
@@ -26,7 +27,7 @@ def test_lengths_are_distances_between_turned_anchors(robot):
         rotation = Rotation.from_euler("ZYX", pose[:, :2:-1])  # capitals: about the turned axes
         points = points + robot.platform @ np.swapaxes(rotation.as_matrix(), 1, 2)
     lengths = kinematics.cable_lengths(robot.base, robot.platform, pose)
-    np.testing.assert_allclose(lengths, np.linalg.norm(points, axis=-1), rtol=1e-14)
+    assert_allclose(lengths, np.linalg.norm(points, axis=-1), rtol=1e-14)
 
 
 @each_of(PLANAR, SPATIAL, QUAD, CRANE)
@@ -43,10 +44,10 @@ def test_pulley_speed_and_acceleration_are_slopes_of_the_angle(robot):
         moved = pose + time * velocity + time**2 / 2 * acceleration
         return textbook.pulley_speed(robot, moved, velocity + time * acceleration)
 
-    np.testing.assert_array_equal(textbook.pulley_angle(robot, robot.home), 0)
-    np.testing.assert_allclose(speed(0), differentiated(angle, 1e-4), rtol=1e-9, atol=1e-8)
+    assert_array_equal(textbook.pulley_angle(robot, robot.home), 0)
+    assert_allclose(speed(0), differentiated(angle, 1e-4), rtol=1e-9, atol=1e-8)
     winding = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    np.testing.assert_allclose(winding, differentiated(speed, 1e-4), rtol=1e-8, atol=1e-6)
+    assert_allclose(winding, differentiated(speed, 1e-4), rtol=1e-8, atol=1e-6)
 
 
 def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
@@ -56,14 +57,14 @@ def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
     rate = differentiated(lambda time: kinematics.rotation_matrix(euler + time * rates), 1e-4)
     crossed = np.swapaxes(rotation, 1, 2) @ rate
     omega = np.einsum("nij,nj->ni", kinematics.euler_rate_matrix(euler), rates)
-    np.testing.assert_allclose(crossed + np.swapaxes(crossed, 1, 2), 0, atol=1e-10)
-    np.testing.assert_allclose(crossed[:, [2, 0, 1], [1, 2, 0]], omega, atol=1e-10)
+    assert_allclose(crossed + np.swapaxes(crossed, 1, 2), 0, atol=1e-10)
+    assert_allclose(crossed[:, [2, 0, 1], [1, 2, 0]], omega, atol=1e-10)
 
 
 def test_rate_of_the_euler_rate_matrix_is_its_slope():
     euler, rates = random_angles()
     slope = differentiated(lambda time: kinematics.euler_rate_matrix(euler + time * rates), 1e-4)
-    np.testing.assert_allclose(
+    assert_allclose(
         kinematics.euler_rate_matrix_rate(euler, rates),
         slope,
         rtol=0,

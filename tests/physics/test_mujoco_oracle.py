@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from oracles.mujoco_model import MujocoRobot
 from oracles.plants import (
     FLEX_HANGING,
@@ -117,13 +118,13 @@ def test_model_has_the_lengths_and_returns_the_state(robot):
     state, _ = random_states(robot, STATES, reach=1.0)
     for pose, velocity in zip(state.pose, state.velocity, strict=True):
         peer.set_state(pose, velocity)
-        np.testing.assert_allclose(
+        assert_allclose(
             peer.lengths(),
             cable_lengths(robot.base, robot.platform, pose),
             rtol=0,
             atol=1e-14,
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             np.concatenate(peer.state()),
             np.append(pose, velocity),
             rtol=0,

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from numba import njit
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.one_dimension import line_robot
 from oracles.plants import (
     FLEX_QUAD,
@@ -87,7 +88,7 @@ def test_lane_of_a_batch_has_the_bits_of_a_robot_alone(robot, cable, count):
     assert np.all(np.isfinite(tiled))
     for lane in {0, 1, count - 2, count - 1}:
         alone = run_with_late_reset(robot, cable, np.array([lane]), count)
-        np.testing.assert_array_equal(alone[:, 0], tiled[:, lane])
+        assert_array_equal(alone[:, 0], tiled[:, lane])
 
 
 @pytest.mark.parametrize("count", [1, 2, 65])
@@ -116,7 +117,7 @@ def test_accelerations_and_tensions_are_those_of_the_textbook(robot, cable):
     expected_rates, expected_tension = textbook_rates(robot, state, torques, cable, mass)
     if cable == "unilateral":
         assert 0.03 < np.mean(expected_tension == 0) < 0.9
-        np.testing.assert_array_equal(tension == 0, expected_tension == 0)
+        assert_array_equal(tension == 0, expected_tension == 0)
     assert worst_relative_error(acceleration, expected_rates.velocity) <= 1e-13
     assert worst_relative_error(tension, expected_tension) <= 1e-13
 
@@ -156,7 +157,7 @@ def test_remembered_slack_cables_do_not_change_the_result(robot):
         plant.set_action(action)
         plant.advance(*no_reference(robot), substeps=5, step=2e-3)
         records.append(record_of(plant))
-    np.testing.assert_array_equal(*records)
+    assert_array_equal(*records)
 
 
 # --- integration --------------------------------------------------------------------------------------------------
@@ -230,19 +231,19 @@ def check_record(plant, states, applied, tensions, lines):
         kernel.TENSION: tensions[0],
     }
     for row, expected in (at_start | {kernel.LEAST_TENSION: least}).items():
-        np.testing.assert_allclose(plant.per_cable(row), expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(plant.per_cable(kernel.SLACK), np.sum(np.stack(tensions) <= 0, axis=0))
+        assert_allclose(plant.per_cable(row), expected, rtol=1e-12, atol=1e-12)
+    assert_array_equal(plant.per_cable(kernel.SLACK), np.sum(np.stack(tensions) <= 0, axis=0))
     errors = np.stack([end.pose for end in states[1:]]) - lines
     distance = np.linalg.norm(errors[..., : robot.dimensions], axis=-1)
     turned = np.abs(errors[..., robot.dimensions :]).max(axis=(0, 2), initial=0)
     record = record_of(plant)
-    np.testing.assert_allclose(
+    assert_allclose(
         record[:, kernel.POSITION_PEAK],
         distance.max(axis=0),
         rtol=0,
         atol=1e-13,
     )
-    np.testing.assert_allclose(record[:, kernel.ROTATION_PEAK], turned, rtol=0, atol=1e-13)
+    assert_allclose(record[:, kernel.ROTATION_PEAK], turned, rtol=0, atol=1e-13)
     return distance.argmax(axis=0)
 
 
@@ -273,7 +274,7 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
         peak_steps |= set(check_record(plant, states, applied, tensions, lines).tolist())
         reached = state_of(plant) if robot.flexible else State(plant.pose, plant.velocity, state.angle, state.speed)
         for value, expected in zip(vars(reached).values(), vars(states[-1]).values(), strict=True):
-            np.testing.assert_allclose(value, expected, rtol=1e-13, atol=1e-12)
+            assert_allclose(value, expected, rtol=1e-13, atol=1e-12)
         state = reached
     assert len(peak_steps) > 3  # the peak is not always at the end or the start
 
@@ -312,12 +313,12 @@ def test_lag_starts_within_the_stall_torque():
     plant = plant_with_lag(0.03)
     stall = plant.robot.stall_torque
     plant.set_torques(np.array([0]), 3 * stall[None])
-    np.testing.assert_array_equal(plant.per_cable(kernel.TORQUE)[0], 3 * stall)
+    assert_array_equal(plant.per_cable(kernel.TORQUE)[0], 3 * stall)
     plant.set_action(np.zeros((1, 4)))
     for period in range(3):
         plant.advance(*no_reference(plant.robot), substeps=2, step=1e-3)
         lagged = stall * math.exp(-period * 2e-3 / 0.03)
-        np.testing.assert_allclose(plant.per_cable(kernel.TORQUE)[0], lagged, rtol=1e-12)
+        assert_allclose(plant.per_cable(kernel.TORQUE)[0], lagged, rtol=1e-12)
 
 
 def test_lag_far_below_the_step_delays_the_first_step_only():
@@ -331,7 +332,7 @@ def test_lag_far_below_the_step_delays_the_first_step_only():
             plant.advance(*no_reference(plant.robot), substeps=2, step=1e-3)
             speeds.append(plant.velocity[0, 0])
         gains.append(np.diff(speeds))
-    np.testing.assert_allclose(gains[1], gains[0], rtol=1e-6)
+    assert_allclose(gains[1], gains[0], rtol=1e-6)
 
 
 @each_of(PLANAR, FLEX_SPATIAL)
@@ -375,7 +376,7 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
     state, action = random_states(UNEQUAL, 33, seed=14)
     plant = loaded_plant(UNEQUAL, state, "unilateral")
     expected = np.zeros((plant.width, 6))
-    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    assert_array_equal(wrench_rows(plant), expected)
     plant.set_wrench(
         np.array([4, 32]),
         np.array([[1, 2, 3], [4, 5, 6.0]]),
@@ -386,12 +387,12 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
     plant.set_action(action)
     plant.advance(*no_reference(UNEQUAL), substeps=2, step=1e-3)
     plant.set_state(np.arange(33), state.pose, state.velocity)
-    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    assert_array_equal(wrench_rows(plant), expected)
     plant.set_wrench(np.array([4]), np.array([[1.0, 0.0, 0.0]]))
     plant.set_parameters(np.array([32]), pack_parameters(UNEQUAL)[None])
     expected[4] = [1, 0, 0, 0, 0, 0]
     expected[32:] = 0
-    np.testing.assert_array_equal(wrench_rows(plant), expected)
+    assert_array_equal(wrench_rows(plant), expected)
 
 
 # --- helpers and broken states ------------------------------------------------------------------------------------
@@ -441,7 +442,7 @@ def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
     values[sick[1], -1] = bad
     record = run()
     neighbours = np.setdiff1d(np.arange(33), sick)
-    np.testing.assert_array_equal(record[neighbours], healthy[neighbours])
+    assert_array_equal(record[neighbours], healthy[neighbours])
     if spoilt == "action" and np.isinf(bad):  # clipped like any other action above 1
         assert np.all(np.isfinite(record[sick, kernel.POSE : kernel.POSE + robot.coordinates]))
     else:

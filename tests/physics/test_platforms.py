@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.testing import assert_allclose
 from oracles.plants import differentiated, each_of
 from oracles.platforms import CRANE, HANGING, PLATFORMS
 
@@ -54,14 +55,14 @@ def gradient(function, point):
 def test_jacobian_and_its_rate_are_derivatives_of_the_lengths(robot):
     pose, velocity, _ = random_motion(robot)
     structure = textbook.jacobian(robot, pose)
-    np.testing.assert_allclose(
+    assert_allclose(
         structure,
         gradient(lambda x: textbook.cable_lengths(robot, x), pose),
         atol=1e-9,
     )
     rate = textbook.jacobian_rate(robot, pose, velocity)
     slope = differentiated(lambda time: textbook.jacobian(robot, pose + time * velocity), 1e-4)
-    np.testing.assert_allclose(rate, slope, atol=1e-9)
+    assert_allclose(rate, slope, atol=1e-9)
 
 
 @each_of(*PLATFORMS.values())
@@ -71,20 +72,20 @@ def test_jacobian_and_rate_at_once_are_those_alone(robot):
     ends = robot.base, robot.platform
     shape = (2, 3, robot.coordinates)
     jacobian, rate = kinematics.jacobian_and_rate(*ends, pose.reshape(shape), velocity.reshape(shape))
-    np.testing.assert_allclose(
+    assert_allclose(
         jacobian[1, 2],
         kinematics.structure_jacobian(*ends, pose[5]),
         atol=1e-14,
     )
     alone = kinematics.structure_jacobian_rate(*ends, pose[5], velocity[5])
-    np.testing.assert_allclose(rate[1, 2], alone, atol=1e-13)
+    assert_allclose(rate[1, 2], alone, atol=1e-13)
 
 
 def test_cable_wraps_its_swivel_pulley_on_the_right_side():
     """Straight down from the outer edge of the pulley: half a turn on the pulley and the free length."""
     for swivel, depth in ((0.1, 2.0), (-0.1, -2.0)):
         length = kinematics.cable_lengths([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [0.2, 0.0, depth], [swivel])
-        np.testing.assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
+        assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
     assert np.sign(LOWER_WINCHES.swivel).tolist() == [
         1,
@@ -129,7 +130,7 @@ def test_load_agrees_with_lagranges_equations(robot):
 
     expected = differentiated(momentum, 1e-3) - gradient(lambda x: lagrangian(robot, mass, x, velocity), pose)
     load = textbook.load(robot, mass, pose, velocity, acceleration)
-    np.testing.assert_allclose(load, expected, rtol=1e-5, atol=1e-5 * np.abs(load).max())
+    assert_allclose(load, expected, rtol=1e-5, atol=1e-5 * np.abs(load).max())
 
 
 def test_linear_model_contains_the_springs_of_the_cables():
@@ -139,4 +140,4 @@ def test_linear_model_contains_the_springs_of_the_cables():
     robot = HANGING.replace(base_anchors=anchors, home_pose=(0.0, 1.0), transmission=transmission)
     model = textbook.linear_model(robot)
     values = np.linalg.eigvals(np.linalg.solve(model.inertia, model.stiffness)).real
-    np.testing.assert_allclose(np.sort(values)[-2:], [1e4 / np.sqrt(2) / 5] * 2, rtol=1e-6)
+    assert_allclose(np.sort(values)[-2:], [1e4 / np.sqrt(2) / 5] * 2, rtol=1e-6)

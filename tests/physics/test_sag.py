@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from oracles.plants import each_of
 from scipy.integrate import solve_ivp
 
@@ -52,7 +53,7 @@ def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
 def test_catenary_tends_to_the_parabola(across, rise, tension, weight):
     for factor, relative in ((1e2, 1e-3), (1e5, 1e-9)):
         stretched = across, rise, factor * tension, weight
-        np.testing.assert_allclose(catenary(*stretched), parabola(*stretched), rtol=relative)
+        assert_allclose(catenary(*stretched), parabola(*stretched), rtol=relative)
 
 
 def test_stiffness_factor_is_the_derivative_of_the_chord():
@@ -64,7 +65,7 @@ def test_stiffness_factor_is_the_derivative_of_the_chord():
     more = sag(robot, robot.home, tension + step).extra_length
     less = sag(robot, robot.home, tension - step).extra_length
     straight = loose.length / robot.axial_stiffness
-    np.testing.assert_allclose(
+    assert_allclose(
         loose.stiffness_factor,
         straight / (straight - (more - less) / (2 * step)),
         rtol=2e-3,
@@ -94,7 +95,7 @@ def test_settled_platform_is_in_equilibrium_with_its_cables(robot):
     for step in 1e-4 * np.eye(robot.coordinates):
         weight.append((energy(robot.home + step) - energy(robot.home - step)) / 2e-4)
     largest = np.abs(load).max()
-    np.testing.assert_allclose(
+    assert_allclose(
         -structure.T @ settled.tensions,
         load + weight,
         rtol=1e-6,
@@ -102,4 +103,4 @@ def test_settled_platform_is_in_equilibrium_with_its_cables(robot):
     )
     soft = loose.length / robot.axial_stiffness if robot.elastic else 0.0
     stretch = (settled.tensions - straight) * soft - loose.extra_length  # of the catenary, not of the parabola
-    np.testing.assert_allclose(structure @ settled.pose_change, stretch, rtol=0.02, atol=1e-6)
+    assert_allclose(structure @ settled.pose_change, stretch, rtol=0.02, atol=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of
 from scipy.linalg import null_space
 from scipy.optimize import linprog
@@ -55,7 +56,7 @@ def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot
     best = least_by_linear_program(structure, load, minimum, np.ones(robot.cables))
     assume(best.status == 0)  # a corner of the box may lie outside the triangle
     tensions = textbook.tension_distribution(structure, load, minimum)
-    np.testing.assert_allclose(-structure.T @ tensions, load, rtol=0, atol=1e-10)
+    assert_allclose(-structure.T @ tensions, load, rtol=0, atol=1e-10)
     assert tensions.min() >= minimum
     assert tensions.sum() == pytest.approx(best.fun, rel=1e-7, abs=1e-7)
 
@@ -71,7 +72,7 @@ def test_least_tensions_of_three_cables_are_least_at_once(x, y, fx, fy):
     for cable in np.eye(3):
         least.append(least_by_linear_program(structure, load, 5.0, cable).fun)
     tensions = textbook.tension_distribution(structure, load, 5.0)
-    np.testing.assert_allclose(tensions, least, rtol=1e-7, atol=1e-7)
+    assert_allclose(tensions, least, rtol=1e-7, atol=1e-7)
 
 
 @settings(max_examples=40, derandomize=True)
@@ -88,7 +89,7 @@ def test_smooth_tensions_are_a_soft_maximum(x, y, fx, fy, softness):
     expected = norm + softness * logsumexp((minimum - norm) / null / softness) * null
     least = textbook.tension_distribution(structure, load, minimum)
     smooth = textbook.smooth_tension_distribution(structure, least, minimum, softness)
-    np.testing.assert_allclose(smooth, expected, rtol=0, atol=1e-8)
+    assert_allclose(smooth, expected, rtol=0, atol=1e-8)
     assert smooth.min() >= minimum
 
 
@@ -102,9 +103,9 @@ def test_impossible_force_raises_or_gives_the_minimum(robot):
     with pytest.raises(ValueError, match="outside the polygon"):
         textbook.required_tensions(robot, 1.0, poses, np.zeros(2), np.stack([away, away]))
     tensions = textbook.tension_distribution(structures, np.stack([away, away]), 2.0, strict=False)
-    np.testing.assert_array_equal(tensions[1], 2.0)  # a control law gets the minimum, and its neighbour the solution
+    assert_array_equal(tensions[1], 2.0)  # a control law gets the minimum, and its neighbour the solution
     alone = textbook.tension_distribution(structures[0], away, 2.0)
-    np.testing.assert_allclose(tensions[0], alone, rtol=0, atol=1e-13)
+    assert_allclose(tensions[0], alone, rtol=0, atol=1e-13)
     inwards = textbook.tension_distribution(structures[1], -away, 0.0)
     assert inwards.min() >= 0  # cables can pull from there too
 
@@ -117,8 +118,8 @@ def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
     tension = textbook.required_tensions(robot, mass, pose, velocity, acceleration, minimum=minimum)
     torques = textbook.required_torques(robot, tension, pose, velocity, acceleration)
     at_once = textbook.inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum)
-    np.testing.assert_allclose(at_once.torques, torques, rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(
+    assert_allclose(at_once.torques, torques, rtol=1e-10, atol=1e-10)
+    assert_allclose(
         at_once.speeds,
         textbook.pulley_speed(robot, pose, velocity),
         rtol=1e-10,
@@ -135,5 +136,5 @@ def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
     ):
         motion = mass[members], pose[members], velocity[members]
         moved, pulled = textbook.forward_dynamics(robot, *motion, torques[members], cable=cable)
-        np.testing.assert_allclose(moved, acceleration[members], rtol=0, atol=1e-10)
-        np.testing.assert_allclose(pulled, tension[members], rtol=0, atol=1e-9)
+        assert_allclose(moved, acceleration[members], rtol=0, atol=1e-10)
+        assert_allclose(pulled, tension[members], rtol=0, atol=1e-9)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from oracles.episodes import make
 from scipy.integrate import solve_ivp
 
@@ -94,7 +95,7 @@ def test_velocity_error_after_a_period_is_of_third_order(name: str) -> None:
     def velocity_error(period: float) -> float:
         state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
         torques, speeds = follower.torques(motion, state, np.asarray(motion.payload), period)
-        np.testing.assert_allclose(
+        assert_allclose(
             speeds,
             textbook.pulley_speed(robot, x.position, x.velocity),
             rtol=1e-9,
@@ -141,7 +142,7 @@ def test_actions_request_the_torques_of_each_row_of_a_batch(name: str) -> None:
     together = follower.action(motion, state(...), payload, 0.002)
     torques, speeds = follower.torques(motion, state(...), payload, 0.002)
     low, high = textbook.torque_limits(robot, speeds)
-    np.testing.assert_allclose(
+    assert_allclose(
         (high - low) / 2 * together + (high + low) / 2,
         torques,
         rtol=1e-9,
@@ -149,7 +150,7 @@ def test_actions_request_the_torques_of_each_row_of_a_batch(name: str) -> None:
     )
     for k in range(2):
         alone = follower.action(motion, state(k), payload[k], 0.002)
-        np.testing.assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
+        assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
 def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
@@ -157,8 +158,8 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
     period = 0.002
     steps = 830
     duration = 1.66
-    last = (steps - 1) * period
-    assert last + period > duration
+    final_start = (steps - 1) * period
+    assert final_start + period > duration
     reference = find_trajectory({"name": "line-planar", "duration": duration}, 2)
     drift = PlannedMotion(
         name="drift",
@@ -176,7 +177,7 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
         state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
         return follower.torques(drift, state, np.asarray(1.0), period)[0]
 
-    np.testing.assert_allclose(torques(last), torques(last - period), atol=1e-3)
+    assert_allclose(torques(final_start), torques(final_start - period), atol=1e-3)
 
 
 # --- a whole motion ---------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import threading
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles import one_dimension
 from oracles.plants import each_of, with_transmission
 
@@ -63,7 +64,7 @@ def check_actions(robot, actions, torque, speed, acceleration, tolerance) -> Non
     """Actions of the torque at the motor speeds of both ends of a period of 4 ms."""
     for side, action in zip((-0.002, 0.002), actions, strict=True):
         expected = textbook.normalised_action(robot, torque, speed + side * acceleration)
-        np.testing.assert_allclose(action, expected, rtol=tolerance)
+        assert_allclose(action, expected, rtol=tolerance)
 
 
 @each_of(
@@ -77,15 +78,15 @@ def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     mass = robot.mass + 1.7
     period = 0.004
     n = robot.coordinates
-    needed = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
-    numbers = np.concatenate([*(array[0] for array in (x, v, a, needed.tensions / TENSION)), [mass]])
+    inverse = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
+    numbers = np.concatenate([*(array[0] for array in (x, v, a, inverse.tensions / TENSION)), [mass]])
     values = np.array(rigid_stage(robot, period)(numbers))[:, 0]
-    np.testing.assert_allclose(values[:n], 0.0, atol=1e-12)
+    assert_allclose(values[:n], 0.0, atol=1e-12)
     frictionless = with_transmission(robot, coulomb_friction=0.0)
-    moved = textbook.required_torques(frictionless, needed.tensions, x, v, a)
-    rub = 0.1 * needed.speeds / np.hypot(needed.speeds, textbook.FRICTION_SPEED)
-    np.testing.assert_allclose(needed.torques, moved + rub, rtol=1e-12)
-    motion = needed.torques[0], needed.speeds[0], needed.pulley_accelerations[0]
+    moved = textbook.required_torques(frictionless, inverse.tensions, x, v, a)
+    rub = 0.1 * inverse.speeds / np.hypot(inverse.speeds, textbook.FRICTION_SPEED)
+    assert_allclose(inverse.torques, moved + rub, rtol=1e-12)
+    motion = inverse.torques[0], inverse.speeds[0], inverse.pulley_accelerations[0]
     check_actions(robot, values[n:].reshape(2, -1), *motion, 1e-10)
     unbalanced = np.array(rigid_stage(robot, period)(np.append(numbers[:-1], mass + 1)))[:n, 0]
     assert np.abs(unbalanced).max() > 1e-3
@@ -96,20 +97,20 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     x, v, a = random_state(robot)
     mass = robot.mass + 1.7
     m = robot.cables
-    needed = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
+    inverse = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
     # The spring torque is the torque of a rigid motor: r T + J β̈ + c β̇.
-    angle = textbook.pulley_angle(robot, x) + needed.torques / robot.stiffness
+    angle = textbook.pulley_angle(robot, x) + inverse.torques / robot.stiffness
     speed = np.linspace(-20, 30, m)
     acceleration = np.linspace(400, -300, m)
     balance, limits = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
-    np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-11)
-    first, second, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
-    torque = needed.torques[0] + robot.motor_inertia * acceleration + robot.motor_damping * speed
+    assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-11)
+    at_start, at_end, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
+    torque = inverse.torques[0] + robot.motor_inertia * acceleration + robot.motor_damping * speed
     torque += 0.1 * speed / np.hypot(speed, textbook.FRICTION_SPEED)
-    check_actions(robot, (first, second), torque, speed, acceleration, 1e-9)
-    np.testing.assert_allclose(TENSION * tensions, needed.tensions[0], rtol=1e-9)
-    np.testing.assert_allclose(TENSION * springs, needed.torques[0] / robot.pulley_radius, rtol=1e-9)
+    check_actions(robot, (at_start, at_end), torque, speed, acceleration, 1e-9)
+    assert_allclose(TENSION * tensions, inverse.tensions[0], rtol=1e-9)
+    assert_allclose(TENSION * springs, inverse.torques[0] / robot.pulley_radius, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["stadium-camera", "ttk4900", "cogiro"])
@@ -119,21 +120,21 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
     mass = robot.mass + 1.7
     m = robot.cables
     minimum = textbook.allocated_minimum(robot)
-    needed = textbook.inverse_dynamics(find_robot(name), mass, x, v, a, minimum=minimum, strict=False)
+    inverse = textbook.inverse_dynamics(find_robot(name), mass, x, v, a, minimum=minimum, strict=False)
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
-    angle, _ = textbook.rest_angles(robot, needed.tensions, x)
-    speed = needed.speeds[0]
+    angle, _ = textbook.rest_angles(robot, inverse.tensions, x)
+    speed = inverse.speeds[0]
     acceleration = np.arange(m) - 2.0
     balance, limits = flexible_stage(robot, 0.004)
     numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
-    np.testing.assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
-    first, second, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
-    torque = textbook.holding_torque(robot, robot.pulley_radius * needed.tensions[0])
+    assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
+    at_start, at_end, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
+    torque = textbook.holding_torque(robot, robot.pulley_radius * inverse.tensions[0])
     torque += robot.pulley_inertia * acceleration + robot.damping * speed + textbook.coulomb_torque(robot, speed)
-    check_actions(robot, (first, second), torque, speed, acceleration, 1e-7)
-    np.testing.assert_allclose(
+    check_actions(robot, (at_start, at_end), torque, speed, acceleration, 1e-7)
+    assert_allclose(
         TENSION * np.array([tensions, springs]),
-        [needed.tensions[0]] * 2,
+        [inverse.tensions[0]] * 2,
         rtol=1e-7,
     )
 
@@ -154,11 +155,11 @@ def test_start_of_a_flexible_robot_is_that_of_the_environment(
     start = start_stage(robot, tuple(pose), (0.0,) * robot.coordinates, masses)
     turned = np.concatenate([blocks["motor_angle"], blocks["motor_speed"], [robot.mass + 3.1]])
     tolerance = 1e-4 * np.ptp(blocks["motor_angle"])
-    np.testing.assert_allclose(np.array(start(turned))[:, 0], 0.0, atol=tolerance)
+    assert_allclose(np.array(start(turned))[:, 0], 0.0, atol=tolerance)
     moved = turned + np.append(np.repeat([0.1, 1.0], robot.cables), 0.0)
     angles, speeds = np.array(start(moved))[:, 0].reshape(2, -1)
-    np.testing.assert_allclose(angles, 0.1, atol=tolerance)
-    np.testing.assert_allclose(speeds, robot.speed_slope / robot.stall_torque, rtol=1e-9)
+    assert_allclose(angles, 0.1, atol=tolerance)
+    assert_allclose(speeds, robot.speed_slope / robot.stall_torque, rtol=1e-9)
 
 
 # --- derivatives ------------------------------------------------------------------------------------------------------
@@ -193,13 +194,13 @@ def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float |
     lam = rng.uniform(-1, 1, len(lowest))
     assembled = np.array(solver.get_function("nlp_jac_g")(z, [])[1])
     expected = np.array(oracle.factory("j", ["x", "p"], ["jac:g:x"])(z, []))
-    np.testing.assert_allclose(assembled, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    assert_allclose(assembled, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert np.linalg.matrix_rank(expected) > len(z) // 2
     assembled = np.array(solver.get_function("nlp_hess_l")(z, [], 1.0, lam))
     inputs = ["x", "p", "lam:f", "lam:g"]
     outputs = ["triu:hess:gamma:x:x"]
     expected = np.array(oracle.factory("h", inputs, outputs, {"gamma": ["f", "g"]})(z, [], 1.0, lam))
-    np.testing.assert_allclose(assembled, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+    assert_allclose(assembled, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
     assert np.count_nonzero(expected) > len(z)
 
 
@@ -226,7 +227,7 @@ def test_motion_in_one_dimension_has_the_payload_in_closed_form(
 def test_optimum_does_not_depend_on_the_initial_guess() -> None:
     coarse = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=20)
     plan = coarse.solve()
-    np.testing.assert_array_equal(coarse.solve().poses, plan.poses)
+    assert_array_equal(coarse.solve().poses, plan.poses)
     assert coarse.solve(shift=np.array([0.3, -0.4])).payload == pytest.approx(plan.payload, rel=1e-4)
     fine = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=30)
     warm = fine.solve(plan).payload

@@ -61,9 +61,9 @@ def check_same(plan: PlannedMotion, expected: PlannedMotion) -> None:
 
 
 def test_stored_plan_is_not_solved_again(cache: Path, solved: list[int]) -> None:
-    first, second = (plan(lightest=0.1) for _ in range(2))
+    solution, second = (plan(lightest=0.1) for _ in range(2))
     assert len(solved) == 1
-    check_same(first, second)
+    check_same(solution, second)
     assert [path.suffix for path in cache.iterdir()] == [".npz"]
 
 
@@ -71,7 +71,7 @@ def test_every_setting_makes_another_plan(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     motors = Motors(stall_torque=5.1, free_speed=PLANAR.motors.free_speed)
-    others: list[dict[str, Any]] = [
+    changed_settings: list[dict[str, Any]] = [
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
         {
@@ -90,9 +90,9 @@ def test_every_setting_makes_another_plan(
     ]
     example = plan()
     monkeypatch.setattr(MotionProgram, "solve", lambda program: example)
-    for changes in others + others:
+    for changes in changed_settings + changed_settings:
         plan(**changes)
-    assert len(list(cache_folder().iterdir())) == len(others) + 1
+    assert len(list(cache_folder().iterdir())) == len(changed_settings) + 1
 
 
 def test_fingerprint_depends_on_code_and_solver(
@@ -107,9 +107,9 @@ def test_fingerprint_depends_on_code_and_solver(
             error_bounds=BOUNDS,
         )
 
-    usual = key()
-    assert usual == key()
-    keys = [usual, key("cablebot_gym.bounds.best_known"), key(frequency=250.0)]
+    expected_key = key()
+    assert expected_key == key()
+    keys = [expected_key, key("cablebot_gym.bounds.best_known"), key(frequency=250.0)]
     monkeypatch.setattr(library, "version", lambda _: "0")
     keys.append(key())
     monkeypatch.setattr(library, "source_hash", lambda _: "another code")
@@ -118,11 +118,11 @@ def test_fingerprint_depends_on_code_and_solver(
 
 
 def test_broken_file_is_replaced(cache: Path, solved: list[int]) -> None:
-    first = plan()
+    solution = plan()
     (path,) = cache.iterdir()
     path.write_bytes(path.read_bytes()[:100])
-    check_same(plan(), first)
-    check_same(plan(), first)
+    check_same(plan(), solution)
+    check_same(plan(), solution)
     assert len(solved) == 2
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import cumulative_simpson
 
 from cablebot_gym.kinematics import Array
@@ -176,8 +177,8 @@ def test_motion_starts_in_the_state_of_an_episode(name: str) -> None:
     reference = CASES[name].reference
     robot = CASES[name].robot
     lowered = np.zeros(2) if robot.planar else np.array([0, 0, BOUNDS.position / 2, 0, 0, 0])
-    np.testing.assert_allclose(start.position, reference(0.0).position + lowered, atol=1e-9)
-    np.testing.assert_allclose(start.velocity, reference(0.0).velocity, atol=1e-6)
+    assert_allclose(start.position, reference(0.0).position + lowered, atol=1e-9)
+    assert_allclose(start.velocity, reference(0.0).velocity, atol=1e-6)
 
 
 # --- as a trajectory --------------------------------------------------------------------------------------------------
@@ -195,13 +196,13 @@ def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
     x = motion(times)
     for rate, value in ((x.velocity, x.position), (x.acceleration, x.velocity)):
         integral = value[0] + cumulative_simpson(rate, x=times, axis=0, initial=0.0)
-        np.testing.assert_allclose(integral, value, atol=1e-5 * np.ptp(value))
+        assert_allclose(integral, value, atol=1e-5 * np.ptp(value))
     after = motion(motion.duration + 0.3)
     before = motion(-0.3)
-    np.testing.assert_array_equal(after.position, motion(motion.duration).position)
+    assert_array_equal(after.position, motion(motion.duration).position)
     for rate in (after.velocity, after.acceleration, after.jerk, after.snap):
-        np.testing.assert_array_equal(rate, 0.0)
-    np.testing.assert_array_equal(before.position, motion(0.0).position)
+        assert_array_equal(rate, 0.0)
+    assert_array_equal(before.position, motion(0.0).position)
     assert {value.shape for value in vars(motion(np.zeros((4, 3)))).values()} == {(4, 3, motion.coordinates)}
 
 
@@ -218,8 +219,8 @@ def test_motion_is_restored_from_its_arrays(name: str) -> None:
         "degree",
     ):
         assert getattr(again, field) == getattr(motion, field)
-    np.testing.assert_array_equal(again(0.37).acceleration, motion(0.37).acceleration)
-    np.testing.assert_array_equal(np.array(again.motors), np.array(motion.motors))
+    assert_array_equal(again(0.37).acceleration, motion(0.37).acceleration)
+    assert_array_equal(np.array(again.motors), np.array(motion.motors))
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------
