@@ -62,25 +62,13 @@ def test_spatial_robot_has_the_values_of_tables_4_and_8():
     assert SPATIAL.inertia == (0.58, 0.58, 1.16)
     assert SPATIAL.transmission == Transmission(pulley_radius=0.05, pulley_inertia=0.0008, damping=0.01)
     assert SPATIAL.motors.stall_torque == 10
-    assert (SPATIAL.cables, SPATIAL.coordinates, SPATIAL.planar) == (
-        6,
-        6,
-        False,
-    )
+    assert (SPATIAL.cables, SPATIAL.coordinates, SPATIAL.planar) == (6, 6, False)
     assert SPATIAL.gravity == 9.81
     a = 0.47
     b = 0.148
     root = math.sqrt(3)
-    base = {
-        "A1": (-a, -a / root, 0),
-        "A2": (a, -a / root, 0),
-        "A3": (0, 2 * a / root, 0),
-    }
-    platform = {
-        "P1": (0, -2 * b / root, 0),
-        "P2": (-b, b / root, 0),
-        "P3": (b, b / root, 0),
-    }
+    base = {"A1": (-a, -a / root, 0), "A2": (a, -a / root, 0), "A3": (0, 2 * a / root, 0)}
+    platform = {"P1": (0, -2 * b / root, 0), "P2": (-b, b / root, 0), "P3": (b, b / root, 0)}
     ring = ["A1P1", "A2P1", "A2P3", "A3P3", "A3P2", "A1P2"]
     assert_allclose(SPATIAL.base, [base[cable[:2]] for cable in ring], rtol=1e-15)
     assert_allclose(SPATIAL.platform, [platform[cable[2:]] for cable in ring], rtol=1e-15)
@@ -133,10 +121,7 @@ def test_robots_are_found_by_name():
     for name in ROBOTS:
         assert find_robot(name).name == name
     assert find_robot(UNEQUAL) is UNEQUAL
-    with pytest.raises(
-        ValueError,
-        match=r"choose one of planar, .*, a .toml or .json file, or pass a Robot",
-    ):
+    with pytest.raises(ValueError, match=r"choose one of planar, .*, a .toml or .json file, or pass a Robot"):
         find_robot("cubical")
 
 
@@ -161,46 +146,18 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
             {"base_anchors": SIX[:5], "platform_anchors": PLATFORM[:5]},
             r"at least 6 cables.* Add cables$",
         ),
-        (
-            SPATIAL,
-            {"inertia": (0.3, 0.1, 0.1)},
-            "no principal moment may exceed the sum",
-        ),
-        (
-            PLANAR,
-            {"workspace": ((-1.0, 1.0), (1.0, -1.0))},
-            "workspace must have low < high",
-        ),
+        (SPATIAL, {"inertia": (0.3, 0.1, 0.1)}, "no principal moment may exceed the sum"),
+        (PLANAR, {"workspace": ((-1.0, 1.0), (1.0, -1.0))}, "workspace must have low < high"),
         (
             SPATIAL,
             {"workspace": (*WIDE, (0, 1), (-1, 1), (-1.6, 1), (-1, 1))},
             "θ must stay within",
         ),
-        (
-            PLANAR,
-            {"base_anchors": (*THREE, THREE[1])},
-            "cables 2 and 4 coincide",
-        ),
-        (
-            WALLED,
-            {"home_pose": (0.31, 0.0)},
-            "home_pose .* outside the workspace",
-        ),
-        (
-            PLANAR,
-            {"base_anchors": (*THREE, (0.0, 0.0))},
-            "zero length at home_pose",
-        ),
-        (
-            SPATIAL,
-            {"gravity": -1.0},
-            "gravity must be a finite number at least 0",
-        ),
-        (
-            PLANAR,
-            {"gravity": 3.7},
-            "gravity does not act in a horizontal plane",
-        ),
+        (PLANAR, {"base_anchors": (*THREE, THREE[1])}, "cables 2 and 4 coincide"),
+        (WALLED, {"home_pose": (0.31, 0.0)}, "home_pose .* outside the workspace"),
+        (PLANAR, {"base_anchors": (*THREE, (0.0, 0.0))}, "zero length at home_pose"),
+        (SPATIAL, {"gravity": -1.0}, "gravity must be a finite number at least 0"),
+        (PLANAR, {"gravity": 3.7}, "gravity does not act in a horizontal plane"),
         (
             PLANAR,
             {"base_anchors": 1000 * np.array(THREE)},
@@ -227,46 +184,26 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
             "all principal moments must be greater than 0",
         ),
         (SPATIAL, {"plane": "vertical"}, "plane is for planar robots"),
-        (
-            PLANAR,
-            {"swivel_radius": 0.01},
-            "swivel_radius is for robots in space",
-        ),
+        (PLANAR, {"swivel_radius": 0.01}, "swivel_radius is for robots in space"),
         (
             PLANAR,
             {"center_of_mass": (0.1, 0.0)},
             "center_of_mass must be empty for a point mass",
         ),
-        (
-            CAMERA,
-            {"home_pose": (9.0, 0.0, 3.0)},
-            "no positive tensions hold home_pose",
-        ),
+        (CAMERA, {"home_pose": (9.0, 0.0, 3.0)}, "no positive tensions hold home_pose"),
         (
             CAMERA,
             {"base_anchors": UPSIDE_DOWN},
             "anchors are below the platform .* z points down here",
         ),
-        (
-            CAMERA,
-            {"base_anchors": ONE_ABOVE},
-            r"upside down they would\. z points down here",
-        ),
-        (
-            CRANE,
-            {"center_of_mass": (1.0, 0.0, 0.0)},
-            "no positive tensions hold home_pose",
-        ),
+        (CAMERA, {"base_anchors": ONE_ABOVE}, r"upside down they would\. z points down here"),
+        (CRANE, {"center_of_mass": (1.0, 0.0, 0.0)}, "no positive tensions hold home_pose"),
         (
             SPATIAL,
             {"minimum_tension": -1.0},
             "minimum_tension must be a finite number at least 0",
         ),
-        (
-            PLANAR,
-            {"home_pose": (0.4, 0.3), "workspace": WIDE},
-            "do not surround home_pose",
-        ),
+        (PLANAR, {"home_pose": (0.4, 0.3), "workspace": WIDE}, "do not surround home_pose"),
         (
             PLANAR,
             {"base_anchors": ((-1.0, 0.0), (1.0, 0.0)), "workspace": WIDE},
@@ -349,14 +286,7 @@ def test_planar_home_is_accepted_exactly_if_tensions_exist(anchors, home):
     cables = len(anchors)
     balance = np.r_[np.c_[jacobian.T, [0.0, 0.0]], [[1.0] * cables + [0.0]]]
     at_least = np.c_[-np.eye(cables), np.ones(cables)]
-    best = linprog(
-        -np.eye(cables + 1)[-1],
-        at_least,
-        np.zeros(cables),
-        balance,
-        [0, 0, 1],
-        (None, None),
-    )
+    best = linprog(-np.eye(cables + 1)[-1], at_least, np.zeros(cables), balance, [0, 0, 1], (None, None))
     largest = -best.fun if best.status == 0 else -1.0
     assume(abs(largest) > 1e-5)  # not on an edge, where rounding decides
     changes = {
@@ -367,10 +297,7 @@ def test_planar_home_is_accepted_exactly_if_tensions_exist(anchors, home):
     if largest > 0 and np.linalg.matrix_rank(jacobian, tol=1e-6) == 2:
         assert_array_equal(PLANAR.replace(**changes).home, home)
     else:
-        with pytest.raises(
-            ValueError,
-            match=r"do not surround home_pose|the cables act in 1 of 2 directions",
-        ):
+        with pytest.raises(ValueError, match=r"do not surround home_pose|the cables act in 1 of 2 directions"):
             PLANAR.replace(**changes)
 
 
@@ -388,14 +315,8 @@ def test_robot_survives_json(robot):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"payload": 1.0},
-            "unknown key of robot 'payload'; choose one of name, .*workspace",
-        ),
-        (
-            {"motors": {"stall_torque": 1.0}},
-            "motors needs the key 'free_speed'",
-        ),
+        ({"payload": 1.0}, "unknown key of robot 'payload'; choose one of name, .*workspace"),
+        ({"motors": {"stall_torque": 1.0}}, "motors needs the key 'free_speed'"),
         ({"base_anchors": 3.0}, "base_anchors must be"),
     ],
 )
@@ -482,11 +403,11 @@ def test_defaults_of_a_robot_file_reach_environments_and_scores(robot_file):
     env = make(PLANAR_ID, robot=str(robot_file))
     env.reset(seed=0)
     task = env.task
-    assert (
-        task.robot.name,
-        task.trajectory.duration,
-        task.error_bounds.position,
-    ) == ("square", 1.1, 0.005)
+    assert (task.robot.name, task.trajectory.duration, task.error_bounds.position) == (
+        "square",
+        1.1,
+        0.005,
+    )
     assert task.error_bounds.rotation == 0.01, "the bound that the file leaves out is the usual one"
     result = evaluate_dlcc("fl", PLANAR_ID, robot=robot_file, resolution=1.0)
     assert (result.payload_max, result.error_bounds["position"]) == (3.0, 0.005)
@@ -495,10 +416,7 @@ def test_defaults_of_a_robot_file_reach_environments_and_scores(robot_file):
 
 def test_robot_survives_dict_and_pickle_with_its_defaults(robot_file):
     robot = find_robot(robot_file)
-    for again in (
-        Robot.from_dict(robot.to_dict()),
-        pickle.loads(pickle.dumps(robot)),
-    ):
+    for again in (Robot.from_dict(robot.to_dict()), pickle.loads(pickle.dumps(robot))):
         assert (again, again.defaults) == (robot, robot.defaults)
     assert robot == robot.replace(defaults=Defaults()), "defaults do not change the plant"
 
@@ -515,11 +433,7 @@ def test_motion_file_of_a_robot_file_is_beside_it(robot_file):
         ("mass", "mas", "unknown key of robot 'mas'.* did you mean 'mass'?"),
         ("2.0", "", "Invalid value"),
         ("position", "postion", "did you mean 'position'?"),
-        (
-            "[0.5, 3.0]",
-            "[3.0, 0.5]",
-            "payload_range must be a finite number greater than 3 kg",
-        ),
+        ("[0.5, 3.0]", "[3.0, 0.5]", "payload_range must be a finite number greater than 3 kg"),
     ],
 )
 def test_error_in_a_robot_file_names_the_file_and_the_key(robot_file, old, new, message):

@@ -64,11 +64,7 @@ def test_motion_survives_json_and_pickle_without_its_file(write_file, tmp_path):
         ("planar-platform", "x,y,phi\n0,0,0\n0.1,0.2,0.3\n", [0.1, 0.2, 0.3]),
         ("point", "x,y,z\n0,0,0\n0.1,0.2,0.3\n", [0.1, 0.2, 0.3]),
         (3, "x,y,φ\n0,0,0\n0.1,0.2,0.3\n", [0.1, 0.2, 0.3]),
-        (
-            "spatial",
-            "x,y,z,psi,theta,phi\n0,0,0,0,0,0\n1,2,3,4,5,6\n",
-            [1, 2, 3, 4, 5, 6],
-        ),
+        ("spatial", "x,y,z,psi,theta,phi\n0,0,0,0,0,0\n1,2,3,4,5,6\n", [1, 2, 3, 4, 5, 6]),
     ],
 )
 def test_coordinates_alone_take_a_duration(write_file, kind, text, pose):
@@ -76,10 +72,7 @@ def test_coordinates_alone_take_a_duration(write_file, kind, text, pose):
     motion = find_trajectory({"name": name, "duration": 4, "dwell": 0}, kind)
     assert motion.duration == 4
     assert_allclose(motion(4.0).position, pose)
-    with pytest.raises(
-        ValueError,
-        match=r"has no column t\. Add it, or give a duration: \{\"name\"",
-    ):
+    with pytest.raises(ValueError, match=r"has no column t\. Add it, or give a duration: \{\"name\""):
         find_trajectory(name, kind)
 
 
@@ -101,19 +94,10 @@ def test_duration_scales_the_times_of_the_file(write_file):
         ("t,x,x\n0,0,0\n", "its first line is 't,x,x'"),
         ("t,x,y,z\n0,0,0,0\n", "its first line is 't,x,y,z'"),
         ("t,x,y\n0,0,0\n", "at least two waypoints"),
-        (
-            "t,x,y\n0,0,0\n1,1\n",
-            "line 3 has 2 values, and the header has 3 columns",
-        ),
+        ("t,x,y\n0,0,0\n1,1\n", "line 3 has 2 values, and the header has 3 columns"),
         ("t,x,y\n0,0,0\n1,a,1\n", "line 3: x is 'a', which is not a number"),
-        (
-            "t,x,y\n0,0,0\n1,nan,1\n",
-            "line 3: x is nan. All numbers must be finite",
-        ),
-        (
-            "t,x,y\n0,0,0\n\n1,1,1\n1,0,0\n",
-            "line 5 has t = 1 s after 1 s. Times must increase",
-        ),
+        ("t,x,y\n0,0,0\n1,nan,1\n", "line 3: x is nan. All numbers must be finite"),
+        ("t,x,y\n0,0,0\n\n1,1,1\n1,0,0\n", "line 5 has t = 1 s after 1 s. Times must increase"),
         (
             "t,x,y\n0,0,0\n1,2000,0\n",
             "a coordinate is 2000 m. Lengths are in metres: divide millimetres",
@@ -126,15 +110,9 @@ def test_wrong_file_is_refused_with_its_line(write_file, text, message):
 
 
 def test_missing_file_and_invalid_waypoints_raise(tmp_path):
-    with pytest.raises(
-        ValueError,
-        match=r"cannot read trajectory file '.*none\.csv': No such file",
-    ):
+    with pytest.raises(ValueError, match=r"cannot read trajectory file '.*none\.csv': No such file"):
         find_trajectory(tmp_path / "none.csv", "planar")
-    with pytest.raises(
-        ValueError,
-        match="times must be at least two numbers that increase from 0",
-    ):
+    with pytest.raises(ValueError, match="times must be at least two numbers that increase from 0"):
         Waypoints(times=(0.0, 1.0, 1.0), poses=((0, 0),) * 3)
     with pytest.raises(ValueError, match="spaced too unevenly"):
         Waypoints(times=(0.0, 1e-9, 1.0, 2.0), poses=((0, 0), (1, 1), (0, 1), (1, 0)))
@@ -146,9 +124,6 @@ def test_motion_of_a_robot_file_is_beside_it(write_file, tmp_path):
     text += (
         "[motors]\nstall_torque = 5\nfree_speed = 100\n[transmission]\npulley_radius = 0.05\npulley_inertia = 1e-3\n"
     )
-    (tmp_path / "r.TOML").write_text(
-        text + '[defaults]\ntrajectory = {name = "way.csv", duration = 2}\n',
-        "utf-8",
-    )
+    (tmp_path / "r.TOML").write_text(text + '[defaults]\ntrajectory = {name = "way.csv", duration = 2}\n', "utf-8")
     robot = load_robot(tmp_path / "r.TOML")
     assert find_trajectory(robot.defaults.trajectory, robot.kind).motion.duration == 2

@@ -78,8 +78,7 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     kind, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
     driven = "winch" if robot.jointed else "cable"
     motors = "".join(
-        f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>'
-        for i, radius in enumerate(radii)
+        f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
     )
     return f"""<mujoco model="{_escaped(robot.name)}">
 <compiler angle="radian" inertiafromgeom="false"/>

@@ -67,21 +67,12 @@ def test_stored_plan_is_not_solved_again(cache: Path, solved: list[int]) -> None
     assert [path.suffix for path in cache.iterdir()] == [".npz"]
 
 
-def test_every_setting_makes_another_plan(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     motors = Motors(stall_torque=5.1, free_speed=PLANAR.motors.free_speed)
     changed_settings: list[dict[str, Any]] = [
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
-        {
-            "trajectory": PointToPoint(
-                name="line-planar",
-                start=(-0.1, -0.1),
-                end=(0.1, 0.16),
-                duration=0.4,
-            )
-        },
+        {"trajectory": PointToPoint(name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4)},
         {"error_bounds": ErrorBounds(position=0.011)},
         {"intervals": 9},
         {"margins": Margins(action=0.1)},
@@ -95,17 +86,9 @@ def test_every_setting_makes_another_plan(
     assert len(list(cache_folder().iterdir())) == len(changed_settings) + 1
 
 
-def test_fingerprint_depends_on_code_and_solver(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_fingerprint_depends_on_code_and_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     def key(module: str = "cablebot_gym.planning.program", frequency: float = 500.0) -> str:
-        return fingerprint(
-            module,
-            PLANAR,
-            LINE,
-            control_frequency=frequency,
-            error_bounds=BOUNDS,
-        )
+        return fingerprint(module, PLANAR, LINE, control_frequency=frequency, error_bounds=BOUNDS)
 
     expected_key = key()
     assert expected_key == key()
@@ -154,9 +137,7 @@ def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytes
     assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
 
 
-def test_missing_casadi_raises_with_the_pip_command(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_missing_casadi_raises_with_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
         plan()
@@ -165,10 +146,5 @@ def test_missing_casadi_raises_with_the_pip_command(
 @pytest.mark.slow
 def test_planning_can_be_imported_without_casadi() -> None:
     code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"
-    ended = subprocess.run(
-        [sys.executable, "-c", code],
-        env=dict(os.environ),
-        capture_output=True,
-        check=False,
-    )
+    ended = subprocess.run([sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False)
     assert ended.returncode == 0, ended.stderr.decode()
