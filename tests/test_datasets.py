@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import cablebot_gym  # noqa: F401 - registers the ids
-from cablebot_gym.datasets import describe_dataset, limitations
+from cablebot_gym.datasets import describe_dataset
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.robots import PLANAR, find_robot
+from cablebot_gym.robots import PLANAR
 
 PAYLOADS = 0.25, 1.5
 ORIGIN = {
@@ -81,11 +81,6 @@ def test_croissant_has_the_arrays_of_the_file(described):
             ]
             assert field["dataType"] == {"bool": "sc:Boolean"}.get(array.dtype.name, f"cr:{array.dtype.name.title()}")
             assert field["source"]["fileObject"]["@id"] == file["@id"]
-
-
-def test_datasheet_says_what_is_elastic(described):
-    assert "a point mass in a plane on straight cables without mass (transmission: rigid)" in described[0]
-    assert "(transmission: elastic cables)" in limitations(find_robot("flex-stadium-camera"))
 
 
 def test_croissant_has_the_blocks_of_the_layout(described):

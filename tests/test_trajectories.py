@@ -14,10 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablebot_gym.robots import ROBOTS, find_robot
 from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import (
-    COORDINATES,
     ORDERS,
     TRAJECTORIES,
     BetweenDwells,
@@ -151,23 +149,6 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
         expected[:, index] = sympy.lambdify(T, derivative, "numpy")(times)
     values = getattr(motion(times), ORDERS[order])
     assert_allclose(values, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
-
-
-SCALED = [name for name in TRAJECTORIES if not name.startswith("chain")]
-
-
-@given(
-    duration=st.floats(0.05, 50),
-    fraction=st.floats(0, 1),
-    name=st.sampled_from(SCALED),
-)
-def test_duration_scales_each_derivative_and_keeps_the_path(duration: float, fraction: float, name: str) -> None:
-    unit = without_dwells(name, duration=1.0)
-    stretched = without_dwells(name, duration=duration)
-    powers = duration ** np.arange(5)[:, None]
-    scale = np.abs(stacked(unit(np.linspace(0, 1, 101)))).max(axis=(1, 2))[:, None] / powers
-    change = stacked(stretched(fraction * duration)) - stacked(unit(fraction)) / powers
-    assert np.all(np.abs(change) <= 1e-9 * scale)
 
 
 # --- dwells -------------------------------------------------------------------------------------------------------
@@ -312,23 +293,6 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
 
 
 # --- names --------------------------------------------------------------------------------------------------------
-
-
-@every_name
-def test_default_motion_stays_in_the_triangle_and_the_workspace(
-    name: str,
-) -> None:
-    motion = TRAJECTORIES[name]()
-    kind = next(kind for kind in COORDINATES if name in trajectory_names(kind))
-    assert (motion.name, motion.coordinates) == (name, COORDINATES[kind])
-    robot = find_robot({"point": "stadium-camera", "planar-platform": "ttk4900"}.get(kind, kind))
-    path = motion(np.linspace(0, motion.duration, 201)).position
-    assert np.all((path >= robot.pose_bounds[0]) & (path <= robot.pose_bounds[1]))
-    if kind in ROBOTS:
-        corners = np.unique(robot.base[:, :2].round(12), axis=0)
-        inradius = np.linalg.norm(corners, axis=1).max() / 2
-        assert np.all(path[:, :2] @ -corners.T / (2 * inradius) < inradius - 0.05)  # 5 cm inside each side
-        assert robot.planar or np.all(path[:, 2] >= 0.05)
 
 
 @every_name

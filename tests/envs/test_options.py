@@ -278,12 +278,7 @@ def test_values_per_environment():
         observation, info = env.reset(seed=0, **reset)
         blocks = env.layout.split(observation)
         assert blocks["model_payload"][:, 0].tolist() == [0.5, 2.0, 6.0, 0.0]
-        assert [task.model_payload for task in env.tasks] == [
-            0.5,
-            2.0,
-            6.0,
-            0.0,
-        ]
+        assert [task.model_payload for task in env.tasks] == [0.5, 2.0, 6.0, 0.0]
         assert info["payload"].tolist() == options["payload"]
         errors = blocks["pose"] - blocks["reference_pose"]
         assert_allclose(errors, options["initial_error"], atol=1e-15)
@@ -295,12 +290,7 @@ def test_values_per_environment():
             "payload_known": True,
         }
     )
-    assert [task.model_payload for task in by_keyword.tasks] == [
-        0.5,
-        0.5,
-        6.0,
-        1.0,
-    ]
+    assert [task.model_payload for task in by_keyword.tasks] == [0.5, 0.5, 6.0, 1.0]
 
 
 MASS_ONLY = {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}}

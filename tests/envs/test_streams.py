@@ -57,19 +57,7 @@ def check_unrelated(rows, law):
 def test_seeds_episodes_and_purposes_have_independent_numbers():
     rows = []
     for purpose in Purpose:
-        random = streams(
-            0,
-            1,
-            2,
-            2**32,
-            2**64,
-            2**64 + 1,
-            2**65,
-            2**127,
-            2**128,
-            2**128 + 2**64,
-            2**200,
-        )
+        random = streams(0, 1, 2, 2**32, 2**64, 2**64 + 1, 2**65, 2**127, 2**128, 2**128 + 2**64, 2**200)
         everyone = np.arange(11)
         for _ in range(2):
             rows += list(random.uniform(everyone, purpose, 3000))

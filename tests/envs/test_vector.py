@@ -264,13 +264,7 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
         check_unmarked(ours, twin.step(action))
         if step < 9:
             assert_array_equal(ours[0][1], single.step(action[1])[0])
-            assert [task.trajectory.duration for task in env.tasks] == [
-                3.6,
-                3.6,
-                1.6,
-                3.6,
-                1.6,
-            ]
+            assert [task.trajectory.duration for task in env.tasks] == [3.6, 3.6, 1.6, 3.6, 1.6]
         if step == 8:  # back to the default motion: the tables shrink
             env.reset(options={"reset_mask": mask})
             assert [task.trajectory.duration for task in env.tasks] == [1.6] * 5

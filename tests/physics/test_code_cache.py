@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cablebot_gym.physics import code_cache, compiling
+from cablebot_gym.physics import code_cache
 from cablebot_gym.physics.code_cache import code_folders
 from cablebot_gym.physics.compiling import njit
 
@@ -114,15 +114,3 @@ def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, mo
     monkeypatch.setattr(importlib.sys, "dont_write_bytecode", True)
     assert [run(1, 5, 10), run(1, 5, 10)] == [0, 1]
     assert [run(2, 5, 15), run(2, 7, 21)] == [0, 0]
-
-
-def test_one_line_announces_each_robot(folders, tmp_path, monkeypatch, caplog):
-    folders(tmp_path)
-    announcements = compiling._Announcements()
-    monkeypatch.setattr(compiling, "_ANNOUNCEMENTS", announcements)
-    njit(cache=True, robot="point mass")(triple)(1)
-    for robot in ("point mass", None, "platform"):
-        announcements.announcer(robot)()
-    robots = [record.message.split("once: ")[1].partition(",")[0] for record in caplog.records]
-    assert robots == ["point mass", "platform"]
-    assert "2 forms" in caplog.records[0].message

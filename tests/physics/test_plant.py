@@ -145,21 +145,6 @@ def test_tensions_and_take_up_torques_are_complementary(robot):
         assert np.any(~taut & (at_pulley > 0))  # the spring pulls, yet the pulley lags behind
 
 
-@rigid_robots
-def test_remembered_slack_cables_do_not_change_the_result(robot):
-    """Which cables were slack a moment ago only speeds the search up."""
-    state, action = random_states(robot, 40, seed=4)
-    records = []
-    for remembered in (0.0, 1.0):
-        plant = loaded_plant(robot, state, "unilateral")
-        tiles = plant.record.reshape(plant.record.shape[0], -1, plant.lanes)
-        tiles[:, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS] = remembered
-        plant.set_action(action)
-        plant.advance(*no_reference(robot), substeps=5, step=2e-3)
-        records.append(record_of(plant))
-    assert_array_equal(*records)
-
-
 # --- integration --------------------------------------------------------------------------------------------------
 
 

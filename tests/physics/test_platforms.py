@@ -87,16 +87,7 @@ def test_cable_wraps_its_swivel_pulley_on_the_right_side():
         length = kinematics.cable_lengths([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [0.2, 0.0, depth], [swivel])
         assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
-    assert np.sign(LOWER_WINCHES.swivel).tolist() == [
-        1,
-        0,
-        1,
-        1,
-        -1,
-        -1,
-        -1,
-        -1,
-    ]
+    assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
 
 
 def lagrangian(robot, mass, pose, velocity):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from oracles.episodes import make
-from scipy.integrate import solve_ivp
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import (
@@ -79,44 +78,6 @@ def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.n
 
 
 # --- one period -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["planar", pytest.param("spatial", marks=pytest.mark.slow)])
-def test_velocity_error_after_a_period_is_of_third_order(name: str) -> None:
-    """With the torque of the period's start it would be of second order."""
-    robot = CASES[name][0]
-    motion = plan(name)
-    follower = Follower(robot=robot, gains=NO_GAINS)
-    n = robot.coordinates
-    mass = robot.mass + motion.payload
-    time = 0.2931
-    x = motion(time)
-
-    def velocity_error(period: float) -> float:
-        state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
-        torques, speeds = follower.torques(motion, state, np.asarray(motion.payload), period)
-        assert_allclose(
-            speeds,
-            textbook.pulley_speed(robot, x.position, x.velocity),
-            rtol=1e-9,
-        )
-
-        def rates(_: float, y: np.ndarray) -> np.ndarray:
-            acceleration = textbook.forward_dynamics(robot, mass, y[:n], y[n:], torques, cable="bilateral")[0]
-            return np.r_[y[n:], acceleration]
-
-        end = solve_ivp(
-            rates,
-            (0, period),
-            np.r_[x.position, x.velocity],
-            rtol=1e-11,
-            atol=1e-13,
-        ).y[:, -1]
-        return float(np.abs(end[n:] - motion(time + period).velocity).max())
-
-    errors = [velocity_error(period) for period in (0.004, 0.002)]
-    assert errors[1] < errors[0] / 5
-    assert errors[1] < 1e-4 * np.abs(x.velocity).max()
 
 
 @pytest.mark.parametrize("name", ["planar", "flexible planar"])

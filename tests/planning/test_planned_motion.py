@@ -206,23 +206,6 @@ def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
     assert {value.shape for value in vars(motion(np.zeros((4, 3)))).values()} == {(4, 3, motion.coordinates)}
 
 
-@planar_cases
-def test_motion_is_restored_from_its_arrays(name: str) -> None:
-    motion = plan(name)
-    again = PlannedMotion.from_arrays(motion.to_arrays())
-    for field in (
-        "name",
-        "payload",
-        "lightest",
-        "minimum_tension",
-        "duration",
-        "degree",
-    ):
-        assert getattr(again, field) == getattr(motion, field)
-    assert_array_equal(again(0.37).acceleration, motion(0.37).acceleration)
-    assert_array_equal(np.array(again.motors), np.array(motion.motors))
-
-
 # --- invalid input ----------------------------------------------------------------------------------------------------
 
 
