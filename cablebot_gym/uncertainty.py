@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
-from cablebot_gym.robots import Kind, Robot
+from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import all_finite, choice, mapping, number, numbers, record, whole
 from cablebot_gym.utils.files import JSON_FORM, check_not_a_file
 
@@ -352,7 +352,7 @@ class Uncertainty:
                     "with each=False, or move low and high closer together"
                 )
 
-    def draw(self, robot: Robot, payload: Array, uniform: Array) -> TrueRobots:
+    def draw(self, robot: Robot, payload: Array, uniform: Array) -> RobotBatch:
         """Draws the true robots of N episodes.
 
         Args:
@@ -375,7 +375,7 @@ class Uncertainty:
                 deviations[name] = distribution.deviation(numbers)
         return self._true_robots(robot, payload, deviations)
 
-    def fastest(self, robot: Robot) -> TrueRobots:
+    def fastest(self, robot: Robot) -> RobotBatch:
         """The possible robot with the fastest motor dynamics. It determines the physics step."""
         deviations = {}
         for name, distribution in self.parameters.items():
@@ -384,51 +384,31 @@ class Uncertainty:
                 deviations[name] = np.full((1, *_columns(robot)[name][1]), deviation)
         return self._true_robots(robot, np.zeros(1), deviations)
 
-    def _true_robots(self, robot: Robot, payload: Array, deviations: Mapping[str, Array]) -> TrueRobots:
+    def _true_robots(self, robot: Robot, payload: Array, deviations: Mapping[str, Array]) -> RobotBatch:
         count = len(payload)
-
-        def true_value(name: str, nominal: Any) -> Array:
-            values = np.broadcast_to(np.asarray(nominal, float), (count, *np.shape(nominal)))
-            return self.parameters[name].applied(values, deviations[name]) if name in deviations else values
-
-        strength = true_value("motor_strength", robot.stall_torque)
-        others: dict[str, Any] = {name: getattr(robot, name) for name in _NOMINAL}
-        others |= {
-            name: true_value(name, getattr(robot, name)) if owned else np.zeros((count, robot.cables))
-            for owned, names in (
-                (robot.jointed, ("stiffness", "motor_inertia", "motor_damping")),
-                (robot.elastic, ("axial_stiffness", "axial_damping", "extra_length")),
-            )
-            for name in names
-        }
-        moments = true_value("platform_inertia", robot.moments)
-        if "payload" in deviations:
-            payload = self.parameters["payload"].applied(payload, deviations["payload"])
-        return TrueRobots(
-            mass=true_value("platform_mass", robot.mass),
-            payload=np.maximum(payload, 0.0),
-            moments=moments,
-            inertia_tensor=_scaled_tensor(robot, moments),
-            base=true_value("base_anchors", robot.base),
-            platform=true_value("platform_anchors", robot.platform),
-            pulley_inertia=true_value("pulley_inertia", robot.pulley_inertia),
-            damping=true_value("damping", robot.damping),
-            coulomb_friction=true_value("coulomb_friction", robot.coulomb_friction),
-            motor_lag=true_value("motor_lag", robot.motor_lag),
-            stall_torque=strength,
-            speed_slope=robot.speed_slope * strength / robot.stall_torque,
-            **others,
-        )
+        values: dict[str, Array] = {}
+        for name, parameter in PARAMETERS.items():
+            if not parameter.belongs_to(robot):
+                continue
+            nominal = payload
+            if name != "payload":
+                value = np.asarray(getattr(robot, parameter.attribute), float)
+                nominal = np.broadcast_to(value, (count, *value.shape))
+            if name in deviations:
+                nominal = self.parameters[name].applied(nominal, deviations[name])
+            values[parameter.attribute] = nominal
+        values["payload"] = np.maximum(values["payload"], 0.0)
+        values["speed_slope"] = robot.speed_slope * values["stall_torque"] / robot.stall_torque
+        if not robot.point_mass:
+            values["inertia_tensor"] = _scaled_tensor(robot, values["moments"])
+        return RobotBatch(robot, values)
 
 
 def _scaled_tensor(robot: Robot, moments: Array) -> Array:
     """Inertia tensors (N, 3, 3) with the given moments; products grow as the roots of the moments they belong to."""
-    tensor = np.broadcast_to(robot.inertia_tensor, (len(moments), 3, 3))
-    if robot.point_mass:
-        return tensor
     factor = np.ones((len(moments), 3))
     factor[:, 3 - moments.shape[-1] :] = np.sqrt(moments / robot.moments)
-    scaled: Array = tensor * factor[:, :, None] * factor[:, None, :]
+    scaled: Array = robot.inertia_tensor * factor[:, :, None] * factor[:, None, :]
     index = np.arange(3 - moments.shape[-1], 3)
     scaled[:, index, index] = moments
     return scaled
@@ -443,90 +423,28 @@ def _checked_delay(delay: Any) -> int | tuple[int, int]:
     return low, whole("high of delay", delay[1], least=low, most=LONGEST_DELAY)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrueRobots:
-    """The true robots of N episodes, with the attributes of a :class:`~cablebot_gym.robots.Robot`.
+class RobotBatch:
+    """N robots: the attributes of the nominal :class:`~cablebot_gym.robots.Robot`, and values with a leading axis N.
 
-    The values that may be uncertain have a leading axis N.
+    Args:
+        nominal: the robot whose attributes all N robots share.
+        values: arrays (N, …) by the name of the attribute that they replace, and ``payload`` (N,) [kg].
     """
 
-    kind: Kind
-    """Kind of the platform (nominal)."""
-    planar: bool
-    """Whether the robot moves in a plane (nominal)."""
-    point_mass: bool
-    """Whether the platform is a point mass (nominal)."""
-    flexible: bool
-    """Whether the motors can turn while the platform rests (nominal)."""
-    jointed: bool
-    """Whether there are springs between motors and pulleys (nominal)."""
-    elastic: bool
-    """Whether the cables stretch (nominal)."""
-    cables: int
-    """Number of cables m (nominal)."""
-    dimensions: int
-    """Number of coordinates of the position d (nominal)."""
-    coordinates: int
-    """Number of coordinates n (nominal)."""
-    home: Array
-    """Nominal home pose X₀, shape (n,). The pulley angles of the true robot are zero at this pose."""
-    weightless: bool
-    """Whether no gravity acts (nominal)."""
-    gravity_vector: Array
-    """Nominal gravitational acceleration, shape (d,) [m/s²]."""
-    mass_center: Array
-    """Nominal centre of mass in the platform frame, shape (d,) [m]."""
-    swivel: Array | None
-    """Nominal signed radii of the swivel pulleys, shape (m,) [m]; None if there are none."""
-    pulley_radius: Array
-    """Nominal pulley radius r, shape (m,) [m]."""
     mass: Array
-    """Platform mass, shape (N,) [kg]."""
     payload: Array
-    """Payload, shape (N,) [kg]; ≥ 0."""
-    moments: Array
-    """Moments of inertia, shape (N, 3), (N, 1) in a plane, or (N, 0) for a point mass [kg·m²]."""
-    inertia_tensor: Array
-    """Inertia tensor about the centre of mass, shape (N, 3, 3) [kg·m²]."""
-    base: Array
-    """Base anchors, shape (N, m, 2) or (N, m, 3) [m]."""
-    platform: Array
-    """Platform anchors, shape (N, m, 2) or (N, m, 3) [m]."""
-    pulley_inertia: Array
-    """Pulley inertia J, shape (N, m) [kg·m²]."""
-    damping: Array
-    """Pulley damping c, shape (N, m) [N·m·s/rad]."""
-    coulomb_friction: Array
-    """Coulomb friction τ_c, shape (N, m) [N·m]."""
-    motor_lag: Array
-    """Time constant of the lag of the requested torque, shape (N, m) [s]."""
     stall_torque: Array
-    """Stall torque τ_s, shape (N, m) [N·m]."""
-    speed_slope: Array
-    """Slope τ_s/ω_n of the torque-speed line, shape (N, m) [N·m·s/rad]."""
-    stiffness: Array
-    """Joint stiffness K, shape (N, m) [N·m/rad]; zeros if rigid."""
-    motor_inertia: Array
-    """Motor inertia J′, shape (N, m) [kg·m²]; zeros if rigid."""
-    motor_damping: Array
-    """Motor damping c′, shape (N, m) [N·m·s/rad]; zeros if rigid."""
-    axial_stiffness: Array
-    """Axial stiffness EA, shape (N, m) [N]; zeros if the cables do not stretch."""
-    axial_damping: Array
-    """Axial damping ηA, shape (N, m) [N·s]; zeros if the cables do not stretch."""
-    extra_length: Array
-    """Length of the cables between pulley and base anchor, shape (N, m) [m]; zeros if the cables do not stretch."""
+
+    def __init__(self, nominal: Robot, values: Mapping[str, Array]) -> None:
+        self.nominal = nominal
+        self.__dict__.update(values)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.nominal, name)
 
 
-_NOMINAL: tuple[str, ...] = (
-    *("kind", "planar", "point_mass", "flexible", "jointed", "elastic", "cables", "dimensions", "coordinates"),
-    *("home", "weightless", "gravity_vector", "mass_center", "swivel", "pulley_radius"),
-)
-"""Attributes of :class:`TrueRobots` that are those of the nominal robot."""
-
-
-RobotArrays = Robot | TrueRobots
-"""Robots as the equations see them: one robot, or N robots whose uncertain values have a leading axis N."""
+RobotArrays = Robot | RobotBatch
+"""Robots as the equations see them: one robot, or N robots with values of their own."""
 
 
 def draw_size(robot: Robot) -> int:
@@ -536,15 +454,16 @@ def draw_size(robot: Robot) -> int:
 
 def _columns(robot: Robot) -> dict[str, tuple[int, tuple[int, ...]]]:
     """First column of the uniform numbers and shape of each parameter."""
-    shapes: dict[str, tuple[int, ...]] = {
-        name: (robot.cables,) for name, parameter in PARAMETERS.items() if not parameter.elastic or robot.elastic
-    }
-    shapes |= {
-        "platform_mass": (),
-        "payload": (),
-        "platform_inertia": (3,) if robot.point_mass else robot.moments.shape,
-    }
-    shapes |= {"base_anchors": robot.base.shape, "platform_anchors": robot.platform.shape}
+    shapes: dict[str, tuple[int, ...]] = {}
+    for name, parameter in PARAMETERS.items():
+        if name == "payload":
+            shapes[name] = ()
+        elif name == "platform_inertia" and robot.point_mass:
+            shapes[name] = (3,)
+        elif parameter.jointed and not robot.jointed:
+            shapes[name] = (robot.cables,)
+        elif robot.elastic or not parameter.elastic:
+            shapes[name] = np.shape(getattr(robot, parameter.attribute))
     columns, start = {}, 0
     for name, shape in shapes.items():
         columns[name] = (start, shape)
