@@ -425,18 +425,9 @@ def test_hardware_varies_every_part_and_the_manual_says_why(robot):
     } <= {*sourced}
 
 
+NORMAL = ParameterDistribution(low=0.0, high=0.1, distribution="normal", mean=0.02, std=0.03, relative=False)
 EVERYTHING = {
-    "parameters": {name: tenth_of(name) for name in PARAMETERS}
-    | {
-        "damping": ParameterDistribution(
-            low=0.0,
-            high=0.1,
-            distribution="normal",
-            mean=0.02,
-            std=0.03,
-            relative=False,
-        )
-    },
+    "parameters": {name: tenth_of(name) for name in PARAMETERS} | {"damping": NORMAL},
     "wrench": ExternalWrench(
         force_mean=(0, 1, 2),
         force_std=0.3,

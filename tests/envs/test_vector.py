@@ -12,15 +12,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
-from oracles.episodes import (
-    PLANAR,
-    ROBOTS,
-    SPATIAL,
-    check_equal,
-    make_vector,
-    paper_ids,
-    rigid_ids,
-)
+from oracles.episodes import PLANAR, ROBOTS, SPATIAL, check_equal, make_vector, paper_ids, rigid_ids
 from oracles.episodes import make as make_single
 
 from cablebot_gym.envs import TERMINATION_REASONS
