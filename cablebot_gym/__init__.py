@@ -23,6 +23,8 @@ INTERNAL = (
     "cablebot_gym.physics.compiling",
     "cablebot_gym.physics.inlining",
     "cablebot_gym.physics.kernel",
+    "cablebot_gym.physics.nearest_point",
+    "cablebot_gym.physics.tension_problems",
     "cablebot_gym.planning.signals",
     "cablebot_gym.policies.loading",
     "cablebot_gym.policies.process",

@@ -38,11 +38,10 @@ INFO_SCALARS = (
 INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "least_tensions", "slack")
 """Names of the quantities of info with one value per cable."""
 
-_TIME, _ACTION_TIME, _PAYLOAD, _POSITION, _ROTATION, _POSITION_PEAK, _ROTATION_PEAK, _FIRST_TERM = range(8)
-_TERMS = len(REWARD_TERMS)
-_INSIDE, _POSITION_TERM, _ROTATION_TERM, _SATURATION, _VIOLATION_TERM = range(_FIRST_TERM, _FIRST_TERM + _TERMS)
-_VIOLATED = _FIRST_TERM + _TERMS
-_COST = _VIOLATED + 1
+_TIME, _ACTION_TIME, _PAYLOAD = (INFO_SCALARS.index(name) for name in ("time", "action_time", "payload"))
+_POSITION, _ROTATION = INFO_SCALARS.index("tracking_error"), INFO_SCALARS.index("rotation_error")
+_POSITION_PEAK, _ROTATION_PEAK = INFO_SCALARS.index("tracking_error_peak"), INFO_SCALARS.index("rotation_error_peak")
+_FIRST_TERM, _VIOLATED, _COST = (INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost"))
 _TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(len(INFO_CABLES))
 _TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
 
@@ -156,170 +155,227 @@ def outcome(fresh, env_indices, constants, episodes, outputs):
         episodes: :class:`Episodes`, as a plain tuple.
         outputs: :class:`Outputs`, as a plain tuple.
     """
-    batch, now, out = Constants(*constants), Episodes(*episodes), Outputs(*outputs)
-    lanes, m, n = batch.lanes, now.stall.shape[1], batch.workspace.shape[1]
-    workspace, bounds, weights, turns = batch.workspace, batch.bounds, batch.weights, n > batch.dimensions
-    # Arrays as local variables: in the loop, each access to an array of a record counts a reference.
-    records, settings, stall, noise, slack_for = now.record, now.settings, now.stall, now.noise, now.slack_for
-    sent, violations, motion_steps, readings = now.sent, now.violated, now.motion_steps, now.readings
-    measured, resolution = readings.shape[1], batch.encoder_resolution
-    centre, per_scale = batch.centre, batch.per_scale
-    steps, trajectories, references, last_rows = now.step, now.trajectory_index, now.references, now.last_rows
-    observations, infos, cables, rewards = out.observation, out.info, out.cables, out.reward
-    reasons, completes = out.reason, out.complete
     for k in range(env_indices.shape[0]):
-        env_index = env_indices[k]
-        tile, at = env_index // lanes, env_index % lanes  # a view of the tile would count a reference
-        step, trajectory = steps[env_index], trajectories[env_index]
-        reference = references[trajectory, min(step, last_rows[trajectory])]
+        _judge(fresh, env_indices[k], Constants(*constants), Episodes(*episodes), Outputs(*outputs))
 
-        # Observation: pose, velocity, motors of flexible robots, or readings of winches; tabulated reference blocks,
-        # payload of the model, last actions, slack time.
-        observation = observations[env_index]
-        finite, inside = True, True
+
+@inline
+def _judge(fresh, env_index, batch, now, out):
+    """The outcome of one environment."""
+    at, lanes, record = env_index % batch.lanes, batch.lanes, now.record[env_index // batch.lanes]
+    step, trajectory, coordinates = now.step[env_index], now.trajectory_index[env_index], batch.workspace.shape[1]
+    reference, stall = now.references[trajectory, min(step, now.last_rows[trajectory])], now.stall[env_index]
+    settings, readings, info = now.settings[env_index], now.readings[env_index], out.info[env_index]
+    observation, cables = out.observation[env_index], out.cables[:, env_index]
+    info[_TIME] = step * batch.period
+    info[_ACTION_TIME] = max(step - 1, 0) * batch.period
+    info[_PAYLOAD] = settings[PAYLOAD]
+    first_reference = _observe(
+        fresh,
+        record,
+        at,
+        lanes,
+        batch.flexible,
+        readings,
+        reference,
+        settings,
+        now.sent[env_index],
+        coordinates,
+        observation,
+    )
+    finite, inside = _check_state(record, at, lanes, batch.workspace, batch.flexible, stall.shape[0])
+    _measure_errors(finite, reference, record, at, lanes, batch.dimensions, coordinates, info)
+    slack_cables, excess, taut, held = _report_cables(fresh, record, at, lanes, stall, batch.minimum_tension, cables)
+    reason = 0
+    if fresh:
+        now.slack_for[env_index] = 0.0
+        violates = settings[STARTS_AT_REST] > 0.0 and not held
+    else:
+        slack_for = now.slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
+        now.slack_for[env_index] = slack_for
+        near, slack = info[_POSITION] <= batch.termination_radius, slack_for > batch.slack_time + 1e-9
+        reason = _terminate(finite, inside, near, slack)
+        violates = reason > 0 or slack_cables > 0.0 or not taut
+        if step == 1:  # a violation at the start counts in the first step
+            violates = violates or now.violated[env_index]
+    # Comparisons with NaN are false, so they are written to be true if all is well.
+    position_kept = info[_POSITION_PEAK] <= settings[POSITION_BOUND]
+    rotation_kept = info[_ROTATION_PEAK] <= settings[ROTATION_BOUND]
+    violates = violates or not (position_kept and rotation_kept)
+    violated = violates or (not fresh and now.violated[env_index])
+    first_violation = violated and (step == 1 or not now.violated[env_index])
+    now.violated[env_index] = violated
+    if violated and not fresh and reason == 0 and batch.terminate_on_violation:
+        reason = _VIOLATION
+    out.reason[env_index], out.complete[env_index] = reason, step >= now.motion_steps[env_index]
+    info[_VIOLATED] = 1.0 if violated else 0.0
+    info[_COST] = 1.0 if violates else 0.0
+
+    slack_column = observation.shape[0] - 1
+    observation[slack_column] = min(now.slack_for[env_index], batch.bounds[1, slack_column])
+    encoders = stall.shape[0] if batch.encoder_resolution > 0.0 else 0
+    model_end = first_reference + reference.shape[0] + 2
+    _spoil(now.noise[env_index], encoders, batch.encoder_resolution, model_end, batch.bounds, observation)
+    if batch.normalised:
+        relative = coordinates if readings.shape[0] == 0 else 0
+        _normalise(first_reference, relative, batch.centre, batch.per_scale, observation)
+    penalty = now.motion_steps[env_index] if first_violation else 0
+    turns = coordinates > batch.dimensions
+    out.reward[env_index] = _reward(
+        fresh, violated, penalty, excess, stall.shape[0], turns, settings, batch.weights, info
+    )
+
+
+@inline
+def _observe(fresh, record, at, lanes, flexible, readings, reference, settings, sent, n, observation):
+    """Exact blocks: pose and velocity, motors of flexible robots, or readings of winches; the tabulated reference, the
+    payload of the model, and the last actions. Returns the first column of the reference."""
+    m, measured = sent.shape[0], readings.shape[0]
+    first_reference = 2 * n
+    if measured > 0:
+        first_reference = measured
+        for j in range(measured):
+            observation[j] = readings[j]
+    else:
         for j in range(n):
-            coordinate = records[tile, (kernel.POSE + j) * lanes + at]
-            rate = records[tile, (kernel.VELOCITY + j) * lanes + at]
-            finite &= math.isfinite(coordinate) and math.isfinite(rate)
-            inside &= (coordinate >= workspace[0, j]) & (coordinate <= workspace[1, j])
-            if measured == 0:
-                observation[j] = coordinate
-                observation[n + j] = rate
-        first_reference = 2 * n
-        if batch.flexible:
+            observation[j] = record[(kernel.POSE + j) * lanes + at]
+            observation[n + j] = record[(kernel.VELOCITY + j) * lanes + at]
+        if flexible:
             first_reference = 2 * n + 2 * m
             for i in range(m):
                 at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
-                angle = records[tile, kernel.MOTOR_ANGLE * lanes + at_cable]
-                motor_speed = records[tile, kernel.MOTOR_SPEED * lanes + at_cable]
-                finite &= math.isfinite(angle) and math.isfinite(motor_speed)
-                if measured == 0:
-                    observation[2 * n + i] = angle
-                    observation[2 * n + m + i] = motor_speed
-        if measured > 0:
-            first_reference = measured
-            for j in range(measured):
-                observation[j] = readings[env_index, j]
-        after_reference = first_reference + reference.shape[0]
-        block = observation[first_reference:after_reference]  # without a sum in its index, the loop vectorises
-        for j in range(reference.shape[0]):
-            block[j] = reference[j]
-        observation[after_reference] = settings[env_index, MODEL_PAYLOAD]
-        observation[after_reference + 1] = settings[env_index, KNOWN]
-        first_action, slack_column = after_reference + 2, observation.shape[0] - 1
-        if fresh:
-            for j in range(first_action, slack_column):
-                observation[j] = 0.0
-        else:  # the last observation holds the actions that were sent before
-            for j in range(slack_column - 1, first_action + m - 1, -1):
-                observation[j] = observation[j - m]
-            for i in range(m):
-                observation[first_action + i] = min(max(sent[env_index, i], -1.0), 1.0)
-
-        # Errors at this instant. Column 0 of the reference is the time to go; the reference pose follows.
-        square, rotation = 0.0, 0.0
-        for j in range(n):
-            difference = records[tile, (kernel.POSE + j) * lanes + at] - reference[1 + j]
-            if j < batch.dimensions:
-                square += difference * difference
-            else:
-                rotation = max(rotation, abs(difference))
-        position = math.sqrt(square)
-        position_peak = max(position, records[tile, kernel.POSITION_PEAK * lanes + at])
-        rotation_peak = max(rotation, records[tile, kernel.ROTATION_PEAK * lanes + at])
-        if not finite:  # comparisons with NaN are false and would hide it
-            position = position_peak = LARGEST
-            rotation = rotation_peak = LARGEST if turns else 0.0
-
-        info = infos[env_index]
-        info[_TIME] = step * batch.period
-        info[_ACTION_TIME] = max(step - 1, 0) * batch.period
-        info[_PAYLOAD] = settings[env_index, PAYLOAD]
-        info[_POSITION] = _finite(position)
-        info[_ROTATION] = _finite(rotation)
-        info[_POSITION_PEAK] = _finite(position_peak)
-        info[_ROTATION_PEAK] = _finite(rotation_peak)
-        slack_cables, excess, taut, held = 0.0, 0.0, True, True
+                observation[2 * n + i] = record[kernel.MOTOR_ANGLE * lanes + at_cable]
+                observation[2 * n + m + i] = record[kernel.MOTOR_SPEED * lanes + at_cable]
+    after_reference = first_reference + reference.shape[0]
+    block = observation[first_reference:after_reference]  # without a sum in its index, the loop vectorises
+    for j in range(reference.shape[0]):
+        block[j] = reference[j]
+    observation[after_reference] = settings[MODEL_PAYLOAD]
+    observation[after_reference + 1] = settings[KNOWN]
+    first_action, slack_column = after_reference + 2, observation.shape[0] - 1
+    if fresh:
+        for j in range(first_action, slack_column):
+            observation[j] = 0.0
+    else:  # the last observation holds the actions that were sent before
+        for j in range(slack_column - 1, first_action + m - 1, -1):
+            observation[j] = observation[j - m]
         for i in range(m):
+            observation[first_action + i] = min(max(sent[i], -1.0), 1.0)
+    return first_reference
+
+
+@inline
+def _check_state(record, at, lanes, workspace, flexible, cables):
+    """Whether the state is finite, and whether the pose is inside the workspace."""
+    finite, inside = True, True
+    for j in range(workspace.shape[1]):
+        coordinate = record[(kernel.POSE + j) * lanes + at]
+        finite &= math.isfinite(coordinate) and math.isfinite(record[(kernel.VELOCITY + j) * lanes + at])
+        inside &= (coordinate >= workspace[0, j]) & (coordinate <= workspace[1, j])
+    if flexible:
+        for i in range(cables):
             at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
-            action = records[tile, kernel.DEMAND * lanes + at_cable]
-            torque = records[tile, kernel.TORQUE * lanes + at_cable]
-            least_tension = records[tile, kernel.LEAST_TENSION * lanes + at_cable]
-            slack = 1.0 if records[tile, kernel.SLACK * lanes + at_cable] > 0.0 else 0.0
-            margin = stall[env_index, i] - abs(torque) if fresh else stall[env_index, i] * (1.0 - abs(action))
-            cables[_TENSION, env_index, i] = _finite(records[tile, kernel.TENSION * lanes + at_cable])
-            cables[_TORQUE, env_index, i] = _finite(torque)
-            cables[_SPEED, env_index, i] = _finite(records[tile, kernel.SPEED * lanes + at_cable])
-            cables[_COMMANDED, env_index, i] = action
-            cables[_MARGIN, env_index, i] = margin
-            cables[_LEAST_TENSION, env_index, i] = _finite(least_tension)
-            cables[_SLACK_CABLE, env_index, i] = slack
-            slack_cables += slack
-            excess += min(max(0.0, abs(action) - 1.0), 1.0)
-            taut &= least_tension >= batch.minimum_tension
-            held &= margin >= 0.0
+            finite &= math.isfinite(record[kernel.MOTOR_ANGLE * lanes + at_cable])
+            finite &= math.isfinite(record[kernel.MOTOR_SPEED * lanes + at_cable])
+    return finite, inside
 
-        # Termination and violation. Comparisons with NaN are false, so they are written to be true if all is well.
-        reason = 0
-        if fresh:
-            slack_for[env_index] = 0.0
-            violates = settings[env_index, STARTS_AT_REST] > 0.0 and not held
+
+@inline
+def _measure_errors(finite, reference, record, at, lanes, dimensions, coordinates, info):
+    """Errors at this instant and their peaks. Column 0 of the reference is the time to go; the pose follows."""
+    square, rotation = 0.0, 0.0
+    for j in range(coordinates):
+        difference = record[(kernel.POSE + j) * lanes + at] - reference[1 + j]
+        if j < dimensions:
+            square += difference * difference
         else:
-            slack_for[env_index] = slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
-            if not finite:
-                reason = _NON_FINITE
-            elif not inside:
-                reason = _WORKSPACE
-            elif not position <= batch.termination_radius:
-                reason = _TRACKING_ERROR
-            elif slack_for[env_index] > batch.slack_time + 1e-9:
-                reason = _SLACK
-            violates = reason > 0 or slack_cables > 0.0 or not taut
-            if step == 1:  # a violation at the start counts in the first step
-                violates = violates or violations[env_index]
-        if not (
-            position_peak <= settings[env_index, POSITION_BOUND]
-            and rotation_peak <= settings[env_index, ROTATION_BOUND]
-        ):
-            violates = True
-        violated = violates or (not fresh and violations[env_index])
-        first_violation = violated and (step == 1 or not violations[env_index])
-        violations[env_index] = violated
-        if violated and not fresh and reason == 0 and batch.terminate_on_violation:
-            reason = _VIOLATION
-        reasons[env_index], completes[env_index] = reason, step >= motion_steps[env_index]
-        info[_VIOLATED] = 1.0 if violated else 0.0
-        info[_COST] = 1.0 if violates else 0.0
+            rotation = max(rotation, abs(difference))
+    position = math.sqrt(square)
+    position_peak = max(position, record[kernel.POSITION_PEAK * lanes + at])
+    rotation_peak = max(rotation, record[kernel.ROTATION_PEAK * lanes + at])
+    if not finite:  # comparisons with NaN are false and would hide it
+        position = position_peak = LARGEST
+        rotation = rotation_peak = LARGEST if coordinates > dimensions else 0.0
+    info[_POSITION] = _finite(position)
+    info[_ROTATION] = _finite(rotation)
+    info[_POSITION_PEAK] = _finite(position_peak)
+    info[_ROTATION_PEAK] = _finite(rotation_peak)
 
-        # The observation is complete: noise, resolution of the encoders, saturation at the bounds, scales.
-        observation[slack_column] = min(slack_for[env_index], bounds[1, slack_column])
-        for j in range(noise.shape[1]):
-            observation[j] += noise[env_index, j]
-        if resolution > 0.0:
-            for j in range(m):
-                observation[j] = resolution * math.floor(observation[j] / resolution + 0.5)
-        for j in range(first_action):
-            observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
-        if batch.normalised:
-            for j in range(
-                n if measured == 0 else 0
-            ):  # the time to go precedes the reference pose, and the reference velocity follows it
-                observation[j] -= observation[first_reference + 1 + j]
-                observation[n + j] -= observation[first_reference + 1 + n + j]
-            for j in range(observation.shape[0]):  # the scale of actions is 1
-                observation[j] = (observation[j] - centre[j]) * per_scale[j]
 
-        inside_term, position_term, rotation_term, saturation_term, violation_term = 0.0, 0.0, 0.0, 0.0, 0.0
-        if not fresh:
-            inside_term = 0.0 if violated else weights[0]
-            position_term = weights[1] / (1.0 + info[_POSITION] / settings[env_index, POSITION_BOUND])
-            if turns:
-                rotation_term = weights[2] / (1.0 + info[_ROTATION] / settings[env_index, ROTATION_BOUND])
-            saturation_term = -weights[3] * excess / m
-            violation_term = -weights[4] * motion_steps[env_index] if first_violation else 0.0
-        info[_INSIDE], info[_POSITION_TERM], info[_ROTATION_TERM] = inside_term, position_term, rotation_term
-        info[_SATURATION], info[_VIOLATION_TERM] = saturation_term, violation_term
-        rewards[env_index] = inside_term + position_term + rotation_term + saturation_term + violation_term
+@inline
+def _report_cables(fresh, record, at, lanes, stall, minimum_tension, cables):
+    """Fills the quantities of the cables. Returns the number of slack cables, the sum of the excess of the actions, and
+    whether all cables have the minimum tension and all motors their torque."""
+    slack_cables, excess, taut, held = 0.0, 0.0, True, True
+    for i in range(stall.shape[0]):
+        at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
+        action = record[kernel.DEMAND * lanes + at_cable]
+        torque = record[kernel.TORQUE * lanes + at_cable]
+        least_tension = record[kernel.LEAST_TENSION * lanes + at_cable]
+        slack = 1.0 if record[kernel.SLACK * lanes + at_cable] > 0.0 else 0.0
+        margin = stall[i] - abs(torque) if fresh else stall[i] * (1.0 - abs(action))
+        cables[_TENSION, i] = _finite(record[kernel.TENSION * lanes + at_cable])
+        cables[_TORQUE, i] = _finite(torque)
+        cables[_SPEED, i] = _finite(record[kernel.SPEED * lanes + at_cable])
+        cables[_COMMANDED, i] = action
+        cables[_MARGIN, i] = margin
+        cables[_LEAST_TENSION, i] = _finite(least_tension)
+        cables[_SLACK_CABLE, i] = slack
+        slack_cables += slack
+        excess += min(max(0.0, abs(action) - 1.0), 1.0)
+        taut &= least_tension >= minimum_tension
+        held &= margin >= 0.0
+    return slack_cables, excess, taut, held
+
+
+@inline
+def _terminate(finite, inside, near, slack):
+    """The termination reason, 0 for none."""
+    if not finite:
+        return _NON_FINITE
+    if not inside:
+        return _WORKSPACE
+    if not near:
+        return _TRACKING_ERROR
+    return _SLACK if slack else 0
+
+
+@inline
+def _spoil(noise, encoders, resolution, count, bounds, observation):
+    """Adds noise, rounds the first ``encoders`` components, and saturates the first ``count`` ones at their bounds."""
+    for j in range(noise.shape[0]):
+        observation[j] += noise[j]
+    for j in range(encoders):
+        observation[j] = resolution * math.floor(observation[j] / resolution + 0.5)
+    for j in range(count):
+        observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
+
+
+@inline
+def _normalise(first_reference, relative, centre, per_scale, observation):
+    """Subtracts the reference from ``relative`` components of pose and velocity, and scales all components."""
+    for j in range(relative):  # the time to go precedes the reference pose, and the reference velocity follows it
+        observation[j] -= observation[first_reference + 1 + j]
+        observation[relative + j] -= observation[first_reference + 1 + relative + j]
+    for j in range(observation.shape[0]):  # the scale of actions is 1
+        observation[j] = (observation[j] - centre[j]) * per_scale[j]
+
+
+@inline
+def _reward(fresh, violated, penalty, excess, cables, turns, settings, weights, info):
+    """Fills the reward terms and returns their sum."""
+    inside, position, rotation, saturation, violation = 0.0, 0.0, 0.0, 0.0, 0.0
+    if not fresh:
+        inside = 0.0 if violated else weights[0]
+        position = weights[1] / (1.0 + info[_POSITION] / settings[POSITION_BOUND])
+        if turns:
+            rotation = weights[2] / (1.0 + info[_ROTATION] / settings[ROTATION_BOUND])
+        saturation = -weights[3] * excess / cables
+        if penalty > 0:
+            violation = -weights[4] * penalty
+    info[_FIRST_TERM], info[_FIRST_TERM + 1], info[_FIRST_TERM + 2] = inside, position, rotation
+    info[_FIRST_TERM + 3], info[_FIRST_TERM + 4] = saturation, violation
+    return inside + position + rotation + saturation + violation
 
 
 def info_dict(scalars: Array, cables: Array) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from cablebot_gym.physics import distribution
+from cablebot_gym.physics import distribution, tension_problems
 from cablebot_gym.physics.inlining import FEW_ITEMS
 
 CABLES, COORDINATES, ITEMS = 5, 3, 60
@@ -27,17 +27,17 @@ def problems():
 
 STRUCTURE, LOAD = problems()
 CALLS = {
-    "_least_norm": lambda: distribution.least_norm(STRUCTURE, LOAD, 1.0, 20.0),
-    "_least_largest": lambda: distribution.least_largest_action(STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0),
-    "_feasible": lambda: distribution.feasible(STRUCTURE, LOAD, 1.0, 20.0),
-    "_interval": lambda: distribution.largest_scale(STRUCTURE, LOAD, LOAD[::-1], 1.0, 20.0, 10.0),
+    "solve_least_norm": lambda: distribution.least_norm(STRUCTURE, LOAD, 1.0, 20.0),
+    "solve_least_largest": lambda: distribution.least_largest_action(STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0),
+    "solve_feasible": lambda: distribution.feasible(STRUCTURE, LOAD, 1.0, 20.0),
+    "solve_interval": lambda: distribution.largest_scale(STRUCTURE, LOAD, LOAD[::-1], 1.0, 20.0, 10.0),
 }
 
 
 @pytest.mark.parametrize("name", CALLS)
 def test_python_and_compiled_code_give_the_same_bits(name, monkeypatch):
     """Excludes a power or a sum that Python rounds in another way."""
-    function = getattr(distribution, name)
+    function = getattr(tension_problems, name)
     monkeypatch.setattr(function, "_items_left", ITEMS)
     interpreted = astuple(CALLS[name]())
     assert function._items_left == 0
@@ -48,8 +48,8 @@ def test_python_and_compiled_code_give_the_same_bits(name, monkeypatch):
 
 def test_first_resets_do_not_compile_the_distribution(monkeypatch):
     """Excludes ten seconds of compilation before the first step of a robot with redundant cables."""
-    monkeypatch.setattr(distribution._least_largest, "_items_left", FEW_ITEMS)
-    monkeypatch.setattr(distribution._least_largest, "compiled", None)
+    monkeypatch.setattr(tension_problems.solve_least_largest, "_items_left", FEW_ITEMS)
+    monkeypatch.setattr(tension_problems.solve_least_largest, "compiled", None)
     env = gym.make("CableBot-Point-v0")
     for payload in (0.0, 1.0, 2.0):
         env.reset(seed=0, options={"payload": payload})
