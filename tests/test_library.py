@@ -11,7 +11,14 @@ import pytest
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, feasible
-from cablebot_gym.robots import ELASTIC, Robot, find_robot, library, load_robot, robot_names
+from cablebot_gym.robots import (
+    ELASTIC,
+    Robot,
+    find_robot,
+    library,
+    load_robot,
+    robot_names,
+)
 from cablebot_gym.task import check_workspace
 from cablebot_gym.trajectories import find_trajectory
 
@@ -33,9 +40,14 @@ def test_every_value_of_a_file_has_a_source(name: str) -> None:
 
 
 @every_robot
-def test_names_are_the_robot_with_rigid_and_with_elastic_cables(name: str) -> None:
-    rigid, elastic, file = find_robot(name), find_robot(ELASTIC + name), load_robot(library()[name])
-    assert (rigid.name, rigid.flexible, elastic.name, elastic.elastic) == (name, False, ELASTIC + name, True)
+def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
+    name: str,
+) -> None:
+    rigid = find_robot(name)
+    elastic = find_robot(ELASTIC + name)
+    file = load_robot(library()[name])
+    assert (rigid.name, rigid.flexible) == (name, False)
+    assert (elastic.name, elastic.elastic) == (ELASTIC + name, True)
     assert elastic.replace(name=name) == file
     assert rigid == file.with_rigid_cables()
     assert {name, ELASTIC + name} <= set(robot_names())
@@ -51,15 +63,17 @@ def test_motors_hold_the_default_motion(name: str) -> None:
 
 
 def held(robot: Robot, reference) -> np.ndarray:
-    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    pose = reference.position
+    velocity = reference.velocity
+    acceleration = reference.acceleration
     mass = robot.mass + robot.defaults.payload(0.0)
     load = textbook.load(robot, np.full(len(pose), mass), pose, velocity, acceleration)
     speed = textbook.pulley_speed(robot, pose, velocity)
-    rest = robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    rest = rest + robot.damping * speed + textbook.coulomb_torque(robot, speed)
-    low, high = ((limit - rest) / robot.pulley_radius for limit in textbook.torque_limits(robot, speed))
-    low = np.maximum(low, robot.minimum_tension)
-    return feasible(textbook.jacobian(robot, pose), load, low, high).status == HELD
+    moving = robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    moving = moving + robot.damping * speed + textbook.coulomb_torque(robot, speed)
+    low, high = (np.array(textbook.torque_limits(robot, speed)) - moving) / robot.pulley_radius
+    structure = textbook.jacobian(robot, pose)
+    return feasible(structure, load, np.maximum(low, robot.minimum_tension), high).status == HELD
 
 
 def test_library_is_read_on_first_use() -> None:

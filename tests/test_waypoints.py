@@ -8,17 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_gym.robots import load_robot
 from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import ORDERS, Chain, Waypoints, find_trajectory
 
-WAY = "t,x,y\n5,0,0\n6,0.1,0.1\n7.5,0.1,-0.1\n8,0,0\n"
+TEXT = "t,x,y\n5,0,0\n6,0.1,0.1\n7.5,0.1,-0.1\n8,0,0\n"
 
 
 @pytest.fixture
-def way(tmp_path):
-    def write(text=WAY, name="way.csv"):
+def write_file(tmp_path):
+    def write(text=TEXT, name="way.csv"):
         path = tmp_path / name
         path.write_text(text, encoding="utf-8")
         return str(path)
@@ -26,30 +27,30 @@ def way(tmp_path):
     return write
 
 
-def test_spline_meets_the_waypoints_and_rests_at_both_ends(way):
-    motion = find_trajectory(way(), "planar")
+def test_spline_meets_the_waypoints_and_rests_at_both_ends(write_file):
+    motion = find_trajectory(write_file(), "planar")
     assert (motion.name, motion.duration, motion.dwell) == ("way.csv", 3.6, 0.3)
     reference = motion(np.array([0.0, 0.3, 1.3, 2.8, 3.3, 3.6, 99.0]))
     expected = [[0, 0], [0, 0], [0.1, 0.1], [0.1, -0.1], [0, 0], [0, 0], [0, 0]]
-    np.testing.assert_allclose(reference.position, expected, atol=1e-9)
+    assert_allclose(reference.position, expected, atol=1e-9)
     Chain(motions=(motion.motion, 0.5))  # it checks the rest up to snap
 
 
-def test_spline_is_continuous_up_to_snap_and_has_its_derivatives(way):
-    motion = find_trajectory(way(), "planar").motion
+def test_spline_is_continuous_up_to_snap(write_file):
+    motion = find_trajectory(write_file(), "planar").motion
     step = 1e-5
     times = np.linspace(2 * step, motion.duration - 2 * step, 1001)
     before, at, after = (motion(times + shift) for shift in (-step, 0.0, step))
     for below, order in pairwise(ORDERS):
         rate = (getattr(after, below) - getattr(before, below)) / (2 * step)
         scale = np.abs(getattr(at, order)).max()
-        np.testing.assert_allclose(rate, getattr(at, order), atol=2e-4 * scale)
+        assert_allclose(rate, getattr(at, order), atol=2e-4 * scale)
     ends = motion(np.array([step, motion.duration - step]))
     assert np.abs(ends.snap).max() < 1e-3 * np.abs(at.snap).max()
 
 
-def test_motion_survives_json_and_pickle_without_its_file(way, tmp_path):
-    motion = find_trajectory(way(), "planar")
+def test_motion_survives_json_and_pickle_without_its_file(write_file, tmp_path):
+    motion = find_trajectory(write_file(), "planar")
     (tmp_path / "way.csv").unlink()
     assert find_trajectory(json.loads(json.dumps(to_jsonable(motion))), "planar") == motion
     assert pickle.loads(pickle.dumps(motion)) == motion
@@ -66,17 +67,17 @@ def test_motion_survives_json_and_pickle_without_its_file(way, tmp_path):
         ("spatial", "x,y,z,psi,theta,phi\n0,0,0,0,0,0\n1,2,3,4,5,6\n", [1, 2, 3, 4, 5, 6]),
     ],
 )
-def test_coordinates_alone_take_a_duration(way, kind, text, pose):
-    name = way(text, "WAY.CSV")
+def test_coordinates_alone_take_a_duration(write_file, kind, text, pose):
+    name = write_file(text, "WAY.CSV")
     motion = find_trajectory({"name": name, "duration": 4, "dwell": 0}, kind)
     assert motion.duration == 4
-    np.testing.assert_allclose(motion(4.0).position, pose)
+    assert_allclose(motion(4.0).position, pose)
     with pytest.raises(ValueError, match=r"has no column t\. Add it, or give a duration: \{\"name\""):
         find_trajectory(name, kind)
 
 
-def test_duration_scales_the_times_of_the_file(way):
-    motion = find_trajectory({"name": way(), "duration": 6.0}, "planar").motion
+def test_duration_scales_the_times_of_the_file(write_file):
+    motion = find_trajectory({"name": write_file(), "duration": 6.0}, "planar").motion
     assert motion.times == (0.0, 2.0, 5.0, 6.0)
 
 
@@ -86,7 +87,10 @@ def test_duration_scales_the_times_of_the_file(way):
         ("", "it is empty. Its first line must be t,x,y, and"),
         ("0,0,0\n1,1,1\n", "it has no header. Its first line must be t,x,y$"),
         ("t;x;y\n0;0;0\n", "separated by ';'. Save it with commas"),
-        ("t,x [mm],y\n0,0,0\n", r"its first line is 't,x \[mm\],y'. It must be t,x,y .t in s, lengths in m"),
+        (
+            "t,x [mm],y\n0,0,0\n",
+            r"its first line is 't,x \[mm\],y'. It must be t,x,y .t in s, lengths in m",
+        ),
         ("t,x,x\n0,0,0\n", "its first line is 't,x,x'"),
         ("t,x,y,z\n0,0,0,0\n", "its first line is 't,x,y,z'"),
         ("t,x,y\n0,0,0\n", "at least two waypoints"),
@@ -94,12 +98,15 @@ def test_duration_scales_the_times_of_the_file(way):
         ("t,x,y\n0,0,0\n1,a,1\n", "line 3: x is 'a', which is not a number"),
         ("t,x,y\n0,0,0\n1,nan,1\n", "line 3: x is nan. All numbers must be finite"),
         ("t,x,y\n0,0,0\n\n1,1,1\n1,0,0\n", "line 5 has t = 1 s after 1 s. Times must increase"),
-        ("t,x,y\n0,0,0\n1,2000,0\n", "a coordinate is 2000 m. Lengths are in metres: divide millimetres"),
+        (
+            "t,x,y\n0,0,0\n1,2000,0\n",
+            "a coordinate is 2000 m. Lengths are in metres: divide millimetres",
+        ),
     ],
 )
-def test_wrong_file_is_refused_with_its_line(way, text, message):
+def test_wrong_file_is_refused_with_its_line(write_file, text, message):
     with pytest.raises(ValueError, match=f"trajectory file '.*way.csv': .*{message}"):
-        find_trajectory(way(text), "planar")
+        find_trajectory(write_file(text), "planar")
 
 
 def test_missing_file_and_invalid_waypoints_raise(tmp_path):
@@ -111,8 +118,8 @@ def test_missing_file_and_invalid_waypoints_raise(tmp_path):
         Waypoints(times=(0.0, 1e-9, 1.0, 2.0), poses=((0, 0), (1, 1), (0, 1), (1, 0)))
 
 
-def test_motion_of_a_robot_file_is_beside_it(way, tmp_path):
-    way()
+def test_motion_of_a_robot_file_is_beside_it(write_file, tmp_path):
+    write_file()
     text = 'name = "r"\nbase_anchors = [[-1, -1], [1, -1], [0, 1]]\nmass = 1\nhome_pose = [0, 0]\n'
     text += (
         "[motors]\nstall_torque = 5\nfree_speed = 100\n[transmission]\npulley_radius = 0.05\npulley_inertia = 1e-3\n"

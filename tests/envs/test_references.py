@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import warnings
 
-import gymnasium as gym
 import numpy as np
 import pytest
+from oracles.episodes import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, ROBOTS, make
 
-from cablebot_gym.trajectories import Reference, SmoothCircle, find_trajectory, trajectory_names
+from cablebot_gym.trajectories import (
+    ORDERS,
+    Reference,
+    SmoothCircle,
+    find_trajectory,
+    trajectory_names,
+)
 
-RIGID, FLEXIBLE = "CableBot-Planar-v0", "CableBot-FlexPlanar-v0"
-ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 
-
-class Own:
+class Altered:
     """A circle, altered by ``change`` of the times and the arrays by name."""
 
-    name, duration, coordinates = "own", 1.0, 2
+    name = "altered"
+    duration = 1.0
+    coordinates = 2
 
     def __init__(self, change):
-        self._circle, self._change = SmoothCircle(radius=0.2165, center=(0.0, 0.0), duration=self.duration), change
+        self._circle = SmoothCircle(radius=0.2165, center=(0.0, 0.0), duration=self.duration)
+        self._change = change
 
     def __call__(self, times):
         times = np.asarray(times, float)
@@ -29,43 +35,40 @@ class Own:
         return Reference(**arrays)
 
 
-def scaled(name, factor):
-    def change(times, arrays):
-        arrays[name] *= factor
-
-    return change
-
-
 def warnings_of(change, env_id):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        gym.make(env_id, trajectory=Own(change)).reset()
-    return [str(one.message) for one in caught if "trajectory 'own'" in str(one.message)]
+        make(env_id, trajectory=Altered(change)).reset()
+    texts = [str(warning.message) for warning in caught]
+    return [text for text in texts if "trajectory 'altered'" in text]
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 def test_wrong_derivative_warns_where_it_is_used(order):
     """Rigid robots do not use jerk and snap."""
-    wrong = f"the {ORDERS[order]} of trajectory 'own' is not the time derivative of its {ORDERS[order - 1]}, first at 0"
-    change = scaled(ORDERS[order], 2.0)
-    assert warnings_of(change, FLEXIBLE)[0].startswith(wrong)
-    assert bool(warnings_of(change, RIGID)) == (order < 3)
 
+    def doubled(times, arrays):
+        arrays[ORDERS[order]] *= 2.0
 
-def trapezium(times, arrays):
-    """Constant acceleration along x up to the middle, then the opposite one: jumps at three instants."""
-    late = times > Own.duration / 2
-    rest = np.where(late, Own.duration - np.minimum(times, Own.duration), times)
-    for values in arrays.values():
-        values[:] = 0.0
-    half = 0.4 * rest**2
-    arrays["position"][..., 0] = np.where(late, 0.2 - half, half)
-    arrays["velocity"][..., 0] = 0.8 * rest
-    arrays["acceleration"][..., 0] = np.where(times > Own.duration, 0.0, np.where(late, -0.8, 0.8))
+    wrong = f"the {ORDERS[order]} of trajectory 'altered' is not the time derivative of its {ORDERS[order - 1]}, "
+    assert warnings_of(doubled, FLEX_PLANAR)[0].startswith(f"{wrong}first at 0")
+    assert bool(warnings_of(doubled, PLANAR)) == (order < 3)
 
 
 def test_jump_of_a_derivative_does_not_warn():
-    assert warnings_of(trapezium, RIGID) == warnings_of(trapezium, FLEXIBLE) == []
+    def trapezium(times, arrays):
+        """Constant acceleration along x up to the middle, then the opposite one: jumps at three instants."""
+        late = times > 0.5
+        since_rest = np.where(late, 1.0 - np.minimum(times, 1.0), times)
+        for values in arrays.values():
+            values[:] = 0.0
+        half = 0.4 * since_rest**2
+        arrays["position"][..., 0] = np.where(late, 0.2 - half, half)
+        arrays["velocity"][..., 0] = 0.8 * since_rest
+        arrays["acceleration"][..., 0] = np.where(times > 1.0, 0.0, np.where(late, -0.8, 0.8))
+
+    assert warnings_of(trapezium, PLANAR) == []
+    assert warnings_of(trapezium, FLEX_PLANAR) == []
 
 
 def test_motion_after_the_duration_warns():
@@ -73,40 +76,37 @@ def test_motion_after_the_duration_warns():
         arrays["position"][..., 0] += 0.05 * times
         arrays["velocity"][..., 0] += 0.05
 
-    assert [message for message in warnings_of(continued, RIGID) if "still moves after its duration" in message]
+    assert "still moves after its duration" in " ".join(warnings_of(continued, PLANAR))
 
 
-@pytest.mark.parametrize(("kind", "coordinates"), [("Planar", 2), ("Spatial", 6)])
+@pytest.mark.parametrize("env_id", [FLEX_PLANAR, FLEX_SPATIAL])
 @pytest.mark.parametrize(("frequency", "duration"), [(20.0, 0.05), (500.0, 1.0)])
-def test_motions_of_the_library_do_not_warn(kind, coordinates, frequency, duration):
+def test_motions_of_the_library_do_not_warn(env_id, frequency, duration):
+    coordinates = ROBOTS[env_id].coordinates
     for name in trajectory_names(coordinates):
         # The accelerations of loops set their durations, and the motions of chains.
         fields = {} if name.startswith(("loop", "chain")) else {"duration": duration}
         motion = find_trajectory({"name": name, **fields}, coordinates)
-        gym.make(f"CableBot-Flex{kind}-v0", trajectory=motion, control_frequency=frequency).reset()
-
-
-def nan_at(name, time):
-    def change(times, arrays):
-        arrays[name][times >= time - 1e-9, 1] = np.nan
-
-    return change
+        make(env_id, trajectory=motion, control_frequency=frequency).reset()
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("order", "time", "message"),
     [
-        (nan_at("acceleration", 0.25), "its acceleration at 0.25 s is not finite"),
-        (nan_at("position", 1.1), "not finite after its duration"),
+        ("acceleration", 0.25, "its acceleration at 0.25 s is not finite"),
+        ("position", 1.1, "not finite after its duration"),
     ],
 )
-def test_bad_values_of_a_motion_raise(change, message):
+def test_values_that_are_not_finite_raise(order, time, message):
+    def spoilt(times, arrays):
+        arrays[order][times >= time - 1e-9, 1] = np.nan
+
     with pytest.raises(ValueError, match=message):
-        gym.make(RIGID, trajectory=Own(change)).reset()
+        make(PLANAR, trajectory=Altered(spoilt)).reset()
 
 
 @pytest.mark.parametrize(("frequency", "duration"), [(5e6, 1.0), (500.0, 1e4)])
 def test_motion_of_too_many_steps_raises(frequency, duration):
     motion = {"name": "dwell-planar", "duration": duration}
     with pytest.raises(ValueError, match=r"at most 1000 s|more than 1,000,000"):
-        gym.make(RIGID, trajectory=motion, control_frequency=frequency).reset()
+        make(PLANAR, trajectory=motion, control_frequency=frequency).reset()

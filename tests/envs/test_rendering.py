@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import os
+import sys
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_array_equal
+from oracles.episodes import (
+    FLEX_SPATIAL,
+    PLANAR,
+    SPATIAL,
+    check_equal,
+    make,
+    make_vector,
+)
 
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.rendering.painter import import_pygame
 from cablebot_gym.rendering.window import Window
 
 pygame = import_pygame()
-PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
 
 
 @pytest.fixture
@@ -33,77 +42,89 @@ def test_gymnasium_check_env_passes_without_display(without_display):
 
 
 def test_rendering_does_not_change_the_episode():
-    plain, painted = gym.make(SPATIAL).unwrapped, gym.make(SPATIAL, render_mode="rgb_array").unwrapped
-    for env in (plain, painted):
-        env.reset(seed=3)
+    plain = make(SPATIAL)
+    painted = make(SPATIAL, render_mode="rgb_array")
+    check_equal(painted.reset(seed=3), plain.reset(seed=3))
     for action in np.random.default_rng(5).uniform(-0.6, 1.3, (6, 6)):
         painted.render()
-        one, other = plain.step(action), painted.step(action)
-        assert np.array_equal(one[0], other[0])
-        assert all(np.array_equal(one[-1][name], other[-1][name]) for name in one[-1])
+        check_equal(painted.step(action), plain.step(action))
 
 
-@pytest.mark.parametrize("env_id", [PLANAR, "CableBot-FlexSpatial-v0"])
-def test_moment_has_the_true_state_and_the_torque_limits_of_the_true_motors(env_id):
+@pytest.mark.parametrize("env_id", [PLANAR, FLEX_SPATIAL])
+def test_moment_has_the_limits_of_the_true_motors(env_id):
     """At |a| ≥ 1 the torque is U± at the present motor speed."""
-    weak = {"parameters": {"motor_strength": {"low": -0.4, "high": -0.2}}, "sensors": {"position": 1e-3}}
-    env = gym.make(env_id, uncertainty=weak, termination_radius=10.0, payload=3.0).unwrapped
+    weak = {
+        "parameters": {"motor_strength": {"low": -0.4, "high": -0.2}},
+        "sensors": {"position": 1e-3},
+    }
+    env = make(env_id, uncertainty=weak, termination_radius=10.0, payload=3.0)
     env.reset(seed=1)
-    robot, stall = env.settings.robot, env.truth["motor_strength"]
+    robot = env.settings.robot
     for sign in (1.0, -1.0, 1.0):
         info = env.step(np.full(robot.cables, 1.5 * sign))[4]
-        moment = Moment.from_info(robot, stall, env.pose, info)
+        moment = Moment.from_info(robot, env.truth["motor_strength"], env.pose, info)
         assert moment.torques == pytest.approx(moment.torque_limits[int(sign > 0)], rel=1e-12)
     assert np.ptp(moment.torque_limits[1] / robot.stall_torque) > 0.01
-    assert (moment.payload, moment.time, moment.position_error) == (3.0, 0.006, info["tracking_error"])
+    assert (moment.payload, moment.time, moment.position_error) == (
+        3.0,
+        0.006,
+        info["tracking_error"],
+    )
 
 
-def test_vector_environment_paints_the_pictures_of_single_environments():
-    """Also the trail after an autoreset."""
-    envs = gym.make_vec(SPATIAL, num_envs=2, render_mode="rgb_array", payload=[1.0, 6.0], max_episode_steps=20)
+def test_vector_environment_paints_the_pictures_of_single_ones():
+    """Also the trail after an autoreset, and by ``call``."""
+    payloads = [1.0, 6.0]
+    envs = make_vector(
+        SPATIAL,
+        2,
+        render_mode="rgb_array",
+        payload=payloads,
+        max_episode_steps=20,
+    )
+    singles = [make(SPATIAL, render_mode="rgb_array", payload=payload) for payload in payloads]
     envs.reset(seed=7)
     action = np.full((2, 6), 0.4)
     envs.step(action)
-    singles = [gym.make(SPATIAL, render_mode="rgb_array", payload=payload) for payload in (1.0, 6.0)]
-    for single, picture in zip(singles, envs.render(), strict=True):
+    for single in singles:
         single.reset()
         single.step(action[0])
-        assert np.array_equal(single.render(), picture)
-        single.reset()
+    assert_array_equal(envs.render(), [single.render() for single in singles])
     for _ in range(20):
         envs.step(action)
-    for single, picture in zip(singles, envs.render(), strict=True):
-        assert np.array_equal(single.render(), picture)
+    for single in singles:
+        single.reset()
+    assert_array_equal(envs.call("render"), [single.render() for single in singles])
     assert not np.array_equal(*envs.render())
 
 
-def test_picture_shows_the_trajectory_and_the_termination_of_the_episode():
-    env = gym.make(SPATIAL, render_mode="rgb_array", termination_radius=1e-3).unwrapped
+def test_picture_shows_the_trajectory_and_the_termination():
+    env = make(SPATIAL, render_mode="rgb_array", termination_radius=1e-3)
     env.reset(seed=3)
     circle = env.render()
     env.reset(seed=3, options={"trajectory": "line-spatial"})
     assert np.mean(env.render() != circle) > 0.01
-    ended = False
-    while not ended:
-        _, _, ended, _, _ = env.step(np.full(6, -1.0))
+    terminated = False
+    while not terminated:
+        _, _, terminated, _, _ = env.step(np.full(6, -1.0))
     assert np.any(np.all(env.render()[26:40] == (0xD5, 0x5E, 0x00), axis=-1))
 
 
 def test_human_shows_fifty_pictures_per_second_of_episode_time(monkeypatch):
-    env = gym.make(PLANAR, render_mode="human").unwrapped
-    shown = []
-    monkeypatch.setattr(Window, "show", lambda self, picture, rate: shown.append(rate) or [])
+    rates = []
+    monkeypatch.setattr(Window, "show", lambda self, picture, rate: rates.append(rate) or [])
+    env = make(PLANAR, render_mode="human")
     env.reset(seed=1)
     for _ in range(100):
         env.step(np.zeros(3))
     env.close()
-    assert shown == [50] * 11
+    assert rates == [50] * 11
     assert env.metadata["render_fps"] == 50
 
 
 def test_human_without_display_logs_it_once(monkeypatch, without_display, caplog):
     monkeypatch.setattr("sys.platform", "linux")
-    env = gym.make(PLANAR, render_mode="human").unwrapped
+    env = make(PLANAR, render_mode="human")
     env.reset()
     for _ in range(20):
         env.step(np.zeros(3))
@@ -113,11 +134,13 @@ def test_human_without_display_logs_it_once(monkeypatch, without_display, caplog
 
 
 def test_render_needs_a_reset_and_pygame(monkeypatch):
-    with pytest.raises(ResetNeeded):
-        gym.make(PLANAR, render_mode="rgb_array").unwrapped.render()
-    with pytest.raises(ResetNeeded):
-        gym.make_vec(PLANAR, num_envs=2, render_mode="rgb_array").render()
-    monkeypatch.setitem(__import__("sys").modules, "pygame", None)
-    gym.make(PLANAR)
+    for env in (
+        make(PLANAR, render_mode="rgb_array"),
+        make_vector(PLANAR, 2, render_mode="rgb_array"),
+    ):
+        with pytest.raises(ResetNeeded):
+            env.render()
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    make(PLANAR)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[render\]'"):
-        gym.make(PLANAR, render_mode="rgb_array")
+        make(PLANAR, render_mode="rgb_array")

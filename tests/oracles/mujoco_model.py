@@ -15,10 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym.kinematics import Array, cable_lengths, euler_rate_matrix, euler_rate_matrix_rate
+from cablebot_gym.kinematics import (
+    Array,
+    cable_lengths,
+    euler_rate_matrix,
+    euler_rate_matrix_rate,
+)
 from cablebot_gym.robots import Robot
 
-_SWITCHED_OFF = ("contact", "constraint", "sensor", "warmstart", "island", "autoreset")
+_SWITCHED_OFF = (
+    "contact",
+    "constraint",
+    "sensor",
+    "warmstart",
+    "island",
+    "autoreset",
+)
 """Flags: parts of MuJoCo that have nothing to do here, and its silent reset of a state that has blown up."""
 
 _WINCH_ROOM = 10
@@ -54,14 +66,19 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
         f'<spatial name="cable{i}" armature="{inertia / radius**2!r}" damping="{damping / radius**2!r}">'
         f'<site site="base{i}"/><site site="platform{i}"/></spatial>'
         for i, (radius, inertia, damping) in enumerate(
-            zip(radii, robot.pulley_inertia.tolist(), robot.damping.tolist(), strict=True)
+            zip(
+                radii,
+                robot.pulley_inertia.tolist(),
+                robot.damping.tolist(),
+                strict=True,
+            )
         )
     )
     winches, springs = _winches_and_springs(robot) if robot.jointed else ("", "")
-    place, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
+    kind, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
     driven = "winch" if robot.jointed else "cable"
     motors = "".join(
-        f'<motor name="motor{i}" {place}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
+        f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
     )
     return f"""<mujoco model="{_escaped(robot.name)}">
 <compiler angle="radian" inertiafromgeom="false"/>
@@ -78,8 +95,13 @@ def _winches_and_springs(robot: Robot) -> tuple[str, str]:
     per_radius2 = 1 / robot.pulley_radius**2
     diagonal = np.linalg.norm(np.diff(robot.pose_bounds[:, : robot.dimensions], axis=0))
     room = _WINCH_ROOM * (diagonal + robot.pulley_radius * robot.stall_torque / robot.stiffness)
-    columns = (robot.motor_inertia * per_radius2, robot.motor_damping * per_radius2, robot.stiffness * per_radius2)
-    winches, springs = "", ""
+    columns = (
+        robot.motor_inertia * per_radius2,
+        robot.motor_damping * per_radius2,
+        robot.stiffness * per_radius2,
+    )
+    winches = ""
+    springs = ""
     for i, (mass, damping, stiffness) in enumerate(np.stack(columns, axis=1).tolist()):
         at = np.zeros(3)
         at[: robot.base.shape[1]] = robot.base[i]
@@ -102,20 +124,20 @@ def _body_frame(robot: Robot) -> str:
 
 
 def _joints_and_inertia(robot: Robot, mass: float) -> str:
-    place = f'<inertial pos="{_numbers(_padded(robot.mass_center))}" mass="{mass!r}"'
+    inertial = f'<inertial pos="{_numbers(_padded(robot.mass_center))}" mass="{mass!r}"'
     if robot.kind != "spatial":  # the moments that have no effect are the same: MuJoCo wants some
         axes = ("1 0 0", "0 1 0", "0 0 1")[: robot.dimensions]
         joints = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in axes)
         if robot.kind == "planar-platform":
             joints += '<joint type="hinge" axis="0 0 1"/>'
-        return f'{joints}{place} diaginertia="{_numbers([1.0 if robot.point_mass else robot.inertia[0]] * 3)}"/>'
+        return f'{joints}{inertial} diaginertia="{_numbers([1.0 if robot.point_mass else robot.inertia[0]] * 3)}"/>'
     tensor = robot.inertia_tensor
     if np.any(products := tensor[(0, 0, 1), (1, 2, 2)]):
-        return f'<freejoint/>{place} fullinertia="{_numbers([*tensor.diagonal(), *products])}"/>'
+        return f'<freejoint/>{inertial} fullinertia="{_numbers([*tensor.diagonal(), *products])}"/>'
     # A plate's largest moment is the sum of the others; MuJoCo refuses the last digit that rounding may put on top.
     largest = sum(sorted(robot.inertia)[:2])
     moments = _numbers(min(moment, largest) for moment in robot.inertia)
-    return f'<freejoint/>{place} diaginertia="{moments}"/>'
+    return f'<freejoint/>{inertial} diaginertia="{moments}"/>'
 
 
 def _padded(points: Array) -> Array:
@@ -138,8 +160,12 @@ def _escaped(text: str) -> str:
 def quaternion(euler: ArrayLike) -> Array:
     """``(w, x, y, z)`` of ``R = Rz(φ) Ry(θ) Rx(ψ)``, shape (4,), from ``(ψ, θ, φ)``."""
     psi, theta, phi = np.asarray(euler, float).tolist()
-    cx, sx, cy, sy = math.cos(psi / 2), math.sin(psi / 2), math.cos(theta / 2), math.sin(theta / 2)
-    cz, sz = math.cos(phi / 2), math.sin(phi / 2)
+    cx = math.cos(psi / 2)
+    sx = math.sin(psi / 2)
+    cy = math.cos(theta / 2)
+    sy = math.sin(theta / 2)
+    cz = math.cos(phi / 2)
+    sz = math.sin(phi / 2)
     return np.array(
         [
             cz * cy * cx + sz * sy * sx,
@@ -153,9 +179,14 @@ def quaternion(euler: ArrayLike) -> Array:
 def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
     """``(ψ, θ, φ)`` with θ in [−π/2, π/2], of ``quat``, the inverse of :func:`quaternion`."""
     w, x, y, z = np.asarray(quat, float).tolist()
-    along, across = w * w + x * x - y * y - z * z, 2 * (w * z + x * y)  # cos θ cos φ, cos θ sin φ
+    along = w * w + x * x - y * y - z * z
+    across = 2 * (w * z + x * y)  # cos θ cos φ, cos θ sin φ
     psi = math.atan2(2 * (w * x + y * z), w * w - x * x - y * y + z * z)
-    return psi, math.atan2(2 * (w * y - x * z), math.hypot(along, across)), math.atan2(across, along)
+    return (
+        psi,
+        math.atan2(2 * (w * y - x * z), math.hypot(along, across)),
+        math.atan2(across, along),
+    )
 
 
 class MujocoRobot:
@@ -185,18 +216,26 @@ class MujocoRobot:
 
         A flexible robot's springs are unwound then, its motors turning with the pulleys; see :meth:`set_motors`.
         """
-        pose, velocity = np.asarray(pose, float), np.asarray(velocity, float)
+        pose = np.asarray(pose, float)
+        velocity = np.asarray(velocity, float)
         self._mujoco.mj_resetData(self.model, self.data)
-        positions, speeds = self._platform_qpos, self._platform_qvel
+        positions = self._platform_qpos
+        speeds = self._platform_qvel
         if self.robot.kind != "spatial":
-            positions[:], speeds[:] = pose, velocity
+            positions[:] = pose
+            speeds[:] = velocity
         else:
-            positions[:3], positions[3:] = pose[:3], quaternion(pose[3:])
-            speeds[:3], speeds[3:] = velocity[:3], euler_rate_matrix(pose[3:]) @ velocity[3:]
+            positions[:3] = pose[:3]
+            positions[3:] = quaternion(pose[3:])
+            speeds[:3] = velocity[:3]
+            speeds[3:] = euler_rate_matrix(pose[3:]) @ velocity[3:]
         if self.robot.jointed:
             unwound = (self._home_lengths - self.lengths()) / self.robot.pulley_radius
             self._mujoco.mj_fwdVelocity(self.model, self.data)
-            self.set_motors(unwound, -self.data.ten_velocity[: self.robot.cables] / self.robot.pulley_radius)
+            self.set_motors(
+                unwound,
+                -self.data.ten_velocity[: self.robot.cables] / self.robot.pulley_radius,
+            )
 
     def set_motors(self, angle: ArrayLike, speed: ArrayLike) -> None:
         """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after :meth:`set_state`."""
@@ -208,7 +247,8 @@ class MujocoRobot:
 
         The pulleys stand still, so the robot must not have joint springs.
         """
-        robot, free = self.robot, np.asarray(lengths)
+        robot = self.robot
+        free = np.asarray(lengths)
         self.model.tendon_stiffness[:] = robot.axial_stiffness / free
         self.model.tendon_damping[:] = robot.axial_damping / free
         self.model.tendon_armature[:] = 0.0
@@ -224,7 +264,8 @@ class MujocoRobot:
 
     def state(self) -> tuple[Array, Array]:
         """``(X, Ẋ)``, new arrays of shape (n,)."""
-        positions, speeds = np.array(self._platform_qpos), np.array(self._platform_qvel)
+        positions = np.array(self._platform_qpos)
+        speeds = np.array(self._platform_qvel)
         if self.robot.kind != "spatial":
             return positions, speeds
         euler = euler_angles(positions[3:])
@@ -248,7 +289,10 @@ class MujocoRobot:
             return qacc
         pose, velocity = self.state()
         turning = euler_rate_matrix_rate(pose[3:], velocity[3:]) @ velocity[3:]
-        return np.append(qacc[:3], np.linalg.solve(euler_rate_matrix(pose[3:]), qacc[3:] - turning))
+        return np.append(
+            qacc[:3],
+            np.linalg.solve(euler_rate_matrix(pose[3:]), qacc[3:] - turning),
+        )
 
     def motor_accelerations(self, torques: ArrayLike) -> Array:
         """``β̈′`` of a flexible robot in the present state under motor torques of shape (m,) [N·m], shape (m,)."""

@@ -45,7 +45,12 @@ def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
     """Two cables along x and two against it, so long that they stay parallel."""
     return Robot(
         name="line",
-        base_anchors=((10.0, 0.01), (10.0, -0.01), (-10.0, 0.01), (-10.0, -0.01)),
+        base_anchors=(
+            (10.0, 0.01),
+            (10.0, -0.01),
+            (-10.0, 0.01),
+            (-10.0, -0.01),
+        ),
         mass=1.0,
         motors=Motors(stall_torque=5.0, free_speed=free_speed),
         transmission=Transmission(pulley_radius=0.05, pulley_inertia=inertia, damping=damping),
@@ -57,12 +62,16 @@ def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
 def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
     """At full torque of two cables and least tension T₀ of the other two, (M + 2μ) ẍ + 2k ẋ = 2(s − T₀) must reach
     x_d(T) − R."""
-    radius, motion = 0.05, Accelerating()
-    pull, mu, k = 5.0 / radius, inertia / radius**2, (5.0 / free_speed + damping) / radius**2
+    radius = 0.05
+    motion = Accelerating()
+    pull = 5.0 / radius
+    mu = inertia / radius**2
+    k = (5.0 / free_speed + damping) / radius**2
     end = motion.duration
 
     def surplus(mass: float) -> float:
-        rate, acceleration = 2 * k / (mass + 2 * mu), 2 * (pull - TENSION) / (mass + 2 * mu)
+        rate = 2 * k / (mass + 2 * mu)
+        acceleration = 2 * (pull - TENSION) / (mass + 2 * mu)
         distance = end**2 / 2 if rate * end < 1e-4 else end / rate - (1 - math.exp(-rate * end)) / rate**2
         return acceleration * distance - (motion.rate * end**2 / 2 - BOUND)
 

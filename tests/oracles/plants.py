@@ -11,13 +11,16 @@ import pytest
 from cablebot_gym import kinematics
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Motors, Transmission
+from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 UNEQUAL = SPATIAL.replace(
     name="unequal",
     inertia=(0.9, 0.3, 0.7),
-    motors=Motors(stall_torque=(8.0, 9.0, 10.0, 11.0, 12.0, 13.0), free_speed=(50.0, 60.0, 70.0, 80.0, 90.0, 100.0)),
+    motors=Motors(
+        stall_torque=(8.0, 9.0, 10.0, 11.0, 12.0, 13.0),
+        free_speed=(50.0, 60.0, 70.0, 80.0, 90.0, 100.0),
+    ),
     transmission=Transmission(
         pulley_radius=(0.03, 0.04, 0.05, 0.06, 0.07, 0.08),
         pulley_inertia=(4e-4, 6e-4, 8e-4, 1e-3, 1.2e-3, 0.0),
@@ -31,7 +34,9 @@ QUAD = PLANAR.replace(
     base_anchors=((-0.6, -0.3), (0.5, -0.4), (0.4, 0.5), (-0.5, 0.6)),
     motors=Motors(stall_torque=(4.0, 5.0, 6.0, 7.0), free_speed=(50.0, 60.0, 70.0, 80.0)),
     transmission=Transmission(
-        pulley_radius=(0.03, 0.04, 0.05, 0.06), pulley_inertia=(4e-4, 0.0, 8e-4, 1e-3), damping=(0.0, 0.01, 0.02, 0.03)
+        pulley_radius=(0.03, 0.04, 0.05, 0.06),
+        pulley_inertia=(4e-4, 0.0, 8e-4, 1e-3),
+        damping=(0.0, 0.01, 0.02, 0.03),
     ),
     home_pose=(0.05, 0.1),
 )
@@ -48,7 +53,9 @@ FLEX_UNEQUAL = UNEQUAL.replace(
 FLEX_QUAD = QUAD.replace(
     name="flex-quad",
     transmission=QUAD.transmission.replace(
-        stiffness=(2.0, 3.0, 4.0, 5.0), motor_inertia=(8e-4, 6e-4, 4e-4, 5e-4), motor_damping=(0.0, 0.01, 0.02, 0.03)
+        stiffness=(2.0, 3.0, 4.0, 5.0),
+        motor_inertia=(8e-4, 6e-4, 4e-4, 5e-4),
+        motor_damping=(0.0, 0.01, 0.02, 0.03),
     ),
 )
 NINE = PLANAR.replace(
@@ -60,9 +67,11 @@ NINE = PLANAR.replace(
 
 
 def _rough(robot):
-    friction, lag = np.linspace(0.25, 0.0, robot.cables), np.linspace(0.0, 0.02, robot.cables)
+    friction = np.linspace(0.25, 0.0, robot.cables)
+    lag = np.linspace(0.0, 0.02, robot.cables)
     return with_transmission(robot, coulomb_friction=tuple(friction.tolist())).replace(
-        name=f"rough-{robot.name}", motors=robot.motors.replace(lag=tuple(lag.tolist()))
+        name=f"rough-{robot.name}",
+        motors=robot.motors.replace(lag=tuple(lag.tolist())),
     )
 
 
@@ -74,20 +83,32 @@ ROUGH = tuple(_rough(robot) for robot in (QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL
 """With Coulomb friction and a lag, different in every motor; the first has no lag and the last no friction."""
 
 
+def slowly(*robots):
+    """Robots for :func:`each_of` that only the slow tests run: each is compiled for itself."""
+    return [pytest.param(robot, marks=pytest.mark.slow) for robot in robots]
+
+
 def each_of(*robots):
+    """A mark that runs a test for each of some robots."""
     return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
 
 
 rigid_robots = each_of(QUAD, UNEQUAL)
 flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
-every_robot = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
-smooth_and_rough = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH)
 FLEX_HANGING = with_transmission(HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01).replace(
     name="flex-hanging", mass=1.0
 )
 OTHER_KINDS = (FLEX_HANGING, _rough(TURNING), CAMERA, CRANE)
-every_kind = each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL, *ROUGH, *OTHER_KINDS)
-papers_flexible = each_of(FLEX_PLANAR, FLEX_SPATIAL)
+every_kind = each_of(
+    QUAD,
+    UNEQUAL,
+    FLEX_QUAD,
+    FLEX_UNEQUAL,
+    ROUGH[3],
+    *OTHER_KINDS,
+    *slowly(*ROUGH[:3]),
+)
+"""Friction and lag of rigid robots are daily those of the platform in a plane."""
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
 
@@ -101,18 +122,34 @@ class State:
     speed: np.ndarray
 
     def __getitem__(self, members):
-        return State(*(value[members] for value in vars(self).values()))
+        return type(self)(*(value[members] for value in vars(self).values()))
 
     def moved(self, rate, time):
         """The state after a time at a rate, itself a state."""
-        return State(*(one + time * other for one, other in zip(vars(self).values(), vars(rate).values(), strict=True)))
+        pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
+        return type(self)(*(value + time * slope for value, slope in pairs))
+
+
+def runge_kutta_step(rates, state, step):
+    """The state after one step of RK4; ``rates`` are a function of the time within the step and the state."""
+    slopes = [rates(0.0, state)]
+    for fraction in (0.5, 0.5, 1.0):
+        slopes.append(rates(fraction * step, state.moved(slopes[-1], fraction * step)))
+    end = state
+    for slope, weight in zip(slopes, (1, 2, 2, 1), strict=True):
+        end = end.moved(slope, weight * step / 6)
+    return end
 
 
 def random_states(robot, count, seed=1, reach=0.6):
     """States that slacken many cables, springs wound and unwound by 0.02 to 3 rad; and actions, some beyond ± 1."""
     rng = np.random.default_rng(seed)
-    pose = rng.uniform(*(reach * (robot.pose_bounds - robot.home) + robot.home), (count, robot.coordinates))
-    velocity, actions = rng.uniform(-1, 1, pose.shape), rng.uniform(-0.7, 1.2, (count, robot.cables))
+    pose = rng.uniform(
+        *(reach * (robot.pose_bounds - robot.home) + robot.home),
+        (count, robot.coordinates),
+    )
+    velocity = rng.uniform(-1, 1, pose.shape)
+    actions = rng.uniform(-0.7, 1.2, (count, robot.cables))
     if not robot.flexible:
         return State(pose, velocity, np.zeros_like(actions), np.zeros_like(actions)), actions
     twist = np.geomspace(0.02, 3.0, 200)[rng.integers(200, size=actions.shape)]
@@ -121,12 +158,14 @@ def random_states(robot, count, seed=1, reach=0.6):
     return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
 
 
-def held_states(robot, pose, velocity=0.0, minimum=20.0):
-    """States of a flexible robot whose springs hold it, and the torques that hold the springs."""
-    pose = np.atleast_2d(pose)
+def holding_state(robot, pose, velocity=0.0, minimum=20.0):
+    """A state (1, ...) in which constant torques hold the robot, springs wound to them, and these torques."""
+    pose = pose[None]
     velocity = np.broadcast_to(velocity, pose.shape)
-    angle = textbook.static_motor_angle(robot, robot.mass, pose, minimum=minimum)
-    torques = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
+    torques = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
+    if not robot.flexible:
+        return State(pose, velocity, 0 * torques, 0 * torques), torques
+    angle = textbook.pulley_angle(robot, pose) + torques / robot.stiffness
     return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity)), torques
 
 
@@ -145,7 +184,8 @@ def free_motors(robot):
 def loaded_plant(robot, state, cable="bilateral", mass=None):
     """A plant at these states, with one total mass or one for each robot."""
     count = len(state.pose)
-    plant, every = Plant(robot, count, cable=cable), np.arange(count)
+    plant = Plant(robot, count, cable=cable)
+    every = np.arange(count)
     rows = np.tile(pack_parameters(robot), (count, 1))
     rows[:, kernel.MASS] = robot.mass if mass is None else mass
     plant.set_parameters(every, rows)
@@ -174,30 +214,35 @@ def evaluated(plant, torques):
     """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥ 2."""
     robot = plant.robot
     first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
-    plant._write(plant.record, first, np.arange(plant.count), torques, kernel.CABLE_RECORDS)
-    found = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
+    plant._write(
+        plant.record,
+        first,
+        np.arange(plant.count),
+        torques,
+        kernel.CABLE_RECORDS,
+    )
+    accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
     evaluate = kernel.compiled(plant._form, plant.lanes).evaluate
     (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, found)
-    return plant._read(found, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
+    evaluate(
+        plant.unilateral,
+        plant._parameters,
+        plant.record,
+        scratch,
+        accelerations,
+    )
+    return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
 
 
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
-    plant.set_action(np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables)))
+    plant.set_action(
+        np.broadcast_to(
+            torques / plant.robot.stall_torque,
+            (plant.count, plant.robot.cables),
+        )
+    )
     plant.advance(*no_reference(plant.robot), substeps=substeps, step=duration / substeps)
-
-
-def motion_accelerations(robot, state, torques, cable="bilateral", mass=None):
-    """Ẍ and β̈′ of :meth:`Plant.advance`: differences of its velocities, forward and backward."""
-    robot, h = free_motors(robot), 4e-5
-    platform, motors = 0.0, 0.0
-    for multiple, weight in ((1, 45), (-1, -45), (2, -9), (-2, 9), (3, 1), (-3, -1)):
-        plant = loaded_plant(robot, state, cable, mass)
-        advance(plant, torques, multiple * h, 8)
-        platform = platform + weight * (plant.velocity - state.velocity) / (60 * h)
-        motors = motors + weight * (plant.motor_speed - state.speed) / (60 * h)
-    return platform, motors
 
 
 def spring_torques(robot, state, cable):
@@ -241,21 +286,30 @@ def energies(robot, state, cable="bilateral", mass=None):
     mass = robot.mass if mass is None else mass
     at = kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :] + state.pose[..., : robot.dimensions]
     momentum = textbook.mass_matrix(robot, mass, state.pose) @ state.velocity[..., None]
-    kinetic, potential = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2, -mass * at @ robot.gravity_vector
+    kinetic = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2
+    potential = -mass * at @ robot.gravity_vector
     pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
     kinetic = kinetic + np.sum(robot.pulley_inertia * pulley**2, axis=-1) / 2
     if robot.flexible:
         kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
-        potential = potential + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
+        potential = (
+            potential
+            + np.sum(
+                spring_torques(robot, state, cable) ** 2 / robot.stiffness,
+                axis=-1,
+            )
+            / 2
+        )
     return kinetic, potential
 
 
-def worst_relative_error(found, expected):
+def worst_relative_error(values, expected):
     size = np.maximum(1.0, np.linalg.norm(expected, axis=-1))
-    return np.max(np.linalg.norm(found - expected, axis=-1) / size)
+    return np.max(np.linalg.norm(values - expected, axis=-1) / size)
 
 
 def differentiated(function, step):
     """d/dt at 0 by central differences of fourth order."""
-    one, two = (function(k * step) - function(-k * step) for k in (1, 2))
-    return (8 * one - two) / (12 * step)
+    narrow = function(step) - function(-step)
+    wide = function(2 * step) - function(-2 * step)
+    return (8 * narrow - wide) / (12 * step)

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from cablebot_gym.physics import code_cache, compiling
+from cablebot_gym.physics import code_cache
 from cablebot_gym.physics.code_cache import code_folders
 from cablebot_gym.physics.compiling import njit
 
-HELPER, CALLER = "cached_helper", "cached_caller"
+HELPER = "cached_helper"
+CALLER = "cached_caller"
 
 
 def triple(number):
@@ -51,7 +52,7 @@ def test_compiled_code_is_read_by_later_processes(folders, tmp_path, caplog):
     assert [hits(argument=0.5, expected=1.5), hits()] == [0, 1]
 
 
-def test_folder_that_is_only_readable_is_read(folders, tmp_path, unwritable):
+def test_read_only_folder_is_read(folders, tmp_path, unwritable):
     folders(tmp_path)
     hits()
     folders(tmp_path, unwritable)
@@ -91,12 +92,14 @@ def test_temporary_folder_is_used_only_if_it_is_private(tmp_path, monkeypatch, m
     assert (folder in code_cache._folders("", tmp_path / str(mode))) == (mode == 0o700)
 
 
-def test_change_of_a_helper_or_constant_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
+def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
     folders(tmp_path / "cache")
     monkeypatch.syspath_prepend(tmp_path)
-    helper, caller = tmp_path / f"{HELPER}.py", tmp_path / f"{CALLER}.py"
+    helper = tmp_path / f"{HELPER}.py"
+    caller = tmp_path / f"{CALLER}.py"
     caller.write_text(
-        f"from {HELPER} import add, FACTOR\ndef call(number):\n    return FACTOR * add(number)\n", encoding="utf-8"
+        f"from {HELPER} import add, FACTOR\ndef call(number):\n    return FACTOR * add(number)\n",
+        encoding="utf-8",
     )
 
     def run(addend, factor, expected):
@@ -111,15 +114,3 @@ def test_change_of_a_helper_or_constant_in_another_file_compiles_again(folders, 
     monkeypatch.setattr(importlib.sys, "dont_write_bytecode", True)
     assert [run(1, 5, 10), run(1, 5, 10)] == [0, 1]
     assert [run(2, 5, 15), run(2, 7, 21)] == [0, 0]
-
-
-def test_one_line_announces_each_robot(folders, tmp_path, monkeypatch, caplog):
-    folders(tmp_path)
-    announcements = compiling._Announcements()
-    monkeypatch.setattr(compiling, "_ANNOUNCEMENTS", announcements)
-    njit(cache=True, robot="point mass")(triple)(1)
-    for robot in ("point mass", None, "platform"):
-        announcements.announcer(robot)()
-    robots = [record.message.split("once: ")[1].partition(",")[0] for record in caplog.records]
-    assert robots == ["point mass", "platform"]
-    assert "2 forms" in caplog.records[0].message

@@ -7,6 +7,7 @@ from dataclasses import astuple
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from cablebot_gym.physics import distribution, tension_problems
 from cablebot_gym.physics.inlining import FEW_ITEMS
@@ -42,7 +43,7 @@ def test_python_and_compiled_code_give_the_same_bits(name, monkeypatch):
     assert function._items_left == 0
     compiled = astuple(CALLS[name]())
     for python_values, compiled_values in zip(interpreted, compiled, strict=True):
-        np.testing.assert_array_equal(python_values, compiled_values)
+        assert_array_equal(python_values, compiled_values)
 
 
 def test_first_resets_do_not_compile_the_distribution(monkeypatch):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from oracles.plants import each_of
 from scipy.integrate import solve_ivp
 
 from cablebot_gym.kinematics import cable_vectors
@@ -12,7 +14,12 @@ from cablebot_gym.physics.distribution import least_norm
 from cablebot_gym.physics.sag import catenary, parabola, sag, settle
 from cablebot_gym.robots import find_robot
 
-CASES = [(9.0, 3.0, 60.0, 1.5), (9.0, -8.0, 20.0, 2.0), (0.5, 12.0, 100.0, 5.0), (40.0, 0.0, 40.0, 3.0)]
+CASES = [
+    (9.0, 3.0, 60.0, 1.5),
+    (9.0, -8.0, 20.0, 2.0),
+    (0.5, 12.0, 100.0, 5.0),
+    (40.0, 0.0, 40.0, 3.0),
+]
 """Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]; sags of 1 to 80 %."""
 
 
@@ -27,38 +34,53 @@ def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
         slope = state[2] / horizontal
         return [1.0, slope, weight * np.hypot(1, slope), np.hypot(1, slope)]
 
-    end = solve_ivp(element, (0, across), [0, 0, start, 0], rtol=1e-11, atol=1e-12, dense_output=True)
+    end = solve_ivp(
+        element,
+        (0, across),
+        [0, 0, start, 0],
+        rtol=1e-11,
+        atol=1e-12,
+        dense_output=True,
+    )
+    chord = np.hypot(across, rise)
     depth, extra = catenary(across, rise, tension, weight)
     assert end.y[1, -1] == pytest.approx(rise, abs=1e-7)  # the closed form of the first slope is that of this chord
-    assert end.y[3, -1] - np.hypot(across, rise) == pytest.approx(float(extra), rel=1e-6)
-    middle = rise / 2 - end.sol(across / 2)[1]
-    assert middle * across / np.hypot(across, rise) == pytest.approx(float(depth), rel=1e-6)
+    assert end.y[3, -1] - chord == pytest.approx(float(extra), rel=1e-6)
+    assert (rise / 2 - end.sol(across / 2)[1]) * across / chord == pytest.approx(float(depth), rel=1e-6)
 
 
-def test_catenary_tends_to_the_parabola():
-    for across, rise, tension, weight in CASES:
-        for factor, relative in ((1e2, 1e-3), (1e5, 1e-9)):
-            args = across, rise, factor * tension, weight
-            np.testing.assert_allclose(catenary(*args), parabola(*args), rtol=relative)
+@pytest.mark.parametrize(("across", "rise", "tension", "weight"), CASES)
+def test_catenary_tends_to_the_parabola(across, rise, tension, weight):
+    for factor, relative in ((1e2, 1e-3), (1e5, 1e-9)):
+        stretched = across, rise, factor * tension, weight
+        assert_allclose(catenary(*stretched), parabola(*stretched), rtol=relative)
 
 
 def test_stiffness_factor_is_the_derivative_of_the_chord():
     """Of a catenary with a given free length."""
     robot = find_robot("flex-cogiro")
-    tension, step = np.full(8, 200.0), 0.01
-    found = sag(robot, robot.home, tension)
-    more, less = (sag(robot, robot.home, tension + side).extra_length for side in (step, -step))
-    compliance = found.length / robot.axial_stiffness - (more - less) / (2 * step)
-    expected = found.length / robot.axial_stiffness / compliance
-    np.testing.assert_allclose(found.stiffness_factor, expected, rtol=2e-3)
-    assert (found.stiffness_factor < 0.9).all()
+    tension = np.full(8, 200.0)
+    step = 0.01
+    loose = sag(robot, robot.home, tension)
+    more = sag(robot, robot.home, tension + step).extra_length
+    less = sag(robot, robot.home, tension - step).extra_length
+    straight = loose.length / robot.axial_stiffness
+    assert_allclose(
+        loose.stiffness_factor,
+        straight / (straight - (more - less) / (2 * step)),
+        rtol=2e-3,
+    )
+    assert (loose.stiffness_factor < 0.9).all()
 
 
-@pytest.mark.parametrize("name", ["cogiro", "flex-cogiro", "flex-fast", "flex-ttk4900", "stadium-camera", "tilted"])
-def test_settled_platform_is_in_equilibrium_with_its_cables(name):
-    robot = find_robot("cogiro" if name == "tilted" else name)
-    if name == "tilted":
-        robot = robot.replace(home_pose=(0.5, -0.4, -2.0, 0.05, 0.1, -0.1))
+TILTED = find_robot("cogiro").replace(name="tilted", home_pose=(0.5, -0.4, -2.0, 0.05, 0.1, -0.1))
+
+
+SETTLED = [find_robot(name) for name in ("flex-cogiro", "flex-ttk4900", "stadium-camera")]
+
+
+@each_of(*SETTLED, TILTED)
+def test_settled_platform_is_in_equilibrium_with_its_cables(robot):
     structure = textbook.jacobian(robot, robot.home)
     load = textbook.bias(robot, robot.mass, robot.home, np.zeros(robot.coordinates))
     straight = least_norm(structure, load, robot.minimum_tension).tensions
@@ -69,9 +91,16 @@ def test_settled_platform_is_in_equilibrium_with_its_cables(name):
     def energy(pose):
         return -half @ cable_vectors(robot.base, robot.platform, pose)[..., -1]
 
-    steps = 1e-4 * np.eye(robot.coordinates)
-    own = np.array([(energy(robot.home + one) - energy(robot.home - one)) / 2e-4 for one in steps])
-    np.testing.assert_allclose(-structure.T @ settled.tensions, load + own, rtol=1e-6, atol=1e-6 * np.abs(load).max())
+    weight = []
+    for step in 1e-4 * np.eye(robot.coordinates):
+        weight.append((energy(robot.home + step) - energy(robot.home - step)) / 2e-4)
+    largest = np.abs(load).max()
+    assert_allclose(
+        -structure.T @ settled.tensions,
+        load + weight,
+        rtol=1e-6,
+        atol=1e-6 * largest,
+    )
     soft = loose.length / robot.axial_stiffness if robot.elastic else 0.0
-    expected = (settled.tensions - straight) * soft - loose.extra_length  # of the catenary, not of the parabola
-    np.testing.assert_allclose(structure @ settled.pose_change, expected, rtol=0.02, atol=1e-6)
+    stretch = (settled.tensions - straight) * soft - loose.extra_length  # of the catenary, not of the parabola
+    assert_allclose(structure @ settled.pose_change, stretch, rtol=0.02, atol=1e-6)

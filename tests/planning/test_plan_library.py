@@ -8,10 +8,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from oracles.episodes import check_equal
 
-from cablebot_gym.planning import Infeasible, Margins, MotionProgram, PlannedMotion, library, plan_motion
+from cablebot_gym.planning import (
+    Infeasible,
+    Margins,
+    MotionProgram,
+    PlannedMotion,
+    library,
+    plan_motion,
+)
 from cablebot_gym.planning.library import cache_folder, fingerprint
 from cablebot_gym.robots import PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
@@ -27,7 +34,8 @@ BOUNDS = ErrorBounds(position=0.01)
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """One entry for every program that is solved."""
-    calls, solve = [], MotionProgram.solve
+    calls = []
+    solve = MotionProgram.solve
 
     def counted(program: MotionProgram, *arguments: Any, **keywords: Any) -> PlannedMotion:
         calls.append(1)
@@ -38,27 +46,30 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def plan(**changes: Any) -> PlannedMotion:
-    settings = {"robot": PLANAR, "trajectory": LINE, "error_bounds": BOUNDS, "intervals": 8} | changes
+    settings = {
+        "robot": PLANAR,
+        "trajectory": LINE,
+        "error_bounds": BOUNDS,
+        "intervals": 8,
+    } | changes
     robot, trajectory, error_bounds = (settings.pop(name) for name in ("robot", "trajectory", "error_bounds"))
     return plan_motion(robot, trajectory, error_bounds, **settings)
 
 
-def same(one: PlannedMotion, other: PlannedMotion) -> bool:
-    left, right = one.to_arrays(), other.to_arrays()
-    return left.keys() == right.keys() and all(np.array_equal(left[name], right[name]) for name in left)
+def check_same(plan: PlannedMotion, expected: PlannedMotion) -> None:
+    check_equal(plan.to_arrays(), expected.to_arrays())
 
 
-def test_stored_plan_equals_the_solution_and_is_not_solved_again(cache: Path, solved: list[int]) -> None:
-    first, second = (plan(lightest=0.1) for _ in range(2))
+def test_stored_plan_is_not_solved_again(cache: Path, solved: list[int]) -> None:
+    solution, second = (plan(lightest=0.1) for _ in range(2))
     assert len(solved) == 1
-    assert same(first, second)
+    check_same(solution, second)
     assert [path.suffix for path in cache.iterdir()] == [".npz"]
 
 
 def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     motors = Motors(stall_torque=5.1, free_speed=PLANAR.motors.free_speed)
-    others: list[dict[str, Any]] = [
-        {},
+    changed_settings: list[dict[str, Any]] = [
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
         {"trajectory": PointToPoint(name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4)},
@@ -68,22 +79,20 @@ def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> No
         {"lightest": 0.0},
         {"period": 0.002},
     ]
-    example, computed = plan(), []
-    monkeypatch.setattr(MotionProgram, "solve", lambda program: computed.append(1) or example)
-    for _ in range(2):
-        for changes in others:
-            plan(**changes)
-    assert len(computed) == len(others) - 1
-    assert len(list(cache_folder().iterdir())) == len(others)
+    example = plan()
+    monkeypatch.setattr(MotionProgram, "solve", lambda program: example)
+    for changes in changed_settings + changed_settings:
+        plan(**changes)
+    assert len(list(cache_folder().iterdir())) == len(changed_settings) + 1
 
 
-def test_fingerprint_depends_on_the_code_the_solver_and_further_data(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fingerprint_depends_on_code_and_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     def key(module: str = "cablebot_gym.planning.program", frequency: float = 500.0) -> str:
         return fingerprint(module, PLANAR, LINE, control_frequency=frequency, error_bounds=BOUNDS)
 
-    usual = key()
-    assert usual == key()
-    keys = [usual, key("cablebot_gym.bounds.best_known"), key(frequency=250.0)]
+    expected_key = key()
+    assert expected_key == key()
+    keys = [expected_key, key("cablebot_gym.bounds.best_known"), key(frequency=250.0)]
     monkeypatch.setattr(library, "version", lambda _: "0")
     keys.append(key())
     monkeypatch.setattr(library, "source_hash", lambda _: "another code")
@@ -92,23 +101,28 @@ def test_fingerprint_depends_on_the_code_the_solver_and_further_data(monkeypatch
 
 
 def test_broken_file_is_replaced(cache: Path, solved: list[int]) -> None:
-    first = plan()
+    solution = plan()
     (path,) = cache.iterdir()
     path.write_bytes(path.read_bytes()[:100])
-    assert same(plan(), first)
-    assert same(plan(), first)
+    check_same(plan(), solution)
+    check_same(plan(), solution)
     assert len(solved) == 2
 
 
 def test_plan_without_a_usable_folder_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("no folder", encoding="utf-8")
-    monkeypatch.setenv("CABLEBOT_CACHE", str(tmp_path / "file" / "cache"))
+    file = tmp_path / "file"
+    file.write_text("no folder", encoding="utf-8")
+    monkeypatch.setenv("CABLEBOT_CACHE", str(file / "cache"))
     assert plan().payload > 0
 
 
 def test_infeasible_plan_leaves_no_file(cache: Path) -> None:
     with pytest.raises(Infeasible):
-        plan(error_bounds=ErrorBounds(position=1e-7), trajectory=find_trajectory("paper-planar", 2), intervals=4)
+        plan(
+            error_bounds=ErrorBounds(position=1e-7),
+            trajectory=find_trajectory("paper-planar", 2),
+            intervals=4,
+        )
     assert not cache.exists()
 
 
@@ -123,7 +137,7 @@ def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytes
     assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
 
 
-def test_missing_casadi_raises_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_casadi_raises_with_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
         plan()
