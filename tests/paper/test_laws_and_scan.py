@@ -13,7 +13,7 @@ from cablebot_baselines.paper.contents import PARTS
 from cablebot_baselines.paper.exact import exact_limit
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.laws import FeedForward
-from cablebot_baselines.paper.parts import laws, maps, scan
+from cablebot_baselines.paper.parts import claims, maps, scan
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -113,15 +113,15 @@ def released(stiffness, damping):
 @pytest.mark.parametrize("gains", [(2000.0, 10.0), (30.0, 20.0)])
 def test_decay_error_is_zero_for_the_given_poles_only(gains):
     stiffness, damping = gains
-    assert laws.decay_error(released(stiffness, damping), gains) < 1e-9
-    assert laws.decay_error(released(stiffness, 2 * damping), gains) > 0.05
-    assert laws.decay_error(released(2 * stiffness, damping), gains) > 0.05
+    assert claims.decay_error(released(stiffness, damping), gains) < 1e-9
+    assert claims.decay_error(released(stiffness, 2 * damping), gains) > 0.05
+    assert claims.decay_error(released(2 * stiffness, damping), gains) > 0.05
 
 
 def test_torques_are_affine_in_the_mass_without_minimum_tension():
-    assert laws.affinity(robot=PLANAR, minimum_tension=5.0) > 0.01
-    assert laws.affinity(robot=PLANAR, minimum_tension=0.0) < 1e-9
-    assert laws.affinity(robot=SPATIAL, minimum_tension=5.0) < 1e-9
+    assert claims.affinity(robot=PLANAR, minimum_tension=5.0) > 0.01
+    assert claims.affinity(robot=PLANAR, minimum_tension=0.0) < 1e-9
+    assert claims.affinity(robot=SPATIAL, minimum_tension=5.0) < 1e-9
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL])

@@ -14,9 +14,9 @@ from markdown_it import MarkdownIt
 
 from cablebot_baselines.paper.findings import RULE
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.judgement import Run
 from cablebot_baselines.paper.summary import HEADINGS, points
 from cablebot_baselines.paper.texts import as_text, option_text
-from cablebot_baselines.paper.verdicts import Run
 
 Results = Mapping[str, Any]
 """Contents of results.json."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from cablebot_baselines.paper.exact import paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Outcome, Results, Table
 from cablebot_baselines.paper.parts.plotting import LEGEND, MOTORS, add_headroom, add_title, curves
 from cablebot_gym.kinematics import Array, cable_lengths, cable_vectors
@@ -312,3 +313,15 @@ def _draw_shaft(axes: Axes, robot: Robot) -> None:
         _write(axes, np.array([x, y]), text, fontsize=10)
     axes.set(xlim=(-1.5, 7.4), ylim=(-3.1, 2.0), aspect="equal")
     axes.set_axis_off()
+
+
+# --- verdict ----------------------------------------------------------------------------------------------------------
+
+
+@verdict("2.3.constraint", "fig3")
+def spring_constrains_the_motion(run: Run) -> Judgement:
+    """The springs leave fewer free coordinates than platform and motors have."""
+    robot = run.interpretation.flexible("control")
+    free = robot.coordinates + robot.cables
+    evidence = ("A spring exerts a torque and does not constrain the motion. All coordinates of Eq. 8 remain free.",)
+    return Judgement(free, free < 12, evidence, "{ours} free coordinates")
