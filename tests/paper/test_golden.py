@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import math
-import operator
 import re
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -78,10 +77,8 @@ def test_new_parts_are_the_stored_ones(stored, new):
         for old_table, new_table in zip(before["tables"], now["tables"], strict=True):
             assert old_table["title"] == new_table["title"], AGAIN
             assert old_table["header"] == new_table["header"], AGAIN
-            old_cells, new_cells = (
-                functools.reduce(operator.iadd, old_table["rows"], []),
-                functools.reduce(operator.iadd, new_table["rows"], []),
-            )
+            old_cells = list(chain.from_iterable(old_table["rows"]))
+            new_cells = list(chain.from_iterable(new_table["rows"]))
             for old_cell, new_cell in zip(old_cells, new_cells, strict=True):
                 assert isinstance(old_cell, str) or is_close("_kg", old_cell, new_cell), (before["name"], old_cell)
 
