@@ -201,7 +201,7 @@ def _error_panels(figure: SubFigure, upper: Any, lower: Any, loop: Rollout, coor
 
 
 def _draw_norm(axes: Axes, loop: Rollout, name: str, bound: float, label: str) -> None:
-    norm = np.maximum(1e3 * loop.arrays[name], 0.1 * bound)
+    norm = np.maximum(1e3 * loop.arrays[name], 1e-4 * bound)  # the errors start at zero
     axes.semilogy(loop.arrays["time"], norm, color=BLUE, linewidth=1.5)
     axes.axhline(bound, color="black", linewidth=1.0, label=label)
     axes.set_xlabel("time [s]")
