@@ -113,7 +113,7 @@ def test_interrupt_keeps_finished_parts(tmp_path, monkeypatch):
     assert interrupt(tmp_path, 2) == ["two", "ten"]
 
 
-def test_interpretation_without_equilibrium_is_stated_on_the_page(tmp_path):
+def test_page_states_an_interpretation_without_equilibrium(tmp_path):
     reproduce(Interpretation(triangles="aligned"), tmp_path, workers=1)
     assert (tmp_path / MARKDOWN).read_text().count("has no equilibrium with positive tensions") >= 3
 

@@ -101,7 +101,7 @@ def test_constant_alpha_keeps_minimum_tension_and_acceleration():
 
 
 @pytest.mark.parametrize(("form", "payload"), [("corrected", 1.34), ("verbatim", 1.99)])
-def test_payloads_of_the_state_space_agree_with_other_calculations(form, payload):
+def test_state_space_agrees_with_other_calculations(form, payload):
     interpretation = Interpretation(line="pulley", eq24=form)
     limit = state_space_limit(interpretation, interpretation.flexible("payload"))
     assert limit.payload == pytest.approx(payload, abs=0.005)

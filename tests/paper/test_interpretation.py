@@ -32,7 +32,7 @@ def test_mass_and_stiffness_follow_section_or_option(interpretation, source, mas
     assert interpretation.flexible(source).transmission.stiffness == stiffness
 
 
-def test_circumradius_is_the_distance_of_a_corner_from_the_centre():
+def test_circumradius_is_the_distance_of_a_corner_from_centre():
     robot = Interpretation(sides="circumradius").spatial("payload")
     assert np.linalg.norm(robot.base[:, :2], axis=1) == pytest.approx(0.47)
     assert np.linalg.norm(robot.platform, axis=1) == pytest.approx(0.148)
@@ -54,7 +54,7 @@ def test_planar_apex_is_the_direction_of_the_third_motor(apex, direction):
     assert third / np.linalg.norm(third) == pytest.approx(direction)
 
 
-def test_pulleys_of_table_5_have_half_the_inertia_and_no_damping():
+def test_pulleys_of_table_5_are_light_and_have_no_damping():
     pulleys = Interpretation(pulleys="table5").spatial("payload").transmission
     assert (pulleys.pulley_inertia, pulleys.damping) == (0.0004, 0.0)
 

@@ -57,13 +57,13 @@ def test_platform_that_needs_ballast_has_no_payload(narrow, monkeypatch, lowest,
     ("size", "sides"),
     [("half side", 2.0), ("circumradius", 3**0.5), ("inradius", 12**0.5), ("half altitude", 4 / 3**0.5)],
 )
-def test_side_of_the_base_follows_the_meaning_of_the_published_length(size, sides):
+def test_side_follows_the_meaning_of_the_published_length(size, sides):
     side = np.linalg.norm(SPATIAL.base[2] - SPATIAL.base[0]) * scan.SIZES[size]
     assert side == pytest.approx(sides * 0.47)
 
 
 @pytest.mark.parametrize("line", ["physical", "reversed"])
-def test_map_has_circle_of_the_paper_weak_motors_and_slack_cables(monkeypatch, line):
+def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
     monkeypatch.setattr(maps, "RADII", (0.1, 0.2))
     monkeypatch.setattr(maps, "HEIGHTS", (0.06, 0.1, 0.2))
     interpretation = Interpretation(line=line)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cablebot_baselines.paper import inputs, interpretation
+from cablebot_baselines.paper import inputs
+from cablebot_baselines.paper import interpretation as interpretation_module
 from cablebot_baselines.paper.contents import VERDICTS
 from cablebot_baselines.paper.findings import find
 from cablebot_baselines.paper.interpretation import Interpretation
@@ -35,10 +36,10 @@ their own sentence are excluded. Most cells of Tables 1 and 3 print a number sev
 """
 
 
-def finding(key, chosen=None, changes=None, *, without=()):
+def finding(key, interpretation=None, changes=None, *, without=()):
     """Finding for the stored numbers with changes, without those of some parts."""
     numbers = {name: value for name, value in NUMBERS.items() if not name.startswith(without)}
-    run = Run(interpretation=chosen or Interpretation(), numbers=numbers | (changes or {}))
+    run = Run(interpretation=interpretation or Interpretation(), numbers=numbers | (changes or {}))
     return find(PUBLISHED[key], run, {})
 
 
@@ -77,13 +78,13 @@ def test_values_are_the_printed_ones():
             assert item.value is None
             continue
         number = item.printed.removeprefix("about ").removeprefix("more than ").replace("1,000", "1000")
-        first = number.replace("%", "").replace(",", "").split()[0]
+        word = number.replace("%", "").replace(",", "").split()[0]
         if item.printed.endswith("…, 6"):
             assert item.value == 6
-        elif first in words and item.printed not in ("1", "1.0"):
-            assert item.value == words[first], item.key
+        elif word in words and item.printed not in ("1", "1.0"):
+            assert item.value == words[word], item.key
         else:
-            assert item.value == float(first), item.key
+            assert item.value == float(word), item.key
 
 
 def test_every_result_and_claim_has_a_verdict_function():
@@ -209,7 +210,7 @@ def test_inputs_follow_the_robot(monkeypatch, key):
         motors=PLANAR.motors.replace(stall_torque=(5.0, 5.0, 6.0)),
         transmission=PLANAR.transmission.replace(pulley_inertia=1e-3, pulley_radius=0.06),
     )
-    monkeypatch.setattr(interpretation, "PLANAR", changed)
+    monkeypatch.setattr(interpretation_module, "PLANAR", changed)
     assert finding(key).verdict == "replaced"
     assert finding("table4.r").verdict == "used, corrected"
 

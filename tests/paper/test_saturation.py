@@ -17,7 +17,7 @@ from cablebot_gym.physics import textbook
 pytest.importorskip("matplotlib")
 
 DEFAULT = Interpretation()
-BY_NAME = {part.name: part for part in PARTS}
+BY_NAME = {figure.name: figure for figure in PARTS}
 
 
 def compute(name, interpretation):
@@ -68,7 +68,7 @@ def test_mark_is_where_a_motor_first_saturates(name, results):
     assert shown["motor"] == shown["exact_motor"] == 2
 
 
-def test_line_without_closed_loop_shows_exact_tracking_with_its_limits():
+def test_line_without_closed_loop_shows_exact_tracking():
     interpretation = Interpretation(line="reversed")
     computed = compute("fig12", interpretation)
     panels, title = draw("fig12", interpretation, computed)
@@ -129,7 +129,7 @@ def test_infeasible_or_infinite_payload_is_none(payload):
 
 
 @pytest.mark.parametrize(("payload", "counted"), [("added", 1.5), ("total", 11.5)])
-def test_counted_payload_includes_the_platform_if_the_payload_is_total(payload, counted):
+def test_counted_payload_includes_the_platform_if_total(payload, counted):
     summary = PayloadSummary(payload=1.5, motor=2, time=0.5, violation="motor 2")
     shown = summary.numbers(Interpretation(payload=payload), DEFAULT.spatial("payload"))
     assert (shown["payload_kg"], shown["counted_kg"], shown["total_mass_kg"]) == (1.5, counted, 11.5)

@@ -91,16 +91,18 @@ def find(item: Published, run: Run, impossible: Mapping[str, str]) -> Finding:
         if not any(key.startswith(f"{part}.") for key in run.numbers):  # the part was not run
             return finding
         reason = _absence(name, run.interpretation)
-    chosen = run.interpretation.text()
-    return replace(finding, ours="–", verdict="undecided", interpretation=chosen, evidence=reason)
+    interpretation = run.interpretation.text()
+    return replace(finding, ours="–", verdict="undecided", interpretation=interpretation, evidence=reason)
 
 
 def _input_finding(finding: Finding, item: Input, interpretation: Interpretation) -> Finding:
     value, ours, verdict = judge_input(item, interpretation)
-    chosen = option_text(item.option, getattr(interpretation, item.option)) if item.option else ""
+    option = ""
+    if item.option:
+        option = option_text(item.option, getattr(interpretation, item.option))
     paths = [f"`{path}`" for path in item.sources]
     evidence = "; ".join(filter(None, [*paths, item.note]))
-    return replace(finding, ours=ours, value=value, verdict=verdict, interpretation=chosen, evidence=evidence)
+    return replace(finding, ours=ours, value=value, verdict=verdict, interpretation=option, evidence=evidence)
 
 
 def _judged(finding: Finding, item: Published, verdict: Verdict, run: Run) -> Finding:
@@ -108,18 +110,20 @@ def _judged(finding: Finding, item: Published, verdict: Verdict, run: Run) -> Fi
     judgement = verdict.judge(run)
     value, unit = judgement.value, item.unit or verdict.unit
     text = quantity_text(value, unit)
-    if isinstance(value, (int, float)) and math.isinf(value):
+    if value == -math.inf:
         value = None  # the robot fails unloaded
     if item.kind == "result" and unit == "kg" and value is not None:
         assert item.value is not None  # a result has a number
         text = f"{text} ({relative_difference(float(value), item.value)})"
     if judgement.text:
         text = run.sentence(judgement.text, ours=text) or text
+    if value is not None and unit == "%":
+        value = 100 * float(value)
     words = {None: "undecided", True: "reproduced", False: "not reproduced"}
     return replace(
         finding,
         ours=text,
-        value=None if value is None else float(value) * (100 if unit == "%" else 1),
+        value=None if value is None else float(value),
         interpretation=_chosen(verdict, run.interpretation),
         verdict=words[judgement.is_reproduced],
         evidence=run.sentences(judgement.evidence),

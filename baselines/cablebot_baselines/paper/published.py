@@ -107,7 +107,7 @@ def published_value(key: str) -> float:
     value = PUBLISHED[key].value
     if value is None:
         raise ValueError(f"{key!r} has no number: its statement is {PUBLISHED[key].statement}")
-    return value
+    return float(value)  # TOML has integers, too
 
 
 _SECTIONS = {"planar": "5.2.1", "spatial": "5.2.2", "flexible": "5.2.3"}

@@ -133,7 +133,7 @@ _PUBLISHED: dict[str, Any] = {"color": VERMILLION, "alpha": 0.5, "linewidth": 0}
 
 
 def _draw_spatial(axes: Axes, payload: Array) -> None:
-    bins = np.arange(0, payload.max(initial=0.25) + 0.25, 0.25)
+    bins = np.arange(0, payload.max(initial=0.25) + 0.25, 0.25).tolist()
     axes.hist(payload[payload > 0], bins=bins, color=BLUE, label="geometries with a positive payload")
     load = LOADS["spatial"]
     label = f"published: {load:g} ± {ROUNDING:g} kg"
