@@ -10,33 +10,40 @@ from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
+DEFAULT = Interpretation()
+
 
 def test_default_robots_are_those_of_the_package():
-    default = Interpretation()
-    assert default.planar == PLANAR
-    assert default.spatial("payload").to_dict() == SPATIAL.to_dict()
-    assert default.flexible("payload").to_dict() == FLEX_SPATIAL.to_dict()
+    assert DEFAULT.planar == PLANAR
+    assert DEFAULT.spatial("payload").to_dict() == SPATIAL.to_dict()
+    assert DEFAULT.flexible("payload").to_dict() == FLEX_SPATIAL.to_dict()
 
 
-def test_mass_and_stiffness_follow_the_section_or_the_option():
-    default, chosen = Interpretation(), Interpretation(platform_mass="10", stiffness="3")
-    assert (default.spatial("control").mass, default.spatial("payload").mass) == (11.0, 10.0)
-    assert [default.flexible(source).transmission.stiffness for source in ("control", "payload")] == [2.0, 3.0]
-    assert (chosen.spatial("control").mass, chosen.flexible("control").transmission.stiffness) == (10.0, 3.0)
+@pytest.mark.parametrize(
+    ("interpretation", "source", "mass", "stiffness"),
+    [
+        (DEFAULT, "control", 11.0, 2.0),
+        (DEFAULT, "payload", 10.0, 3.0),
+        (Interpretation(platform_mass="10", stiffness="3"), "control", 10.0, 3.0),
+    ],
+)
+def test_mass_and_stiffness_follow_section_or_option(interpretation, source, mass, stiffness):
+    assert interpretation.spatial(source).mass == mass
+    assert interpretation.flexible(source).transmission.stiffness == stiffness
 
 
-def test_circumradius_is_the_distance_of_a_corner_from_the_centre():
+def test_circumradius_is_the_distance_of_a_corner_from_centre():
     robot = Interpretation(sides="circumradius").spatial("payload")
     assert np.linalg.norm(robot.base[:, :2], axis=1) == pytest.approx(0.47)
     assert np.linalg.norm(robot.platform, axis=1) == pytest.approx(0.148)
 
 
 def test_turned_robot_is_rotated_about_z():
-    turned, robot = Interpretation(triangles="turned").spatial("payload"), SPATIAL
-    pose, other = np.array([0.05, 0.02, 0.1, 0.1, -0.05, 0.0]), np.array([-0.05, -0.02, 0.1, -0.1, 0.05, 0.0])
-    lengths = cable_lengths(turned.base, turned.platform, other)
-    assert turned.base[4] == pytest.approx([0.0, -robot.base[4, 1], 0.0])
-    assert lengths == pytest.approx(cable_lengths(robot.base, robot.platform, pose))
+    turned = Interpretation(triangles="turned").spatial("payload")
+    lengths = cable_lengths(SPATIAL.base, SPATIAL.platform, np.array([0.05, 0.02, 0.1, 0.1, -0.05, 0.0]))
+    turned_lengths = cable_lengths(turned.base, turned.platform, np.array([-0.05, -0.02, 0.1, -0.1, 0.05, 0.0]))
+    assert turned_lengths == pytest.approx(lengths)
+    assert turned.base[4] == pytest.approx([0.0, -SPATIAL.base[4, 1], 0.0])
 
 
 @pytest.mark.parametrize(
@@ -47,19 +54,20 @@ def test_planar_apex_is_the_direction_of_the_third_motor(apex, direction):
     assert third / np.linalg.norm(third) == pytest.approx(direction)
 
 
-def test_pulleys_of_table_5_have_half_the_inertia_and_no_damping():
+def test_pulleys_of_table_5_are_light_and_have_no_damping():
     pulleys = Interpretation(pulleys="table5").spatial("payload").transmission
     assert (pulleys.pulley_inertia, pulleys.damping) == (0.0004, 0.0)
 
 
 def test_cable_line_uses_the_rate_of_the_cable_length():
-    robot, pose = SPATIAL, np.array([0.05, 0.02, 0.1, 0.1, 0.1, 0.1])
+    pose = np.array([0.05, 0.02, 0.1, 0.1, 0.1, 0.1])
     velocity, step = np.array([0.3, -0.2, 0.1, 0.4, 0.1, -0.3]), 1e-6
-    ends = [cable_lengths(robot.base, robot.platform, pose + sign * step * velocity) for sign in (1, -1)]
-    rate = (ends[0] - ends[1]) / (2 * step)
-    speed = textbook.pulley_speed(robot, pose, velocity)
-    assert Interpretation(line="cable").line_speed(robot) * speed == pytest.approx(rate, abs=1e-8)
-    assert Interpretation(line="reversed").line_speed(robot) * speed == pytest.approx(-speed)
+    longer = cable_lengths(SPATIAL.base, SPATIAL.platform, pose + step * velocity)
+    shorter = cable_lengths(SPATIAL.base, SPATIAL.platform, pose - step * velocity)
+    speed = textbook.pulley_speed(SPATIAL, pose, velocity)
+    rate = Interpretation(line="cable").line_speed(SPATIAL) * speed
+    assert rate == pytest.approx((longer - shorter) / (2 * step), abs=1e-8)
+    assert Interpretation(line="reversed").line_speed(SPATIAL) == pytest.approx(-1.0)
 
 
 def test_flat_line_has_the_stall_torque_at_every_speed():
@@ -71,10 +79,11 @@ def test_flat_line_has_the_stall_torque_at_every_speed():
 
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])
 def test_line_that_no_motor_has_allows_no_closed_loop(line):
+    interpretation = Interpretation(line=line)
     with pytest.raises(ValueError, match="flat or physical"):
-        Interpretation(line=line).motors(FLEX_SPATIAL)
-    assert Interpretation(line=line).closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
-    assert Interpretation(line=line).closed_loop_possible is (line == "pulley")  # a rigid motor turns with its pulley
+        interpretation.motors(FLEX_SPATIAL)
+    assert interpretation.closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
+    assert interpretation.closed_loop_possible is (line == "pulley")  # a rigid motor turns with its pulley
 
 
 @pytest.mark.parametrize("choice", [{"line": "sideways"}, {"stiffness": "4"}, {"minimum_tension": -1.0}])

@@ -9,26 +9,16 @@ import numpy as np
 import pytest
 
 from cablebot_baselines.paper import linearised
-from cablebot_baselines.paper.contents import PARTS
 from cablebot_baselines.paper.exact import exact_limit
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.laws import FeedForward
-from cablebot_baselines.paper.parts import laws, maps, scan
+from cablebot_baselines.paper.parts import claims, maps, scan
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 
 DEFAULT = Interpretation()
-(MAP,) = (part for part in PARTS if part.name == "map-circle")
 
 # --- scan of geometries and map of circles ----------------------------------------------------------------------------
-
-MEASURES = {
-    "half side": lambda corners: np.linalg.norm(corners[1] - corners[0]) / 2,
-    "circumradius": lambda corners: np.linalg.norm(corners[0] - corners.mean(axis=0)),
-    "inradius": lambda corners: np.linalg.norm((corners[0] + corners[1]) / 2 - corners.mean(axis=0)),
-    "half altitude": lambda corners: np.linalg.norm((corners[0] + corners[1]) / 2 - corners[2]) / 2,
-}
-"""Possible meanings of "half of the triangle", for corners (3, 3)."""
 
 
 @pytest.fixture
@@ -50,51 +40,42 @@ def test_scan_contains_the_robots_of_the_interpretations(narrow, line):
     for changes, turn, sizes in (({}, 0.0, ("half side",)), (turned, np.pi, ("half side", "circumradius"))):
         interpretation = Interpretation(line=line, **changes)
         narrow(base_turn=turn, sizes=sizes)
-        *_, found = scan.geometries(interpretation=interpretation, base_size=sizes[-1])
+        geometry = scan.geometries(interpretation=interpretation, base_size=sizes[-1])[-1]
         limit = exact_limit(interpretation, interpretation.spatial("payload"))
-        assert found == (pytest.approx(limit.payload, abs=0.01), limit.motor)
+        assert geometry == (pytest.approx(limit.payload, abs=0.01), limit.motor)
 
 
 @pytest.mark.parametrize(("lowest", "payload"), [(0.5, -np.inf), (0.0, 1.0)])
-def test_platform_that_needs_ballast_has_no_payload_in_the_scan(narrow, monkeypatch, lowest, payload):
+def test_platform_that_needs_ballast_has_no_payload(narrow, monkeypatch, lowest, payload):
     narrow()
     limit = SimpleNamespace(payload=1.0, lowest=lowest, motor=3)
     monkeypatch.setattr(scan, "exact_payload", lambda *_, **__: limit)
     assert scan.geometries(interpretation=DEFAULT, base_size="half side") == [(payload, 3)]
 
 
-def test_scan_sizes_and_rotates_each_triangle(narrow, monkeypatch):
-    seen = []
-    limit = SimpleNamespace(payload=1.0, lowest=0.0, motor=1)
-    monkeypatch.setattr(scan, "exact_payload", lambda robot, *_, **__: seen.append(robot) or limit)
-    narrow(base_turn=0.2, platform_turn=0.1, sizes=MEASURES)
-    for base_size in MEASURES:
-        seen.clear()
-        scan.geometries(interpretation=DEFAULT, base_size=base_size)
-        for robot, platform_size in zip(seen, MEASURES, strict=True):
-            for points, before, size, published, turn in (
-                (robot.base, SPATIAL.base, base_size, 0.47, 0.2),
-                (robot.platform, SPATIAL.platform, platform_size, 0.148, 0.3),
-            ):
-                assert MEASURES[size](points[::2]) == pytest.approx(published)
-                assert np.angle((points @ [1, 1j, 0]) / (before @ [1, 1j, 0])) == pytest.approx(turn)
+@pytest.mark.parametrize(
+    ("size", "sides"),
+    [("half side", 2.0), ("circumradius", 3**0.5), ("inradius", 12**0.5), ("half altitude", 4 / 3**0.5)],
+)
+def test_side_follows_the_meaning_of_the_published_length(size, sides):
+    side = np.linalg.norm(SPATIAL.base[2] - SPATIAL.base[0]) * scan.SIZES[size]
+    assert side == pytest.approx(sides * 0.47)
 
 
-def test_map_has_the_circle_of_the_paper_weak_motors_and_slack_cables(monkeypatch):
-    """The payload of the paper's circle is 1.80 kg."""
+@pytest.mark.parametrize("line", ["physical", "reversed"])
+def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
     monkeypatch.setattr(maps, "RADII", (0.1, 0.2))
     monkeypatch.setattr(maps, "HEIGHTS", (0.06, 0.1, 0.2))
-    for line in ("physical", "reversed"):
-        interpretation = Interpretation(line=line)
-        results = {name: job.compute() for name, job in MAP.jobs(interpretation).items()}
-        payload, weak = maps.payloads(results)
-        limit = exact_limit(interpretation, interpretation.spatial("payload"))
-        assert payload[1, 0] == pytest.approx(limit.payload, abs=0.01)
-        assert weak[0, 0]
-        assert not weak[2, 1]
-        assert math.isnan(payload[2, 1])
-        assert MAP.outcome(interpretation, results).numbers["exact_largest_kg"] == np.nanmax(payload)
-        MAP.draw(interpretation, results)
+    interpretation = Interpretation(line=line)
+    results = {name: job.compute() for name, job in maps.jobs(interpretation).items()}
+    payload, weak = maps.payloads(results)
+    limit = exact_limit(interpretation, interpretation.spatial("payload"))
+    assert payload[1, 0] == pytest.approx(limit.payload, abs=0.01)
+    assert weak[0, 0]
+    assert not weak[2, 1]
+    assert math.isnan(payload[2, 1])
+    assert maps.outcome(interpretation, results).numbers["exact_largest_kg"] == np.nanmax(payload)
+    maps.draw(interpretation, results)
 
 
 # --- claims of the text -----------------------------------------------------------------------------------------------
@@ -105,40 +86,45 @@ def released(stiffness, damping):
     time = np.arange(5001) / 10_000
     decay, root = damping / 2, np.sqrt(complex(damping**2 / 4 - stiffness))
     error = 1e-3 * np.exp(-decay * time) * np.real(np.cosh(root * time) + decay / root * np.sinh(root * time))
-    reference = np.broadcast_to([0.3, -0.2], (len(time), 2))
-    pose = reference + np.stack([error, np.zeros_like(error)], axis=1)
+    pose = np.stack([0.3 + error, np.full_like(error, -0.2)], axis=1)
+    reference = np.broadcast_to([0.3, -0.2], pose.shape)
     return SimpleNamespace(arrays={"time": time, "pose": pose, "reference_pose": reference})
 
 
 @pytest.mark.parametrize("gains", [(2000.0, 10.0), (30.0, 20.0)])
 def test_decay_error_is_zero_for_the_given_poles_only(gains):
     stiffness, damping = gains
-    assert laws.decay_error(released(stiffness, damping), gains) < 1e-9
-    assert laws.decay_error(released(stiffness, 2 * damping), gains) > 0.05
-    assert laws.decay_error(released(2 * stiffness, damping), gains) > 0.05
+    assert claims.decay_error(released(stiffness, damping), gains) < 1e-9
+    assert claims.decay_error(released(stiffness, 2 * damping), gains) > 0.05
+    assert claims.decay_error(released(2 * stiffness, damping), gains) > 0.05
 
 
 def test_torques_are_affine_in_the_mass_without_minimum_tension():
-    assert laws.affinity(robot=PLANAR, minimum_tension=5.0) > 0.01
-    assert laws.affinity(robot=PLANAR, minimum_tension=0.0) < 1e-9
-    assert laws.affinity(robot=SPATIAL, minimum_tension=5.0) < 1e-9
+    assert claims.affinity(robot=PLANAR, minimum_tension=5.0) > 0.01
+    assert claims.affinity(robot=PLANAR, minimum_tension=0.0) < 1e-9
+    assert claims.affinity(robot=SPATIAL, minimum_tension=5.0) < 1e-9
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
 def test_open_loop_torques_depend_on_the_reference_only(robot):
     rng = np.random.default_rng(3)
     shape, mass = (4, robot.coordinates), np.full(4, robot.mass + 0.3)
-    pose = robot.home + 0.02 * rng.standard_normal(shape)
-    blocks = {"pose": pose, "velocity": 0.1 * rng.standard_normal(shape), "reference_pose": pose}
-    blocks |= {f"reference_{name}": rng.standard_normal(shape) for name in ("velocity", "acceleration")}
+    reference = robot.home + 0.02 * rng.standard_normal(shape)
+    velocity, acceleration = rng.standard_normal((2, *shape))
     law = FeedForward(robot, minimum_tension=2.0)
-    state = [blocks[f"reference_{name}"] for name in ("pose", "velocity", "acceleration")]
-    needed = textbook.required_torques(robot, textbook.required_tensions(robot, mass, *state, minimum=2.0), *state)
-    moved = blocks | {"pose": pose + 0.01, "velocity": blocks["velocity"] - 0.2}
-    for each in (blocks, moved):
-        torques, speeds = law.torques(each, mass)
-        assert torques == pytest.approx(needed, rel=1e-9)
-        assert speeds == pytest.approx(textbook.pulley_speed(robot, each["pose"], each["velocity"]), rel=1e-9)
+    tensions = textbook.required_tensions(robot, mass, reference, velocity, acceleration, minimum=2.0)
+    required = textbook.required_torques(robot, tensions, reference, velocity, acceleration)
+    for offset in (0.0, 0.01):
+        blocks = {
+            "pose": reference + offset,
+            "velocity": 0.1 * velocity - offset,
+            "reference_pose": reference,
+            "reference_velocity": velocity,
+            "reference_acceleration": acceleration,
+        }
+        torques, speeds = law.torques(blocks, mass)
+        assert torques == pytest.approx(required, rel=1e-9)
+        assert speeds == pytest.approx(textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"]), rel=1e-9)
 
 
 # --- controllability --------------------------------------------------------------------------------------------------
@@ -149,8 +135,8 @@ def linear_plant(robot):
     n, m = robot.coordinates, robot.cables
     rest = np.concatenate([robot.home, textbook.static_motor_angle(robot, robot.mass, robot.home)])
 
-    def accelerations(place):
-        pose, angle = place[:n], place[n:]
+    def accelerations(state):
+        pose, angle = state[:n], state[n:]
         structure = textbook.jacobian(robot, pose)
         twist = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
         pulleys = structure.T @ np.diag(robot.pulley_inertia / robot.pulley_radius**2) @ structure
@@ -159,29 +145,33 @@ def linear_plant(robot):
         return np.concatenate([platform, -twist / robot.motor_inertia])
 
     assert accelerations(rest)[:n] == pytest.approx(0.0, abs=1e-9)
-    step = 1e-6 * np.eye(n + m)
-    slope = np.stack([accelerations(rest + one) - accelerations(rest - one) for one in step], axis=1) / 2e-6
-    zero, one = np.zeros((n + m, n + m)), np.eye(n + m)
+    slopes = []
+    for step in 1e-6 * np.eye(n + m):
+        slopes.append((accelerations(rest + step) - accelerations(rest - step)) / 2e-6)
+    zero, identity = np.zeros((n + m, n + m)), np.eye(n + m)
     drive = np.concatenate([np.zeros((n + m + n, m)), np.diag(1 / robot.motor_inertia)])
-    return np.block([[zero, one], [slope, zero]]), drive
+    return np.block([[zero, identity], [np.stack(slopes, axis=1), zero]]), drive
 
 
-def unreached(transition, drive):
-    """Number of uncontrollable modes by Popov, Belevitch and Hautus: the largest rank deficit of [A − λ, B]."""
+def uncontrollable_modes(transition, drive):
+    """Number of modes by Popov, Belevitch and Hautus: the largest rank deficit of [A − λ, B]."""
     size = len(transition)
-    pencils = (np.hstack([transition - value * np.eye(size), drive]) for value in np.linalg.eigvals(transition))
-    return max(size - int(np.linalg.matrix_rank(pencil, rtol=1e-9)) for pencil in pencils)
+    deficits = []
+    for value in np.linalg.eigvals(transition):
+        pencil = np.hstack([transition - value * np.eye(size), drive])
+        deficits.append(size - int(np.linalg.matrix_rank(pencil, rtol=1e-9)))
+    return max(deficits)
 
 
 def test_motors_control_all_states_of_the_flexible_robot():
     robot = DEFAULT.flexible("control")
     transition, drive = linear_plant(robot)
-    assert unreached(transition, drive) == 0
-    assert unreached(transition, drive.sum(axis=1, keepdims=True)) > 0  # one action for all motors
+    assert uncontrollable_modes(transition, drive) == 0
+    assert uncontrollable_modes(transition, drive.sum(axis=1, keepdims=True)) > 0  # one action for all motors
     assert linearised.controllable_states(robot) == len(transition) == 24
 
 
-def test_fewer_independent_motors_control_fewer_states_in_four_samples(monkeypatch):
+def test_fewer_motors_control_fewer_states_in_four_samples(monkeypatch):
     """[B, AB, A²B, A³B] has four columns for each independent motor."""
     mixing = np.random.default_rng(1).standard_normal((6, 3))
     common = mixing @ np.linalg.pinv(mixing)

@@ -51,7 +51,7 @@ class EstimatorState:
 
 
 class Adaptive(ClassicalLaw):
-    """Runs a control law on an estimate of the mass of platform and payload (certainty equivalence).
+    """A control law that uses an estimate of the mass of platform and payload (certainty equivalence).
 
     The estimator works with a known and with an unknown payload. Over a control period of length h the momentum
     balance is m y = f with y = Δṗ − g h and f = −∫ (SᵀT)_p dt, where ∫ r T dt = ∫ (κ − c β̇) dt − J Δβ̇. κ is the
@@ -79,7 +79,8 @@ class Adaptive(ClassicalLaw):
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
         self.model = law.model
         weight = number("estimator_prior_weight", estimator_prior_weight, above=0.0, unit="s")
-        self.law, self._prior_weight = law, weight * GRAVITY**2
+        self.law = law
+        self._prior_weight = weight * GRAVITY**2
         self._allocates = allocation and law.robot.cables == law.robot.coordinates
         self.unsaturated_actions = law.unsaturated_actions and not self._allocates
 
@@ -93,11 +94,12 @@ class Adaptive(ClassicalLaw):
 
     def mass(self, memory: EstimatorState, model_mass: Array) -> Array:
         """Estimated mass m̂ of platform and payload [kg], (...), for a model mass (...)."""
-        denominator = self._prior_weight + memory.weighted_change[..., 0]
-        positive = denominator > 0
         numerator = self._prior_weight * model_mass + memory.weighted_impulse[..., 0]
-        estimate = numerator / np.where(positive, denominator, 1.0)
-        return np.maximum(np.where(positive, estimate, model_mass), MINIMUM_MASS_RATIO * self.robot.mass)
+        denominator = self._prior_weight + memory.weighted_change[..., 0]
+        is_positive = denominator > 0
+        estimate = numerator / np.where(is_positive, denominator, 1.0)
+        estimate = np.where(is_positive, estimate, model_mass)
+        return np.maximum(estimate, MINIMUM_MASS_RATIO * self.robot.mass)
 
     def _control(
         self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
@@ -109,64 +111,81 @@ class Adaptive(ClassicalLaw):
         action = self._action(torques, speeds)
         saturated = np.any(np.abs(action) > 1, axis=-1)
         if self._allocates and np.any(saturated):
-            slope = self.law.torque_slope(estimate[saturated], blocks["pose"][saturated]) / robot.stall_torque[:, None]
-            action[saturated] = allocate(action[saturated], slope)
+            torque_slope = self.law.torque_slope(estimate[saturated], blocks["pose"][saturated])
+            action_slope = torque_slope / robot.stall_torque[:, None]
+            action[saturated] = allocate(action[saturated], action_slope)
             torques = robot.stall_torque * action - robot.speed_slope * speeds
-        return torques, speeds, memory if robot.flexible else replace(memory, torques=torques)
+        if not robot.flexible:
+            memory = replace(memory, torques=torques)
+        return torques, speeds, memory
 
     def _updated_state(
         self, blocks: dict[str, Array], before: EstimatorState | None, episode_start: Any
     ) -> EstimatorState:
         """Estimator state after the control period that has just ended."""
-        robot, pose, velocity = self.robot, blocks["pose"], blocks["velocity"]
-        weight = blocks["reference_acceleration"][..., : robot.dimensions] - robot.gravity_vector
-        pulley_speed = self.pulley_speed(pose, velocity)
-        torques, zero = np.zeros_like(pulley_speed), np.zeros_like(blocks["time_to_go"])
+        now = self._measured_state(blocks)
+        if before is None:
+            return now
+        reference = blocks["reference_acceleration"][..., : self.robot.dimensions]
+        impulse, change = self._weighted_balance(before, now, reference - self.robot.gravity_vector)
+        # The time to go stays constant after the end of the reference. The estimate is then frozen.
+        is_running = now.time_to_go < before.time_to_go
+        impulse = before.weighted_impulse + np.where(is_running, impulse, 0.0)
+        change = before.weighted_change + np.where(is_running, change, 0.0)
+        starts = first_steps(before, episode_start, now.pose.shape[:-1])[..., None]
+        return replace(
+            now,
+            weighted_impulse=np.where(starts, 0.0, impulse),
+            weighted_change=np.where(starts, 0.0, change),
+        )
+
+    def _measured_state(self, blocks: dict[str, Array]) -> EstimatorState:
+        """Estimator state without past. The torques of a rigid robot are zero until the law has computed them."""
+        robot, pose = self.robot, blocks["pose"]
+        pulley_speed = self.pulley_speed(pose, blocks["velocity"])
+        torques = np.zeros_like(pulley_speed)
         if robot.flexible:
-            wound = np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
-            torques = textbook.stretched_torque(robot, textbook.joint_stiffness(robot, pose) * wound)
-        now = EstimatorState(
+            deflection = np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
+            torques = textbook.stretched_torque(robot, textbook.joint_stiffness(robot, pose) * deflection)
+        zero = np.zeros_like(blocks["time_to_go"])
+        return EstimatorState(
             pose=pose.copy(),
-            velocity=velocity.copy(),
+            velocity=blocks["velocity"].copy(),
             pulley_speed=pulley_speed,
             torques=torques,
             time_to_go=blocks["time_to_go"].copy(),
             weighted_impulse=zero,
             weighted_change=zero,
         )
-        if before is None:
-            return now
-        first = first_steps(before, episode_start, pose.shape[:-1])[..., None]
-        impulse, change = self._weighted_balance(before, now, weight)
-        # The time to go stays constant after the end of the reference. The estimate is then frozen.
-        running = now.time_to_go < before.time_to_go
-        return replace(
-            now,
-            weighted_impulse=np.where(first, 0.0, before.weighted_impulse + np.where(running, impulse, 0.0)),
-            weighted_change=np.where(first, 0.0, before.weighted_change + np.where(running, change, 0.0)),
-        )
 
     def _weighted_balance(self, before: EstimatorState, now: EstimatorState, weight: Array) -> tuple[Array, Array]:
         """w·f and w·y of the control period between two states, each (..., 1)."""
-        robot, h = self.model, before.time_to_go - now.time_to_go
-        first, last = before.torques, now.torques
-        if not robot.flexible:  # the requested torque is constant over the period, but saturates at the motor speed
-            limits = (textbook.torque_limits(robot, state.pulley_speed) for state in (before, now))
-            first, last = (np.clip(before.torques, *limit) for limit in limits)
+        robot = self.model
+        period = before.time_to_go - now.time_to_go
+        start_torque, end_torque = before.torques, now.torques
         friction = robot.damping * (before.pulley_speed + now.pulley_speed)
-        if not robot.flexible:  # of a flexible robot it acts on the motors
-            friction += sum(textbook.coulomb_torque(robot, state.pulley_speed) for state in (before, now))
-        mean = (first + last - friction) / 2
-        angular_impulse = h * mean - robot.pulley_inertia * (now.pulley_speed - before.pulley_speed)
-        middle, impulses = (before.pose + now.pose) / 2, angular_impulse / robot.pulley_radius
+        if not robot.flexible:
+            # The requested torque is constant over the period, but saturates at the motor speed.
+            start_torque = np.clip(before.torques, *textbook.torque_limits(robot, before.pulley_speed))
+            end_torque = np.clip(before.torques, *textbook.torque_limits(robot, now.pulley_speed))
+            # Coulomb friction of a flexible robot acts on the motors.
+            coulomb = textbook.coulomb_torque(robot, before.pulley_speed)
+            friction += coulomb + textbook.coulomb_torque(robot, now.pulley_speed)
+        mean_torque = (start_torque + end_torque - friction) / 2
+        angular_impulse = period * mean_torque - robot.pulley_inertia * (now.pulley_speed - before.pulley_speed)
+        cable_impulse = angular_impulse / robot.pulley_radius
+        middle = (before.pose + now.pose) / 2
         if robot.swivel is None:
             cables = cable_vectors(robot.base, robot.platform, middle)
-            scale = impulses / np.linalg.norm(cables, axis=-1)
+            scale = cable_impulse / np.linalg.norm(cables, axis=-1)
         else:
-            cables, scale = textbook.jacobian(robot, middle)[..., : robot.dimensions], impulses
+            cables = textbook.jacobian(robot, middle)[..., : robot.dimensions]
+            scale = cable_impulse
         impulse = -np.sum(scale[..., None] * cables, axis=-2)
-        change = self._mass_center_velocity(now) - self._mass_center_velocity(before) - robot.gravity_vector * h
-        return np.sum(weight * impulse, axis=-1, keepdims=True), np.sum(weight * change, axis=-1, keepdims=True)
+        change = self._mass_center_velocity(now) - self._mass_center_velocity(before) - robot.gravity_vector * period
+        weighted_impulse = np.sum(weight * impulse, axis=-1, keepdims=True)
+        weighted_change = np.sum(weight * change, axis=-1, keepdims=True)
+        return weighted_impulse, weighted_change
 
     def _mass_center_velocity(self, state: EstimatorState) -> Array:
         """Velocity of the centre of mass [m/s], (..., d)."""

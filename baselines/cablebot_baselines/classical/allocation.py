@@ -10,11 +10,14 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 
-_JOINT_ITERATIONS, _MAX_ITERATIONS = 6, 1000
-"""Iterations that change all wrong constraints at once, which nearly always suffices, and maximum number of iterations.
+_JOINT_ITERATIONS = 6
+"""Number of iterations that change all wrong constraints at once, which nearly always suffices.
 
-After the joint iterations only the first wrong constraint of each problem changes (Murty's rule), which cannot cycle.
+After them only the first wrong constraint of each problem changes (Murty's rule), which cannot cycle.
 """
+
+_MAX_ITERATIONS = 1000
+"""Maximum number of iterations."""
 
 
 def allocate(action: Array, slope: Array) -> Array:
@@ -33,20 +36,23 @@ def allocate(action: Array, slope: Array) -> Array:
     hessian = np.swapaxes(matrix, -1, -2) @ matrix
     bound = np.where(np.abs(action) > 1, np.sign(action), 0.0)
     for iteration in range(_MAX_ITERATIONS):
-        active, step = bound != 0, np.where(bound != 0, bound - action, 0.0)
-        both_free = ~active[..., :, None] & ~active[..., None, :]
-        reduced = np.where(both_free, hessian, np.eye(action.shape[-1]))
-        free_step = np.linalg.solve(reduced, np.where(active, 0.0, -_times(hessian, step))[..., None])[..., 0]
-        step = step + free_step
-        candidate, descent = action + step, -_times(hessian, step)
-        violated = np.where(np.abs(candidate) > 1, np.sign(candidate), 0.0)
-        new_bound = np.where(active, np.where(descent * bound > 0, bound, 0.0), violated)
-        wrong = new_bound != bound
-        if not np.any(wrong):
+        is_active = bound != 0
+        step = np.where(is_active, bound - action, 0.0)
+        are_free = ~is_active[..., :, None] & ~is_active[..., None, :]
+        reduced = np.where(are_free, hessian, np.eye(action.shape[-1]))
+        descent = np.where(is_active, 0.0, -_times(hessian, step))
+        step = step + np.linalg.solve(reduced, descent[..., None])[..., 0]
+        candidate = action + step
+        descent = -_times(hessian, step)
+        kept_bound = np.where(descent * bound > 0, bound, 0.0)
+        violated_bound = np.where(np.abs(candidate) > 1, np.sign(candidate), 0.0)
+        new_bound = np.where(is_active, kept_bound, violated_bound)
+        is_wrong = new_bound != bound
+        if not np.any(is_wrong):
             break
         if iteration >= _JOINT_ITERATIONS:
-            wrong &= np.cumsum(wrong, axis=-1) == 1
-        bound = np.where(wrong, new_bound, bound)
+            is_wrong &= np.cumsum(is_wrong, axis=-1) == 1
+        bound = np.where(is_wrong, new_bound, bound)
     closest: Array = np.clip(action + step, -1.0, 1.0)
     return closest
 

@@ -18,9 +18,8 @@ class FeedbackLinearization(ClassicalLaw):
     """``τ = r T + J β̈ + c β̇`` with ``−Sᵀ T = D v + h`` and ``v = Ẍ_d + K_D ė + K_P e``, e = X_d − X.
 
     The law uses the nominal parameters and the model payload. With more cables than coordinates it allocates tensions
-    that are all at least ``minimum_tension``; for the planar robot of the paper the smallest ones (Eq. 11 with the
-    smallest α). The action is not saturated: |a| > 1 is the
-    paper's torque violation.
+    of at least ``minimum_tension``; for the planar robot of the paper they are the smallest ones (Eq. 11 with the
+    smallest α). The action is not saturated: |a| > 1 is the paper's torque violation.
 
     Args:
         robot: nominal robot.

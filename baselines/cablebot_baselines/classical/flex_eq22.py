@@ -65,7 +65,8 @@ class PaperFlexible(FlexibleLaw):
         torques, motor_acceleration, _ = self._rigid_torques(mass, blocks, self.outer(blocks))
         if self.motor_acceleration == "measured":
             motor_acceleration, state = _measured_acceleration(blocks, state, episode_start, default=motor_acceleration)
-        return torques + self.model.motor_inertia * motor_acceleration, blocks["motor_speed"], state
+        torques = torques + self.model.motor_inertia * motor_acceleration
+        return torques, blocks["motor_speed"], state
 
 
 def _measured_acceleration(
@@ -73,11 +74,12 @@ def _measured_acceleration(
 ) -> tuple[Array, Array]:
     """β̈′ from the last two motor speeds, and the new state: the motor speeds and the time to go."""
     now = np.concatenate([blocks["motor_speed"], blocks["time_to_go"]], axis=-1)
-    first = first_steps(state, episode_start, now.shape[:-1])[..., None]
-    change = now - (now if state is None else state)
+    starts = first_steps(state, episode_start, now.shape[:-1])[..., None]
+    before = now if state is None else state
+    speed_change, time_change = np.split(now - before, [-1], axis=-1)
     # The observed time to go stays constant after the end of the reference.
-    period = np.where(first, 0.0, -change[..., -1:])
-    measured = change[..., :-1] / np.where(period > 0, period, 1.0)
+    period = np.where(starts, 0.0, -time_change)
+    measured = speed_change / np.where(period > 0, period, 1.0)
     return np.where(period > 0, measured, default), now
 
 

@@ -38,11 +38,10 @@ class Motion(Reference):
     def after(self, time: float) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration after ``time`` [s], by Taylor series."""
         x, v, a, j, s = self.position, self.velocity, self.acceleration, self.jerk, self.snap
-        return (
-            x + time * (v + time / 2 * (a + time / 3 * (j + time / 4 * s))),
-            v + time * (a + time / 2 * (j + time / 3 * s)),
-            a + time * (j + time / 2 * s),
-        )
+        position = x + time * (v + time / 2 * (a + time / 3 * (j + time / 4 * s)))
+        velocity = v + time * (a + time / 2 * (j + time / 3 * s))
+        acceleration = a + time * (j + time / 2 * s)
+        return position, velocity, acceleration
 
 
 class FlexibleLaw(ClassicalLaw):
@@ -69,9 +68,9 @@ class FlexibleLaw(ClassicalLaw):
         raise NotImplementedError
 
     def _rigid_torques(self, mass: Array, blocks: dict[str, Array], acceleration: Array) -> tuple[Array, Array, Array]:
-        """κ plus the motor friction at β̇, β̈, and β̇ for an acceleration.
+        """Torque κ + c′ β̇, pulley acceleration β̈ and pulley speed β̇ for an acceleration of the platform.
 
-        With J′ β̈ added, the first is the torque for rigid joints.
+        The torque of a motor with a rigid joint is the first plus J′ β̈.
         """
         required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
         spring = textbook.holding_torque(self.robot, required.torques)
@@ -88,10 +87,12 @@ class FlexibleLaw(ClassicalLaw):
 
     def _spring_torque_derivatives(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
         """κ, κ̇ and κ̈ along a motion, by central differences."""
-        before, now, after = (
-            self._spring_torques(mass, *motion.after(time)) for time in (-DIFFERENCE_STEP, 0.0, DIFFERENCE_STEP)
-        )
-        return now, (after - before) / (2 * DIFFERENCE_STEP), (after - 2 * now + before) / DIFFERENCE_STEP**2
+        before = self._spring_torques(mass, *motion.after(-DIFFERENCE_STEP))
+        now = self._spring_torques(mass, *motion.after(0.0))
+        after = self._spring_torques(mass, *motion.after(DIFFERENCE_STEP))
+        rate = (after - before) / (2 * DIFFERENCE_STEP)
+        second = (after - 2 * now + before) / DIFFERENCE_STEP**2
+        return now, rate, second
 
 
 class Composite(FlexibleLaw):
@@ -135,7 +136,8 @@ class Composite(FlexibleLaw):
         super().__init__(robot, minimum_tension=minimum_tension)
         self.outer: PD | RobustPD = PD(gains=checked_gains(gains, robot))
         factor = number("spring_damping", spring_damping, least=0.0)
-        self._max_damping = self._damping = factor * np.sqrt(self.model.stiffness * self.model.motor_inertia)
+        self._max_damping = factor * np.sqrt(self.model.stiffness * self.model.motor_inertia)
+        self._damping = self._max_damping
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Checks the robots of the tasks and adapts the damping to the control period.
@@ -148,9 +150,14 @@ class Composite(FlexibleLaw):
 
     def damping(self, period: float) -> Array:
         """K_v [N·m·s/rad] for a control period [s], (m,)."""
-        robot, phase = self.model, textbook.highest_frequency(self.model) * period
-        stable = np.sqrt(robot.stiffness * robot.motor_inertia) / math.tan(phase / 2) if phase < math.pi else 0.0
-        return np.minimum(self._max_damping, np.maximum(stable / 2, robot.motor_inertia * self.outer.gains[1]))
+        robot = self.model
+        _, outer_damping = self.outer.gains
+        phase = textbook.highest_frequency(robot) * period
+        damping = robot.motor_inertia * outer_damping
+        if phase < math.pi:
+            stable = np.sqrt(robot.stiffness * robot.motor_inertia) / math.tan(phase / 2)
+            damping = np.maximum(stable / 2, damping)
+        return np.minimum(self._max_damping, damping)
 
     @property
     def rotor_inertia(self) -> Array:
@@ -159,7 +166,8 @@ class Composite(FlexibleLaw):
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         torques, acceleration, speeds = self._rigid_torques(mass, blocks, self.outer(blocks))
-        return torques + self.model.motor_inertia * acceleration + self._damping * (speeds - blocks["motor_speed"])
+        spring_damping = self._damping * (speeds - blocks["motor_speed"])
+        return torques + self.model.motor_inertia * acceleration + spring_damping
 
 
 class MotorPD(FlexibleLaw):
@@ -191,17 +199,26 @@ class MotorPD(FlexibleLaw):
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
         frequency = number("frequency", frequency, above=0.0, unit="rad/s")
+        damping_ratio = number("damping_ratio", damping_ratio, above=0.0)
         self._stiffness = self.model.motor_inertia * frequency**2
-        self._damping = 2 * number("damping_ratio", damping_ratio, above=0.0) * self.model.motor_inertia * frequency
+        self._damping = 2 * damping_ratio * self.model.motor_inertia * frequency
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
-        robot, names = self.model, ("pose", "velocity", "acceleration", "jerk", "snap")
-        pose, velocity, acceleration, jerk, snap = (blocks[f"reference_{name}"] for name in names)
-        motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
+        robot = self.model
+        pose = blocks["reference_pose"]
+        velocity = blocks["reference_velocity"]
+        acceleration = blocks["reference_acceleration"]
         if robot.cables > robot.coordinates and robot.kind != "planar":
             spring = self._spring_torques(mass, pose, velocity, acceleration)
             spring_rate = spring_second = np.zeros_like(spring)
         else:
+            motion = Motion(
+                position=pose,
+                velocity=velocity,
+                acceleration=acceleration,
+                jerk=blocks["reference_jerk"],
+                snap=blocks["reference_snap"],
+            )
             spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         angle, _ = textbook.rest_angles(self.robot, spring / robot.pulley_radius, pose)
@@ -209,7 +226,9 @@ class MotorPD(FlexibleLaw):
         speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
         motor_acceleration = self._pulley_acceleration(pose, velocity, acceleration) + spring_second / stiffness
         feedforward = spring + robot.motor_inertia * motor_acceleration + textbook.motor_friction(robot, speed)
-        correction = self._stiffness * (angle - blocks["motor_angle"]) + self._damping * (speed - blocks["motor_speed"])
+        angle_error = angle - blocks["motor_angle"]
+        speed_error = speed - blocks["motor_speed"]
+        correction = self._stiffness * angle_error + self._damping * speed_error
         return feedforward + correction
 
 
@@ -236,28 +255,32 @@ class FourthOrder(FlexibleLaw):
                 f"{robot.coordinates} coordinates. Use composite-tuned or motor-pd."
             )
         gains = np.poly(np.asarray(poles))
-        if len(poles) != 4 or not np.all(np.real(poles) < 0) or np.any(np.abs(np.imag(gains)) > 1e-9 * np.abs(gains)):
+        are_stable = np.all(np.real(poles) < 0)
+        are_conjugate = np.all(np.abs(np.imag(gains)) <= 1e-9 * np.abs(gains))
+        if len(poles) != 4 or not are_stable or not are_conjugate:
             raise ValueError(f"poles must be four stable poles, complex poles in conjugate pairs, not {poles}")
         self._gains = np.real(gains)[1:]
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
-        robot, pose, velocity = self.model, blocks["pose"], blocks["velocity"]
+        robot = self.model
+        pose, velocity = blocks["pose"], blocks["velocity"]
+        zero = np.zeros_like(pose)
+        slope = self.torque_slope(mass, pose)
         stiffness = textbook.joint_stiffness(self.robot, pose)
-        zero, slope = np.zeros_like(pose), self.torque_slope(mass, pose)
         spring = stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, pose))
         spring_rate = stiffness * (blocks["motor_speed"] - self.pulley_speed(pose, velocity))
         acceleration = _solve(slope, spring - self._spring_torques(mass, pose, velocity, zero))
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero)
-        jerk = _solve(slope, spring_rate - self._spring_torque_derivatives(mass, motion)[1])
+        _, rate_without_jerk, _ = self._spring_torque_derivatives(mass, motion)
+        jerk = _solve(slope, spring_rate - rate_without_jerk)
         motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=zero)
-        drift = self._spring_torque_derivatives(mass, motion)[2]
-        errors = (
-            blocks["reference_jerk"] - jerk,
-            blocks["reference_acceleration"] - acceleration,
-            blocks["reference_velocity"] - velocity,
-            blocks["reference_pose"] - pose,
-        )
-        snap = blocks["reference_snap"] + sum(gain * error for gain, error in zip(self._gains, errors, strict=True))
+        _, _, drift = self._spring_torque_derivatives(mass, motion)
+        jerk_gain, acceleration_gain, velocity_gain, pose_gain = self._gains
+        correction = jerk_gain * (blocks["reference_jerk"] - jerk)
+        correction = correction + acceleration_gain * (blocks["reference_acceleration"] - acceleration)
+        correction = correction + velocity_gain * (blocks["reference_velocity"] - velocity)
+        correction = correction + pose_gain * (blocks["reference_pose"] - pose)
+        snap = blocks["reference_snap"] + correction
         spring_second = drift + (slope @ snap[..., None])[..., 0]
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
         motor = robot.motor_inertia * (pulley_acceleration + spring_second / stiffness)
@@ -270,19 +293,20 @@ def _solve(matrix: Array, vector: Array) -> Array:
 
 
 def composite_tuned(robot: Robot) -> Composite:
-    """Composite law with gains for the spatial and the planar robot, also for an unknown payload.
+    """Composite law with gains for the kind of the robot, which also tolerate an unknown payload.
 
     Much more spring damping does not help: β̇′ follows β̇ only as long as the spring torque is constant.
     """
     if robot.kind == "planar":
         return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
-    stiffness, damping = 200.0, 28.0
-    if robot.elastic:  # slow winches: as slow in comparison as the paper's robot
-        model, paper = textbook.joint_equivalent(robot), FLEX_SPATIAL
+    ratio = 1.0
+    if robot.elastic:
+        # The outer loop is as slow, compared with the winches, as that of the paper's robot.
+        model = textbook.joint_equivalent(robot)
         slowest = float(np.sqrt(np.min(model.stiffness / model.motor_inertia)))
-        ratio = min(1.0, slowest / float(np.sqrt(paper.stiffness[0] / paper.motor_inertia[0])))
-        stiffness, damping = ratio**2 * stiffness, ratio * damping
-    return Composite(robot, gains=(stiffness, damping), spring_damping=0.4)
+        paper = float(np.sqrt(FLEX_SPATIAL.stiffness[0] / FLEX_SPATIAL.motor_inertia[0]))
+        ratio = min(1.0, slowest / paper)
+    return Composite(robot, gains=(ratio**2 * 200.0, ratio * 28.0), spring_damping=0.4)
 
 
 COMPOSITE = entry("composite", Composite)

@@ -62,7 +62,8 @@ class ClassicalLaw:
             minimum_tension = allocated_minimum(robot, self.usual_minimum, self.tension_reserve)
         if self.for_rigid_robots and robot.flexible:
             _LOGGER.warning("%s is for rigid robots, but %s", type(self).__name__, flexible_advice(robot))
-        self.robot, self.minimum_tension = robot, number("minimum_tension", minimum_tension, least=0.0, unit="N")
+        self.robot = robot
+        self.minimum_tension = number("minimum_tension", minimum_tension, least=0.0, unit="N")
         self.model = joint_equivalent(robot)
         """Robot of the law's equations: that with joint springs in place of elastic cables."""
         self._layout = observation_layout(robot)
@@ -73,15 +74,16 @@ class ClassicalLaw:
         Raises:
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
-        own = self.robot
-        home = ["home"] if own.flexible else []  # the zero of the motor angles
-        names = ["flexible", "base", "platform", "swivel", *home]
+        names = ["flexible", "base", "platform", "swivel"]
+        if self.robot.flexible:
+            names.append("home")  # the zero of the motor angles
         for robot in {task.robot for task in tasks}:
-            if not all(np.array_equal(getattr(robot, name), getattr(own, name)) for name in names):
-                raise ValueError(
-                    f"{type(self).__name__} was built for robot {own.name!r}, but the task's robot {robot.name!r} "
-                    "differs in kind or anchors. Build the law from the task's robot."
-                )
+            for name in names:
+                if not np.array_equal(getattr(robot, name), getattr(self.robot, name)):
+                    raise ValueError(
+                        f"{type(self).__name__} was built for robot {self.robot.name!r}, but the task's robot "
+                        f"{robot.name!r} differs in kind or anchors. Build the law from the task's robot."
+                    )
 
     def predict(
         self,
@@ -145,9 +147,11 @@ class ClassicalLaw:
 
         T and β̈ are affine in Ẍ, so each column follows exactly from a unit acceleration.
         """
-        n, zero = self.robot.coordinates, np.zeros_like(pose)
-        units = np.concatenate([np.zeros((1, n)), np.eye(n)]).reshape(n + 1, *(1,) * (pose.ndim - 1), n)
-        required = self._inverse_dynamics(mass, pose, zero, units)
+        n = self.robot.coordinates
+        units = np.concatenate([np.zeros((1, n)), np.eye(n)])
+        batch_axes = (1,) * (pose.ndim - 1)
+        accelerations = units.reshape(n + 1, *batch_axes, n)
+        required = self._inverse_dynamics(mass, pose, np.zeros_like(pose), accelerations)
         torques = self.robot.pulley_radius * required.tensions + self.rotor_inertia * required.pulley_accelerations
         return np.moveaxis(torques[1:] - torques[0], 0, -1)
 
@@ -167,9 +171,13 @@ def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArr
     Raises:
         ValueError: if the shape of ``episode_start`` is invalid.
     """
-    start = np.asarray(False if episode_start is None else episode_start, np.bool_)
+    if episode_start is None:
+        episode_start = False
+    start = np.asarray(episode_start, np.bool_)
     if start.size == 1:  # Stable-Baselines3 passes an array of one element for a single observation
         start = start.reshape(())
     elif start.shape != shape:
         raise ValueError(f"episode_start must be one boolean or have shape {shape}, not shape {start.shape}")
-    return np.broadcast_to(start if state is not None else np.True_, shape)
+    if state is None:
+        start = np.array(True)
+    return np.broadcast_to(start, shape)

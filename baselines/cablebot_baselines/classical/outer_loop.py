@@ -25,7 +25,9 @@ PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 
 def by_kind(table: Mapping[str, _T], robot: Robot) -> _T:
     """The entry ``planar`` for a point mass in a plane, and the entry ``spatial`` for the other kinds."""
-    return table["planar" if robot.kind == "planar" else "spatial"]
+    if robot.kind == "planar":
+        return table["planar"]
+    return table["spatial"]
 
 
 def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[float, float]:
@@ -107,12 +109,15 @@ class RobustPD:
     def weight(self) -> Array:
         """Q, shape (2, 2)."""
         q = np.asarray(self.q, float)
-        return q * np.eye(2) if q.ndim == 0 else q
+        if q.ndim == 0:
+            return q * np.eye(2)
+        return q
 
     @cached_property
     def system(self) -> Array:
         """A of one coordinate (Eq. 36), shape (2, 2)."""
-        return np.array([[0.0, 1.0], [-self.gains[0], -self.gains[1]]])
+        stiffness, damping = self.gains
+        return np.array([[0.0, 1.0], [-stiffness, -damping]])
 
     @cached_property
     def lyapunov(self) -> Array:
@@ -134,14 +139,18 @@ class RobustPD:
 
     def __call__(self, blocks: dict[str, Array]) -> Array:
         """The acceleration v, shape (..., n)."""
-        e, s = np.stack(errors(blocks), axis=-1), self.switching(blocks)
+        e = np.stack(errors(blocks), axis=-1)
+        s = self.switching(blocks)
         drift = np.linalg.norm(e @ self.system.T, axis=(-2, -1))
         reference = np.linalg.norm(blocks["reference_acceleration"], axis=-1)
         rho = (self.zeta * (reference + drift) + self.phi) / (1 - self.zeta)
         length = np.maximum(np.linalg.norm(s, axis=-1), self.boundary_layer)
-        return PD(gains=self.gains)(blocks) + (rho / length)[..., None] * s
+        added = (rho / length)[..., None] * s
+        return PD(gains=self.gains)(blocks) + added
 
 
 def errors(blocks: dict[str, Array]) -> tuple[Array, Array]:
     """Pose error e and velocity error ė, each (..., n)."""
-    return blocks["reference_pose"] - blocks["pose"], blocks["reference_velocity"] - blocks["velocity"]
+    error = blocks["reference_pose"] - blocks["pose"]
+    rate = blocks["reference_velocity"] - blocks["velocity"]
+    return error, rate

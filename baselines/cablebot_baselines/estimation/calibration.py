@@ -44,9 +44,10 @@ def home_offset(robot: Robot, angles: ArrayLike, pose: ArrayLike, *, mass: float
         pose: the known pose, (..., n).
         mass: mass of platform and payload, which winds the springs of a flexible robot [kg]; None without payload.
     """
-    held, minimum = robot.mass if mass is None else mass, textbook.allocated_minimum(robot)
+    if mass is None:
+        mass = robot.mass
     if robot.flexible:
-        rest = textbook.static_motor_angle(robot, held, pose, minimum=minimum)
+        rest = textbook.static_motor_angle(robot, mass, pose, minimum=textbook.allocated_minimum(robot))
     else:
         rest = textbook.pulley_angle(robot, pose)
     offset: Array = np.asarray(angles, float) - rest
@@ -81,35 +82,39 @@ def calibrate(
 
     angles, start = np.asarray(angles, float), np.asarray(guess, float)
     (count, m), n = angles.shape, robot.coordinates
-    held = robot.mass if mass is None else mass
-    rest = np.zeros_like(start)
+    total_mass = robot.mass if mass is None else mass
+    zero = np.zeros_like(start)
 
     def residuals(unknown: Array) -> Array:
         offset, pose = unknown[:m], unknown[m:].reshape(count, n)
-        parts = [(angles - offset - textbook.pulley_angle(robot, pose)) / noise.motor_angle]
+        angle_error = (angles - offset - textbook.pulley_angle(robot, pose)) / noise.motor_angle
+        residuals = [angle_error.ravel()]
         if tensions is not None:
             structure = textbook.jacobian(robot, pose)
-            force = np.swapaxes(structure, -1, -2) @ np.asarray(tensions, float)[..., None]
-            # Moments have a lever, so that a row of Sᵀ has an error of its own size.
+            cable_force = (np.swapaxes(structure, -1, -2) @ np.asarray(tensions, float)[..., None])[..., 0]
+            unbalanced = cable_force + textbook.load(robot, total_mass, pose, zero, zero)
+            # The error of a moment grows with the lever, so each row of Sᵀ has its own size.
             size = noise.tension * np.linalg.norm(structure, axis=-2)
-            parts.append((force[..., 0] + textbook.load(robot, held, pose, rest, rest)) / size)
+            residuals.append((unbalanced / size).ravel())
         if orientation is not None:
-            error = np.asarray(orientation, float) - pose[:, -3:]
-            parts.append(error / np.array([noise.tilt, noise.tilt, noise.yaw]))
-        return np.concatenate([part.ravel() for part in parts])
+            orientation_error = np.asarray(orientation, float) - pose[:, -3:]
+            residuals.append((orientation_error / np.array([noise.tilt, noise.tilt, noise.yaw])).ravel())
+        return np.concatenate(residuals)
 
-    first = np.concatenate([np.zeros(m), start.ravel()])
-    found = least_squares(residuals, first, x_scale="jac", xtol=1e-15, ftol=1e-14)
-    jacobian = np.asarray(found.jac, float)
-    # Directions that no reading determines have a vanishing singular value.
+    initial = np.concatenate([np.zeros(m), start.ravel()])
+    solution = least_squares(residuals, initial, x_scale="jac", xtol=1e-15, ftol=1e-14)
+    jacobian = np.asarray(solution.jac, float)
+    # A direction that no reading determines has a vanishing singular value.
     scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    values = np.linalg.svd(scaled, compute_uv=False)
-    if len(values) < m + count * n or jacobian.shape[0] < m + count * n or values[-1] < 1e-7 * values[0]:
+    singular_values = np.linalg.svd(scaled, compute_uv=False)
+    if len(jacobian) < len(initial) or singular_values[-1] < 1e-7 * singular_values[0]:
         raise ValueError(
             f"the readings do not determine the offsets of robot {robot.name!r}: add poses, and tensions or "
             "orientation if it has as many cables as coordinates, or use home_offset at a known pose"
         )
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     return Calibration(
-        offset=found.x[:m], deviation=np.sqrt(np.diag(covariance)[:m]), poses=found.x[m:].reshape(count, n)
+        offset=solution.x[:m],
+        deviation=np.sqrt(np.diag(covariance)[:m]),
+        poses=solution.x[m:].reshape(count, n),
     )

@@ -20,7 +20,13 @@ from cablebot_gym.uncertainty import SensorNoise
 Array = NDArray[Any]
 
 DATA_SHEET = SensorNoise(
-    motor_angle=1e-4, motor_speed=1e-2, tension=0.4, tilt=3.5e-3, yaw=17.5e-3, angular_rate=4e-3, specific_force=2e-2
+    motor_angle=1e-4,
+    motor_speed=1e-2,
+    tension=0.4,
+    tilt=3.5e-3,
+    yaw=17.5e-3,
+    angular_rate=4e-3,
+    specific_force=2e-2,
 )
 """Default errors of the sensors: a servo drive, a load cell and the IMU MTi-300. Encoder resolution is added."""
 
@@ -28,15 +34,15 @@ INITIAL_DISTURBANCE = 0.3
 """Standard deviation of the disturbance d at the start [m/s²]; of angles, divided by the platform's size."""
 
 TARE_READINGS = 50
-"""Number of readings whose mean is the bias of the load cells that homing finds. During them the torque of the motors
-is taken as exact."""
+"""Number of readings whose mean is the bias of the load cells, with homing. The filter considers the torque of the
+motors exact during these readings."""
 
 CELL_TIME = 0.1
 """Time constant of the correction of the torque by load cells [s]."""
 
 BIAS_TIME = 10.0
-"""Time over which the errors of orientation and the zero errors of angles are correlated [s]. After the first reading,
-white noise of the same information stands for them."""
+"""Correlation time of the errors of orientation and of the zero errors of angles [s]. After the first reading, the
+filter models them as white noise with the same information."""
 
 _FRACTIONS = ((np.arange(8) + 0.5) / 8)[:, None, None]
 """Instants of a control period, as fractions."""
@@ -99,19 +105,27 @@ class ExtendedKalmanFilter:
         zero_error: float = 0.3e-3,
         homing: bool = False,
     ) -> None:
-        self._given, self.robot = robot, textbook.joint_equivalent(robot)  # springs in place of elastic cables
-        self.noise, self.homing = noise, homing
+        self._nominal = robot
+        self.robot = textbook.joint_equivalent(robot)  # springs in place of elastic cables
+        self.noise = noise
+        self.homing = homing
         self._zero_error = 0.0 if homing else zero_error / robot.pulley_radius
-        n, axes = robot.coordinates, robot.dimensions
-        size = float(np.mean(np.linalg.norm(robot.platform, axis=-1))) or 1.0
-        self._unit = np.where(np.arange(n) < axes, 1.0, 1.0 / size)
-        self._disturbance = (0.3 if robot.flexible else 3.0) if disturbance is None else disturbance
-        self._torque_error, self._cell_bias = torque_error, cell_bias
-        self._measurement, self._start, self._period = Measurement(kind="winches"), robot.home[None], 2e-3
+        platform_size = float(np.mean(np.linalg.norm(robot.platform, axis=-1))) or 1.0
+        is_position = np.arange(robot.coordinates) < robot.dimensions
+        self._unit = np.where(is_position, 1.0, 1.0 / platform_size)
+        if disturbance is None:
+            disturbance = 0.3 if robot.flexible else 3.0
+        self._disturbance = disturbance
+        self._torque_error = torque_error
+        self._cell_bias = cell_bias
+        self._measurement = Measurement(kind="winches")
+        self._start = robot.home[None]
+        self._period = 2e-3
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Reads measurement, control period and start poses of the tasks."""
-        self._measurement, self._period = tasks[0].measurement, 1 / tasks[0].control_frequency
+        self._measurement = tasks[0].measurement
+        self._period = 1 / tasks[0].control_frequency
         self._start = np.array([task.start_pose for task in tasks])
 
     def update(
@@ -124,21 +138,14 @@ class ExtendedKalmanFilter:
             state: the last state; None before the first observation.
             starts: whether an episode starts, (N,).
         """
-        first = state is None or bool(starts.all())
-        new = self._initial(blocks) if first or starts.any() else None
-        if not first and state is not None:
-            following = self._following(blocks, state)
-            if new is not None:
-                names = KalmanState.__dataclass_fields__
-                mixed = {}
-                for name in names:
-                    old, fresh = getattr(following, name), getattr(new, name)
-                    mixed[name] = np.where(starts.reshape(-1, *(1,) * (old.ndim - 1)), fresh, old)
-                following = KalmanState(**mixed)
-            new = following
-        assert new is not None
-        n = self.robot.coordinates
-        return new.mean[:, :n], new.mean[:, n : 2 * n], new
+        if state is None or starts.all():
+            state = self._initial(blocks)
+        elif starts.any():
+            state = _merged(starts, self._initial(blocks), self._following(blocks, state))
+        else:
+            state = self._following(blocks, state)
+        pose, velocity, _ = np.split(state.mean, 3, axis=-1)
+        return pose, velocity, state
 
     @property
     def _speed_noise(self) -> float:
@@ -171,39 +178,32 @@ class ExtendedKalmanFilter:
 
     def _initial(self, blocks: dict[str, Array]) -> KalmanState:
         """The state at the first observation: at rest, or at the speed of the motors."""
-        robot, n, angle = self.robot, self.robot.coordinates, blocks["motor_angle"]
-        count, mass = len(angle), self._mass(blocks)
-        start = np.broadcast_to(self._start if len(self._start) == count else self._start[:1], (count, n))
-        torque = textbook.static_torque(robot, mass, start, minimum=textbook.allocated_minimum(robot))
-        wound = torque / textbook.joint_stiffness(self._given, start) if robot.flexible else np.zeros_like(angle)
+        robot, angle = self.robot, blocks["motor_angle"]
+        count = len(angle)
+        start = self._start if len(self._start) == count else self._start[:1]
+        start = np.broadcast_to(start, (count, robot.coordinates))
+        torque = textbook.static_torque(robot, self._mass(blocks), start, minimum=textbook.allocated_minimum(robot))
+        deflection = np.zeros_like(angle)
+        if robot.flexible:
+            deflection = torque / textbook.joint_stiffness(self._nominal, start)
         offset = np.zeros_like(angle)
         tare = np.zeros_like(angle)
         if self.homing:
-            offset = angle - wound - textbook.pulley_angle(robot, start)
+            offset = angle - deflection - textbook.pulley_angle(robot, start)
             if "tensions" in blocks:
                 tare = blocks["tensions"] - torque / robot.pulley_radius
         home = textbook.cable_lengths(robot, robot.home)
-        lengths = home - robot.pulley_radius * (angle - wound - offset)
+        lengths = home - robot.pulley_radius * (angle - deflection - offset)
         pose = forward_kinematics(robot, lengths, start).pose
-        structure = textbook.jacobian(robot, pose)
-        inverse = np.linalg.pinv(structure)
+        inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         velocity = -(inverse @ (robot.pulley_radius * blocks["motor_speed"])[..., None])[..., 0]
-        covariance = np.zeros((count, 3 * n, 3 * n))
-        angle_error = np.hypot(self._angle_noise, self._zero_error if "orientation" in blocks else 0.0)
-        if robot.flexible:
-            angle_error = np.hypot(angle_error, self._torque_error * robot.stall_torque / robot.stiffness)
-        spread = angle_error, self._speed_noise
-        for block, deviation in enumerate(spread):
-            scaled = inverse * (robot.pulley_radius * deviation)
-            at = slice(block * n, (block + 1) * n)
-            covariance[:, at, at] = scaled @ np.swapaxes(scaled, -1, -2)
-        covariance[:, 2 * n :, 2 * n :] = np.diag((INITIAL_DISTURBANCE * self._unit) ** 2)
         mean = np.concatenate([pose, velocity, np.zeros_like(pose)], axis=-1)
+        covariance = self._initial_covariance(inverse, has_orientation="orientation" in blocks)
         if "orientation" in blocks:
+            n = robot.coordinates
             gradient = np.broadcast_to(np.eye(3, 3 * n, n - 3), (count, 3, 3 * n))
-            mean, covariance = _corrected(
-                mean, covariance, blocks["orientation"] - pose[:, -3:], gradient, self._orientation_variance
-            )
+            innovation = blocks["orientation"] - pose[:, -3:]
+            mean, covariance = _corrected(mean, covariance, innovation, gradient, self._orientation_variance)
         return KalmanState(
             mean=mean,
             covariance=covariance,
@@ -216,50 +216,45 @@ class ExtendedKalmanFilter:
             correction=np.zeros_like(torque),
         )
 
+    def _initial_covariance(self, inverse: Array, *, has_orientation: bool) -> Array:
+        """Covariance at the start, from the errors of motor angles and speeds and the inverse of the Jacobian."""
+        robot, n = self.robot, self.robot.coordinates
+        angle_error = np.hypot(self._angle_noise, self._zero_error if has_orientation else 0.0)
+        if robot.flexible:
+            angle_error = np.hypot(angle_error, self._torque_error * robot.stall_torque / robot.stiffness)
+        pose_spread = inverse * (robot.pulley_radius * angle_error)
+        velocity_spread = inverse * (robot.pulley_radius * self._speed_noise)
+        covariance = np.zeros((len(inverse), 3 * n, 3 * n))
+        covariance[:, :n, :n] = pose_spread @ np.swapaxes(pose_spread, -1, -2)
+        covariance[:, n : 2 * n, n : 2 * n] = velocity_spread @ np.swapaxes(velocity_spread, -1, -2)
+        covariance[:, 2 * n :, 2 * n :] = np.diag((INITIAL_DISTURBANCE * self._unit) ** 2)
+        return covariance
+
     def _following(self, blocks: dict[str, Array], state: KalmanState) -> KalmanState:
         """Prediction over one control period, and correction by the sensors."""
-        robot, n, period, mass = self.robot, self.robot.coordinates, self._period, self._mass(blocks)
+        robot, period = self.robot, self._period
         angle, speed = blocks["motor_angle"] - state.offset, blocks["motor_speed"]
-        action = np.clip(blocks["last_actions"][:, : robot.cables], -1.0, 1.0)
-        # The request is constant over the period; the torque-speed line clips it at the changing speed.
-        request = robot.stall_torque * action - robot.speed_slope * state.speed
-        drop = robot.speed_slope * (state.speed + _FRACTIONS * (speed - state.speed))
-        torque = np.mean(np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop), axis=0)
-        if robot.flexible:
-            friction = textbook.motor_friction(robot, (speed + state.speed) / 2)
-            torque = torque - robot.motor_inertia * (speed - state.speed) / period - friction
+        torque = self._mean_torque(blocks, state)
         pose, velocity, disturbance = np.split(state.mean, 3, axis=-1)
+        middle = pose + period / 2 * velocity
         acceleration, tensions = textbook.forward_dynamics(
-            robot, mass, pose + period / 2 * velocity, velocity, torque + state.correction, cable="bilateral"
+            robot, self._mass(blocks), middle, velocity, torque + state.correction, cable="bilateral"
         )
-        correction, tare, count = state.correction, state.tare, state.count + 1
-        if "tensions" in blocks:  # at the start of the period: of springs, the mean over the period before counts too
-            then = (tensions + state.tensions) / 2 if robot.flexible else tensions
-            excess = blocks["tensions"] - np.maximum(then, 0.0)
-            taring = (count <= TARE_READINGS)[:, None] & self.homing
-            tare = np.where(taring, tare + (excess - tare) / count[:, None], tare)
-            seen = robot.pulley_radius * (excess - tare) + correction
-            correction = correction + self._cell_gain * np.where(taring, 0.0, self._cell_weight * seen - correction)
+        count = state.count + 1
+        correction, tare = state.correction, state.tare
+        if "tensions" in blocks:
+            correction, tare = self._weighed(blocks["tensions"], tensions, count, state)
         acceleration = acceleration + disturbance
         pose = pose + period * velocity + period**2 / 2 * acceleration
         velocity = velocity + period * acceleration
         mean = np.concatenate([pose, velocity, disturbance], axis=-1)
-
-        # The transition mixes X, Ẋ and d of a coordinate alone: the dynamics hardly change within a period.
-        mix = np.array([[1.0, period, period**2 / 2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
-        transition = np.kron(mix, np.eye(n))
-        covariance = transition @ state.covariance @ transition.T
-        growth = (self._disturbance * self._unit) ** 2 * period
-        jerk = np.array([period**2 / 6, period / 2, 1.0])
-        covariance = covariance + np.kron(np.outer(jerk, jerk), np.diag(growth))
-
-        if robot.flexible:  # means over the last period: of the motor angle by its cubic, of the spring by its torque
-            angles = (angle + state.angle) / 2 - period / 12 * (speed - state.speed)
-            angles = angles - (torque + correction) / textbook.joint_stiffness(self._given, pose)
-        else:
-            angles = angle
-        values = self._readings(blocks, pose, velocity, acceleration, angles)
-        mean, covariance = _corrected(mean, covariance, *values)
+        angles = angle
+        if robot.flexible:
+            # Means over the last period: the motor angle by its cubic, the deflection by the mean torque.
+            mean_angle = (angle + state.angle) / 2 - period / 12 * (speed - state.speed)
+            angles = mean_angle - (torque + correction) / textbook.joint_stiffness(self._nominal, pose)
+        readings = self._readings(blocks, pose, velocity, acceleration, angles)
+        mean, covariance = _corrected(mean, self._predicted_covariance(state.covariance), *readings)
         return KalmanState(
             mean=mean,
             covariance=covariance,
@@ -271,6 +266,43 @@ class ExtendedKalmanFilter:
             tensions=tensions,
             correction=correction,
         )
+
+    def _mean_torque(self, blocks: dict[str, Array], state: KalmanState) -> Array:
+        """Mean torque on the pulleys in the last control period, without correction (N, m) [N·m]."""
+        robot, speed = self.robot, blocks["motor_speed"]
+        action = np.clip(blocks["last_actions"][:, : robot.cables], -1.0, 1.0)
+        # The request is constant over the period; the torque-speed line clips it at the changing speed.
+        request = robot.stall_torque * action - robot.speed_slope * state.speed
+        drop = robot.speed_slope * (state.speed + _FRACTIONS * (speed - state.speed))
+        torque = np.mean(np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop), axis=0)
+        if robot.flexible:
+            friction = textbook.motor_friction(robot, (speed + state.speed) / 2)
+            torque = torque - robot.motor_inertia * (speed - state.speed) / self._period - friction
+        return torque
+
+    def _weighed(self, readings: Array, tensions: Array, count: Array, state: KalmanState) -> tuple[Array, Array]:
+        """Correction of the torque and bias of the load cells, from their readings and the predicted tensions."""
+        robot = self.robot
+        # The cells read at the start of the period. With springs, the mean over the period before counts too.
+        expected = (tensions + state.tensions) / 2 if robot.flexible else tensions
+        excess = readings - np.maximum(expected, 0.0)
+        is_taring = (count <= TARE_READINGS)[:, None] & self.homing
+        tare = np.where(is_taring, state.tare + (excess - state.tare) / count[:, None], state.tare)
+        measured = robot.pulley_radius * (excess - tare) + state.correction
+        change = np.where(is_taring, 0.0, self._cell_weight * measured - state.correction)
+        return state.correction + self._cell_gain * change, tare
+
+    def _predicted_covariance(self, covariance: Array) -> Array:
+        """Covariance after one control period.
+
+        The transition mixes X, Ẋ and d of a coordinate alone: the dynamics hardly change within a period.
+        """
+        n, period = self.robot.coordinates, self._period
+        mix = np.array([[1.0, period, period**2 / 2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
+        transition = np.kron(mix, np.eye(n))
+        growth = (self._disturbance * self._unit) ** 2 * period
+        jerk = np.array([period**2 / 6, period / 2, 1.0])
+        return transition @ covariance @ transition.T + np.kron(np.outer(jerk, jerk), np.diag(growth))
 
     def _readings(
         self,
@@ -284,40 +316,58 @@ class ExtendedKalmanFilter:
 
         ``angles`` are the pulley angles now, or of a flexible robot in the middle of the last control period.
         """
-        robot, n, ago = self.robot, self.robot.coordinates, self._period / 2 if self.robot.flexible else 0.0
+        robot = self.robot
+        ago = self._period / 2 if robot.flexible else 0.0
         structure, rate = jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
-        turning, turning_rate = (-matrix / robot.pulley_radius[:, None] for matrix in (structure, rate))
-        zero = np.zeros_like(turning)
-        variance = [np.full(robot.cables, self._angle_noise**2)]
-        if robot.flexible:
-            cells = self._cell_weight * robot.pulley_radius * self.noise.tension * np.sqrt(self._cell_gain / 2)
-            torque = np.hypot(self._balance_noise, cells if "tensions" in blocks else 0.0)
-            variance[0] = variance[0] + (torque / robot.stiffness) ** 2
-        then = pose - ago * velocity + ago**2 / 2 * acceleration
-        innovations = [angles - textbook.pulley_angle(robot, then)]
+        turning = -structure / robot.pulley_radius[:, None]
+        turning_rate = -rate / robot.pulley_radius[:, None]
+        earlier_pose = pose - ago * velocity + ago**2 / 2 * acceleration
+        innovations = [angles - textbook.pulley_angle(robot, earlier_pose)]
         gradients = [np.concatenate([turning, -ago * turning, ago**2 / 2 * turning], axis=-1)]
+        variances = [self._angle_variance(blocks)]
         if not robot.flexible:
             innovations.append(blocks["motor_speed"] - (turning @ velocity[..., None])[..., 0])
-            gradients.append(np.concatenate([turning_rate, turning, zero], axis=-1))
-            variance.append(np.full(robot.cables, self._speed_noise**2))
+            gradients.append(np.concatenate([turning_rate, turning, np.zeros_like(turning)], axis=-1))
+            variances.append(np.full(robot.cables, self._speed_noise**2))
         if "orientation" in blocks:
-            euler = pose[:, -3:]
-            to_omega, turned = euler_rate_matrix(euler), np.swapaxes(rotation_matrix(euler), -1, -2)
+            n, euler = robot.coordinates, pose[:, -3:]
+            to_omega = euler_rate_matrix(euler)
+            to_platform = np.swapaxes(rotation_matrix(euler), -1, -2)
             free = acceleration[:, :3] - robot.gravity_vector
-            innovations += [
-                blocks["orientation"] - euler,
-                blocks["angular_rate"] - (to_omega @ velocity[:, -3:, None])[..., 0],
-                blocks["specific_force"] - (turned @ free[..., None])[..., 0],
-            ]
-            for matrix, first in ((np.eye(3), n - 3), (to_omega, 2 * n - 3), (turned, 2 * n)):
+            innovations.append(blocks["orientation"] - euler)
+            innovations.append(blocks["angular_rate"] - (to_omega @ velocity[:, -3:, None])[..., 0])
+            innovations.append(blocks["specific_force"] - (to_platform @ free[..., None])[..., 0])
+            for matrix, column in ((np.eye(3), n - 3), (to_omega, 2 * n - 3), (to_platform, 2 * n)):
                 gradient = np.zeros((len(pose), 3, 3 * n))
-                gradient[:, :, first : first + 3] = matrix
+                gradient[:, :, column : column + 3] = matrix
                 gradients.append(gradient)
-            white, own = BIAS_TIME / self._period, self.noise
-            variance[0] = variance[0] + white * self._zero_error**2
-            variance += [white * self._orientation_variance]
-            variance += [np.full(3, own.angular_rate**2), np.full(3, own.specific_force**2)]
-        return np.concatenate(innovations, axis=-1), np.concatenate(gradients, axis=-2), np.concatenate(variance)
+            variances.append(BIAS_TIME / self._period * self._orientation_variance)
+            variances.append(np.full(3, self.noise.angular_rate**2))
+            variances.append(np.full(3, self.noise.specific_force**2))
+        return np.concatenate(innovations, axis=-1), np.concatenate(gradients, axis=-2), np.concatenate(variances)
+
+    def _angle_variance(self, blocks: dict[str, Array]) -> Array:
+        """Variance of the pulley angles (m,) [rad²]."""
+        robot = self.robot
+        variance = np.full(robot.cables, self._angle_noise**2)
+        if robot.flexible:
+            torque = self._balance_noise
+            if "tensions" in blocks:
+                cells = self._cell_weight * robot.pulley_radius * self.noise.tension * np.sqrt(self._cell_gain / 2)
+                torque = np.hypot(torque, cells)
+            variance = variance + (torque / robot.stiffness) ** 2
+        if "orientation" in blocks:
+            variance = variance + BIAS_TIME / self._period * self._zero_error**2
+        return variance
+
+
+def _merged(starts: NDArray[np.bool_], initial: KalmanState, following: KalmanState) -> KalmanState:
+    """The initial state of the episodes that start, and the following state of the others."""
+    arrays = {}
+    for name, values in vars(following).items():
+        mask = starts.reshape(-1, *(1,) * (values.ndim - 1))
+        arrays[name] = np.where(mask, getattr(initial, name), values)
+    return KalmanState(**arrays)
 
 
 def _corrected(

@@ -43,7 +43,9 @@ class KinematicEstimator:
     """
 
     def __init__(self, robot: Robot, *, difference: bool = False) -> None:
-        self.robot, self._difference, self._period = robot, difference, 2e-3
+        self.robot = robot
+        self._difference = difference
+        self._period = 2e-3
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Reads the control period."""
@@ -51,28 +53,35 @@ class KinematicEstimator:
 
     def update(self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]) -> tuple[Array, Array, Any]:
         """Pose and velocity, each (N, n), and the pose as the next guess."""
-        robot, angle, reference = self.robot, blocks["motor_angle"], blocks["reference_pose"]
+        robot = self.robot
+        angle = blocks["motor_angle"]
+        reference = blocks["reference_pose"]
         if robot.flexible:
             mass = robot.mass + blocks["model_payload"][:, 0]
             minimum = textbook.allocated_minimum(robot)
             rest = textbook.static_motor_angle(robot, mass, reference, minimum=minimum)
-            angle = angle - (rest - textbook.pulley_angle(robot, reference))
-        guess = reference if state is None else np.where(starts[:, None], reference, state)
+            deflection = rest - textbook.pulley_angle(robot, reference)
+            angle = angle - deflection
+        guess = reference
+        if state is not None:
+            guess = np.where(starts[:, None], reference, state)
         home = textbook.cable_lengths(robot, robot.home)
         pose = forward_kinematics(robot, home - robot.pulley_radius * angle, guess).pose
         if self._difference:
-            last = pose if state is None else np.where(starts[:, None], pose, state)
-            return pose, (pose - last) / self._period, pose
+            previous = pose
+            if state is not None:
+                previous = np.where(starts[:, None], pose, state)
+            return pose, (pose - previous) / self._period, pose
         inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         rates = -robot.pulley_radius * blocks["motor_speed"]
-        return pose, (inverse @ rates[..., None])[..., 0], pose
+        velocity = (inverse @ rates[..., None])[..., 0]
+        return pose, velocity, pose
 
 
 class Estimated:
-    """A policy that reads pose and velocity, with the sensors of winches.
+    """A policy that reads pose and velocity, for environments that measure winches only.
 
-    The policy gets the observation that the environment would have with pose and velocity, with their estimates. After
-    an estimate that is not finite, its actions are zero.
+    An estimator adds pose and velocity to the observation. If an estimate is not finite, the actions are zero.
 
     Args:
         policy: any policy that reads pose and velocity.
@@ -83,8 +92,9 @@ class Estimated:
     measurement = "winches"
 
     def __init__(self, policy: Policy, robot: Robot, estimator: Estimator | None = None) -> None:
-        self.policy, self.robot = policy, robot
-        self.estimator = ExtendedKalmanFilter(robot) if estimator is None else estimator
+        self.policy = policy
+        self.robot = robot
+        self.estimator = estimator or ExtendedKalmanFilter(robot)
         self.unsaturated_actions, self.stochastic = declarations(policy)
         self._full = observation_layout(robot)
         self._measured: ObservationLayout | None = None
@@ -115,19 +125,22 @@ class Estimated:
         """
         if self._measured is None:
             raise RuntimeError("call reset(tasks) first: the tasks tell the sensors")
-        rows = np.atleast_2d(np.asarray(observation, float))
-        blocks = self._measured.split(rows)
-        estimate, inner = (None, None) if state is None else state
-        starts = first_steps(state, episode_start, (len(rows),))
+        observations = np.atleast_2d(np.asarray(observation, float))
+        blocks = self._measured.split(observations)
+        estimator_state, policy_state = state or (None, None)
+        starts = first_steps(state, episode_start, (len(observations),))
         with np.errstate(over="ignore", invalid="ignore"):  # an estimate may diverge
-            pose, velocity, estimate = self.estimator.update(blocks, estimate, starts)
+            pose, velocity, estimator_state = self.estimator.update(blocks, estimator_state, starts)
         values = blocks | {"pose": pose, "velocity": velocity}
         full = np.concatenate([values[block.name] for block in self._full.blocks], axis=-1)
         space = self._full.space()
         full = np.clip(np.nan_to_num(full), space.low, space.high)
-        actions, inner = self.policy.predict(full, inner, starts, deterministic)
-        actions = np.where(np.isfinite(pose + velocity).all(axis=-1, keepdims=True), actions, 0.0)
-        return (actions if np.ndim(observation) > 1 else actions[0]), (estimate, inner)
+        actions, policy_state = self.policy.predict(full, policy_state, starts, deterministic)
+        is_finite = np.isfinite(pose + velocity).all(axis=-1, keepdims=True)
+        actions = np.where(is_finite, actions, 0.0)
+        if np.ndim(observation) == 1:
+            actions = actions[0]
+        return actions, (estimator_state, policy_state)
 
 
 def ekf(robot: Robot, policy: Policy) -> Estimated:

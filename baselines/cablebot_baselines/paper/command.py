@@ -55,8 +55,9 @@ def reproduce(
                 say=say,
             )
     except KeyboardInterrupt:
-        rest = {"only": ",".join(missing(out, names)), "out": out, "workers": workers} | interpretation.changed()
-        say(f"finished parts are in {out}; continue with: {command_line('reproduce', **rest)}")
+        parts = ",".join(missing(out, names))
+        command = command_line("reproduce", only=parts, out=out, workers=workers, **interpretation.changed())
+        say(f"finished parts are in {out}; continue with: {command}")
         raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))

@@ -1,13 +1,17 @@
-"""All parts of the page in their order."""
+"""All parts of the page in their order, and their verdicts."""
 
+from collections.abc import Iterator
 from typing import Any
 
+from cablebot_baselines.paper.judgement import VERDICTS
 from cablebot_baselines.paper.part import Part
 from cablebot_baselines.paper.parts import (
+    algorithm,
+    claims,
     drawings,
+    eq22,
     flexible_saturation,
     interpretations,
-    laws,
     maps,
     robust,
     saturation,
@@ -15,6 +19,8 @@ from cablebot_baselines.paper.parts import (
     tracking,
 )
 from cablebot_baselines.paper.published import load_text
+
+__all__ = ["PARTS", "VERDICTS"]
 
 _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "fig1": (drawings.no_jobs, drawings.planar_outcome, drawings.draw_planar),
@@ -31,9 +37,9 @@ _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "fig13": (saturation.SPATIAL.jobs, saturation.SPATIAL.path, saturation.SPATIAL.draw_path),
     "fig14": (flexible_saturation.path_jobs, flexible_saturation.path_outcome, flexible_saturation.draw_path),
     "fig15": (flexible_saturation.torque_jobs, flexible_saturation.torque_outcome, flexible_saturation.draw_torques),
-    "eq37": (laws.eq37_jobs, laws.eq37_outcome, laws.draw_eq37),
-    "eq22": (laws.eq22_jobs, laws.eq22_outcome, laws.draw_eq22),
-    "claims": (laws.claims_jobs, laws.claims_outcome, None),
+    "eq37": (algorithm.jobs, algorithm.outcome, algorithm.draw),
+    "eq22": (eq22.jobs, eq22.outcome, eq22.draw),
+    "claims": (claims.jobs, claims.outcome, None),
     "interpretations": (interpretations.jobs, interpretations.outcome, None),
     "scan": (scan.jobs, scan.outcome, scan.draw),
     "map-circle": (maps.jobs, maps.outcome, maps.draw),
@@ -41,16 +47,15 @@ _FUNCTIONS: dict[str, tuple[Any, ...]] = {
 """Jobs, outcome and figure of each part."""
 
 
-def _texts() -> dict[str, tuple[str, str]]:
-    """Title and description of each part from parts.md."""
+def _parts() -> Iterator[Part]:
+    """The parts in the order of parts.md, which has their titles and descriptions."""
     _, *sections = load_text("parts.md").split("\n## ")
-    heads = (section.partition("\n") for section in sections)
-    return {head.partition(": ")[0]: (head.partition(": ")[2], text.strip()) for head, _, text in heads}
+    for section in sections:
+        heading, _, text = section.partition("\n")
+        name, _, title = heading.partition(": ")
+        jobs, outcome, draw = _FUNCTIONS[name]
+        yield Part(name=name, title=title, text=text.strip(), jobs=jobs, outcome=outcome, draw=draw)
 
 
-PARTS: tuple[Part, ...] = tuple(
-    Part(name=name, title=title, text=text, jobs=jobs, outcome=outcome, draw=draw)
-    for name, (title, text) in _texts().items()
-    for jobs, outcome, draw in (_FUNCTIONS[name],)
-)
+PARTS: tuple[Part, ...] = tuple(_parts())
 """All parts: figures of the paper, its laws and claims, its interpretations, and a map beyond the paper."""

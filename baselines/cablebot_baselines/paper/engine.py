@@ -18,7 +18,7 @@ from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriu
 from cablebot_baselines.paper.page import html, markdown
 from cablebot_baselines.paper.part import Jobs, Number, Part, Results
 from cablebot_baselines.paper.texts import command
-from cablebot_gym.benchmark.engine import local, run_jobs
+from cablebot_gym.benchmark.engine import Job, local, run_jobs
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice
@@ -45,9 +45,12 @@ def find_parts(names: Sequence[str]) -> tuple[Part, ...]:
     Raises:
         ValueError: if a name is unknown; the message lists the valid names.
     """
+    by_name = {part.name: part for part in PARTS}
     for name in names:
-        choice("part", name, [part.name for part in PARTS], "; for maps run cablebot benchmark --suite paper-maps")
-    return tuple(part for part in PARTS if not names or part.name in names)
+        choice("part", name, list(by_name), "; for maps run cablebot benchmark --suite paper-maps")
+    if not names:
+        return PARTS
+    return tuple(part for part in PARTS if part.name in names)
 
 
 def reproduce(
@@ -86,32 +89,39 @@ def reproduce(
     import_matplotlib()
     check_writable_dir(out)
     output = _Output(interpretation, out, alone=not only)
+    computed = _computed(parts, interpretation, workers, progress or _ignore, say or _ignore)
     try:
-        for part, results in _computed(
-            parts, interpretation, workers, progress or (lambda *_: None), say or (lambda _: None)
-        ):
+        for part, results in computed:
             output.add(part, results)
     finally:
         written = output.write()
     return written
 
 
+def _ignore(*_: Any) -> None:
+    """A callback without effect."""
+
+
 def missing(out: Path, names: Sequence[str]) -> list[str]:
     """Parts that the results in a folder do not contain, restricted to ``names`` unless it is empty."""
-    held = json.loads(read_text(out / RESULTS))["missing"]
-    return [name for name in held if not names or name in names]
+    missing: list[str] = json.loads(read_text(out / RESULTS))["missing"]
+    if not names:
+        return missing
+    return [name for name in missing if name in names]
 
 
 class _Output:
     """Finished parts and their output files."""
 
     def __init__(self, interpretation: Interpretation, out: Path, *, alone: bool) -> None:
-        self._interpretation, self._out = interpretation, out
-        files = sorted(path for path in Path(__file__).parent.iterdir() if path.suffix in (".md", ".toml"))
+        self._interpretation = interpretation
+        self._out = out
+        folder = Path(__file__).parent
+        data = (*sorted(folder.glob("*.md")), *sorted(folder.glob("*.toml")))
         self._head = {
             "interpretation": asdict(interpretation),
             "versions": versions(),
-            "source": source_hash("cablebot_baselines.paper.engine", data=tuple(files)),
+            "source": source_hash("cablebot_baselines.paper.engine", data=data),
         }
         self._numbers: dict[str, Number] = {}
         self._parts: dict[str, dict[str, Any]] = {}
@@ -124,7 +134,8 @@ class _Output:
             return
         is_same, numbers, parts = results
         if is_same:
-            self._numbers, self._parts = numbers, parts
+            self._numbers = numbers
+            self._parts = parts
         elif not alone:
             raise ValueError(
                 f"{str(self._out)!r} contains results of another interpretation or of other code; choose another "
@@ -139,7 +150,8 @@ class _Output:
 
     def add(self, part: Part, results: Results | str) -> None:
         """Adds the outcome and the figure of a part, or the reason why the interpretation does not allow it."""
-        self._numbers = {key: value for key, value in self._numbers.items() if not key.startswith(f"{part.name}.")}
+        for key in self._numbers_of(part.name):
+            del self._numbers[key]
         entry: dict[str, Any] = {
             "name": part.name,
             "title": part.title,
@@ -147,35 +159,49 @@ class _Output:
             "figure": None,
             "tables": [],
         }
+        self._parts[part.name] = entry
         if isinstance(results, str):
             entry["impossible"] = results
-        else:
-            outcome = part.outcome(self._interpretation, results)
-            self._numbers |= {f"{part.name}.{key}": json_number(value) for key, value in outcome.numbers.items()}
-            for table in outcome.tables:
-                cells = [[json_number(value) for value in row] for row in table.rows]
-                entry["tables"].append({"title": table.title, "header": list(table.header), "rows": cells})
-            if part.draw is not None:
-                entry["figure"] = part.name
-                save_figure(part.draw(self._interpretation, results), self._out / part.name)
-        self._parts[part.name] = entry
+            return
+        outcome = part.outcome(self._interpretation, results)
+        for key, value in outcome.numbers.items():
+            self._numbers[f"{part.name}.{key}"] = json_number(value)
+        for table in outcome.tables:
+            cells = [[json_number(value) for value in row] for row in table.rows]
+            entry["tables"].append({"title": table.title, "header": list(table.header), "rows": cells})
+        if part.draw is not None:
+            entry["figure"] = part.name
+            save_figure(part.draw(self._interpretation, results), self._out / part.name)
+
+    def _numbers_of(self, part: str) -> list[str]:
+        """Keys of the numbers of a part."""
+        return [key for key in self._numbers if key.startswith(f"{part}.")]
 
     def write(self) -> dict[str, Any]:
         """Writes results.json and the page of all finished parts."""
-        order = [part.name for part in PARTS]
-        finished = [name for name in order if name in self._parts]
+        numbers: dict[str, Number] = {}
+        parts, missing = [], []
+        impossible: dict[str, str] = {}
+        for part in PARTS:
+            if part.name not in self._parts:
+                missing.append(part.name)
+                continue
+            entry = self._parts[part.name]
+            parts.append(entry)
+            if "impossible" in entry:
+                impossible[part.name] = entry["impossible"]
+            for key in self._numbers_of(part.name):
+                numbers[key] = self._numbers[key]
+        only = [entry["name"] for entry in parts] if missing else []
         results: dict[str, Any] = self._head | {
-            "command": command(self._interpretation, *(finished if len(finished) < len(order) else ())),
-            "numbers": {
-                key: self._numbers[key] for name in order for key in self._numbers if key.startswith(f"{name}.")
-            },
-            "parts": [self._parts[name] for name in finished],
-            "missing": [name for name in order if name not in self._parts],
+            "command": command(self._interpretation, *only),
+            "numbers": numbers,
+            "parts": parts,
+            "missing": missing,
         }
         if (self._out / _ERRATA).is_file():
             results["errata"] = _ERRATA
-        impossible = {name: part["impossible"] for name, part in self._parts.items() if "impossible" in part}
-        results["rows"] = rows(self._interpretation, results["numbers"], impossible)
+        results["rows"] = rows(self._interpretation, numbers, impossible)
         text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         for name, content in ((RESULTS, text), (MARKDOWN, markdown(results)), (HTML, html(results))):
             atomic_write_text(self._out / name, content)
@@ -186,9 +212,9 @@ def save_figure(figure: Any, stem: Path) -> None:
     """Writes a figure as ``.png`` and ``.svg`` with reproducible bytes."""
     from matplotlib import rc_context
 
-    for suffix, keywords in ((".png", {"dpi": DPI}), (".svg", {"metadata": {"Date": None}})):
-        with rc_context({"svg.hashsalt": stem.name}):
-            atomic_write(stem.with_suffix(suffix), partial(figure.savefig, format=suffix[1:], **keywords))
+    with rc_context({"svg.hashsalt": stem.name}):
+        atomic_write(stem.with_suffix(".png"), partial(figure.savefig, format="png", dpi=DPI))
+        atomic_write(stem.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata={"Date": None}))
 
 
 def json_number(value: Any) -> Number:
@@ -196,7 +222,9 @@ def json_number(value: Any) -> Number:
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+        if not math.isfinite(value):
+            return None
+        return float(f"{value:.{_DIGITS}g}")
     if value is None or isinstance(value, (bool, int, str)):
         return value
     raise TypeError(f"a result must be a number, a text, a truth value or None, not {value!r}")
@@ -216,20 +244,26 @@ def _computed(
             waiting[part.name] = part, part.jobs(interpretation)
         except NoEquilibriumError as error:
             yield part, str(error)
-    jobs = {job.key: job for _, own in waiting.values() for job in own.values()}
-    done: dict[str, Any] = {}
+    all_jobs: dict[str, Job] = {}
+    for _, jobs in waiting.values():
+        all_jobs |= {job.key: job for job in jobs.values()}
+    results_by_key: dict[str, Any] = {}
 
-    def complete() -> Iterator[tuple[Part, Results | str]]:
-        for name, (part, own) in list(waiting.items()):
-            if all(job.key in done for job in own.values()):
-                progress(f"drawing {name}", len(done), len(jobs))
-                results = {name: done[job.key] for name, job in own.items()}
-                failed = [result for result in results.values() if isinstance(result, NoEquilibriumError)]
-                del waiting[name]
-                yield part, str(failed[0]) if failed else results
+    def finished() -> Iterator[tuple[Part, Results | str]]:
+        for name, (part, jobs) in list(waiting.items()):
+            if not all(job.key in results_by_key for job in jobs.values()):
+                continue
+            progress(f"drawing {name}", len(results_by_key), len(all_jobs))
+            del waiting[name]
+            results = {name: results_by_key[job.key] for name, job in jobs.items()}
+            errors = [result for result in results.values() if isinstance(result, NoEquilibriumError)]
+            if errors:
+                yield part, str(errors[0])
+            else:
+                yield part, results
 
-    yield from complete()  # parts without computations
-    for key, result in run_jobs(jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,)):
-        done[key] = result
-        progress("computing", len(done), len(jobs))
-        yield from complete()
+    yield from finished()  # parts without computations
+    for key, result in run_jobs(all_jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,)):
+        results_by_key[key] = result
+        progress("computing", len(results_by_key), len(all_jobs))
+        yield from finished()

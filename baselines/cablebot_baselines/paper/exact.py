@@ -57,9 +57,8 @@ def exact_profile(interpretation: Interpretation, robot: Robot, payload: float) 
     times = _times(robot)
     motion = paper_circle(robot)(times)
     tensions = _tensions(interpretation, robot, robot.mass + payload, motion)
-    state = (motion.position, motion.velocity)
-    torques = textbook.required_torques(robot, tensions, *state, motion.acceleration)
-    speed = interpretation.line_speed(robot) * textbook.pulley_speed(robot, *state)
+    torques = textbook.required_torques(robot, tensions, motion.position, motion.velocity, motion.acceleration)
+    speed = interpretation.line_speed(robot) * textbook.pulley_speed(robot, motion.position, motion.velocity)
     lower, upper = textbook.torque_limits(robot, speed)
     return Profile(times=times, torques=torques, lower=lower, upper=upper)
 
@@ -99,17 +98,18 @@ def state_space_profile(interpretation: Interpretation, robot: Robot, payload: f
 
 def state_space_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """The largest payload of :func:`state_space_profile`. The torques are affine in the payload."""
-    empty, loaded = (state_space_profile(interpretation, robot, payload) for payload in (0.0, 1.0))
-    above, below = (
-        (empty.upper - empty.torques, loaded.upper - loaded.torques),
-        (empty.torques - empty.lower, loaded.torques - loaded.lower),
-    )
-    rooms = np.stack([above[0], below[0]], axis=-1)
-    slopes = rooms - np.stack([above[1], below[1]], axis=-1)
+    empty = state_space_profile(interpretation, robot, 0.0)
+    reserve = _reserve(empty)
+    slope = reserve - _reserve(state_space_profile(interpretation, robot, 1.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(slopes > 0, rooms / slopes, np.inf)
-    k, motor, _ = np.unravel_index(np.argmin(ends), ends.shape)
-    return LargestPayload(payload=float(ends[k, motor].min()), motor=int(motor) + 1, time=_rounded(empty.times[k]))
+        payloads = np.where(slope > 0, reserve / slope, np.inf)
+    k, motor, _ = np.unravel_index(np.argmin(payloads), payloads.shape)
+    return LargestPayload(payload=float(payloads[k, motor].min()), motor=int(motor) + 1, time=_rounded(empty.times[k]))
+
+
+def _reserve(profile: Profile) -> Array:
+    """Distances of the torques to the upper and to the lower limit, (K, m, 2)."""
+    return np.stack([profile.upper - profile.torques, profile.torques - profile.lower], axis=-1)
 
 
 def _times(robot: Robot) -> Array:
@@ -123,10 +123,11 @@ def _times(robot: Robot) -> Array:
 
 def _tensions(interpretation: Interpretation, robot: Robot, mass: float, motion: Reference) -> Array:
     """Tensions of exact tracking, shape (K, m) [N]; a planar robot uses the interpretation of α."""
-    state = (motion.position, motion.velocity, motion.acceleration)
+    minimum = interpretation.minimum_tension
     if robot.planar and interpretation.alpha == "constant":
-        return _ConstantAlpha(robot, motion, interpretation.minimum_tension)(mass)
-    return textbook.required_tensions(robot, mass, *state, minimum=interpretation.minimum_tension)
+        return _ConstantAlpha(robot, motion, minimum)(mass)
+    state = (motion.position, motion.velocity, motion.acceleration)
+    return textbook.required_tensions(robot, mass, *state, minimum=minimum)
 
 
 class _ConstantAlpha:
@@ -134,9 +135,11 @@ class _ConstantAlpha:
 
     def __init__(self, robot: Robot, motion: Reference, minimum: float) -> None:
         structure = textbook.jacobian(robot, motion.position)
-        self._particular = -np.einsum("kic,kc->ki", np.linalg.pinv(np.swapaxes(structure, -1, -2)), motion.acceleration)
+        inverse = np.linalg.pinv(np.swapaxes(structure, -1, -2))
+        self._particular = -np.einsum("kic,kc->ki", inverse, motion.acceleration)
         null = np.cross(structure[..., 0], structure[..., 1])
-        self._null = null * np.sign(null.sum(axis=-1, keepdims=True)) / np.linalg.norm(null, axis=-1, keepdims=True)
+        sign = np.sign(null.sum(axis=-1, keepdims=True))
+        self._null = null * sign / np.linalg.norm(null, axis=-1, keepdims=True)
         self._minimum = minimum
 
     def __call__(self, mass: float) -> Array:
@@ -150,26 +153,31 @@ def _searched(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """Bisection for a constant α. The torque reserve of the motors is concave in the mass, but not affine."""
     times = _times(robot)
     motion = paper_circle(robot)(times)
-    tensions, state = _ConstantAlpha(robot, motion, interpretation.minimum_tension), (motion.position, motion.velocity)
-    still = textbook.required_torques(robot, np.zeros((len(times), robot.cables)), *state, motion.acceleration)
-    lower, upper = textbook.torque_limits(
-        robot, interpretation.line_speed(robot) * textbook.pulley_speed(robot, *state)
-    )
+    state = (motion.position, motion.velocity)
+    tensions = _ConstantAlpha(robot, motion, interpretation.minimum_tension)
+    slack = np.zeros((len(times), robot.cables))
+    pulley_torques = textbook.required_torques(robot, slack, *state, motion.acceleration)
+    speed = interpretation.line_speed(robot) * textbook.pulley_speed(robot, *state)
+    lower, upper = textbook.torque_limits(robot, speed)
 
     def overload(mass: float) -> Array:
-        torques = still + robot.pulley_radius * tensions(mass)
+        torques = pulley_torques + robot.pulley_radius * tensions(mass)
         return np.maximum(torques - upper, lower - torques)
 
-    masses = np.linspace(0.0, 10 * robot.mass, 201)[1:]
-    fails = next((k for k, mass in enumerate(masses) if overload(float(mass)).max() > 0), None)
-    if fails is None:
+    masses = np.linspace(0.0, 10 * robot.mass, 201)[1:].tolist()
+    overloaded = [mass for mass in masses if overload(mass).max() > 0]
+    if not overloaded:
         return LargestPayload(payload=np.inf, motor=None, time=None)
-    if fails == 0:
+    high = overloaded[0]
+    if high == masses[0]:
         return LargestPayload(payload=-np.inf, motor=None, time=None)
-    low, high = float(masses[fails - 1]), float(masses[fails])
+    low = masses[masses.index(high) - 1]
     while high - low > 1e-9:
         middle = (low + high) / 2
-        low, high = (low, middle) if overload(middle).max() > 0 else (middle, high)
+        if overload(middle).max() > 0:
+            high = middle
+        else:
+            low = middle
     k, motor = np.unravel_index(np.argmax(overload(high)), (len(times), robot.cables))
     return LargestPayload(payload=low - robot.mass, motor=int(motor) + 1, time=_rounded(times[k]))
 
@@ -177,17 +185,18 @@ def _searched(interpretation: Interpretation, robot: Robot) -> LargestPayload:
 def _state_space(interpretation: Interpretation, robot: Robot, mass: float, times: Array) -> tuple[Array, Array]:
     """Torques, and speeds for the torque-speed line of the interpretation, each of shape (K, m)."""
     motion = paper_circle(robot)(times)
-    state = (motion.position, motion.velocity)
-    pulley_speed = textbook.pulley_speed(robot, *state)
-    tensions = textbook.required_tensions(robot, mass, *state, motion.acceleration)
-    spring = textbook.required_torques(robot, tensions, *state, motion.acceleration)
-    goal = textbook.pulley_angle(robot, motion.position) + spring / robot.stiffness  # β + κ/K
-    divisor = robot.motor_inertia if interpretation.eq24 == "corrected" else 1.0 + robot.motor_inertia
-    angle, motor_speed = _oscillation(goal, np.sqrt(robot.stiffness / divisor), times)
-    torques = spring + robot.motor_inertia * robot.stiffness / divisor * (goal - angle)
-    if interpretation.line in ("physical", "reversed"):
-        return torques, interpretation.line_speed(robot) * motor_speed
-    return torques, interpretation.line_speed(robot) * pulley_speed
+    state = (motion.position, motion.velocity, motion.acceleration)
+    tensions = textbook.required_tensions(robot, mass, *state)
+    spring = textbook.required_torques(robot, tensions, *state)
+    rest_angle = textbook.pulley_angle(robot, motion.position) + spring / robot.stiffness  # β + κ/K
+    divisor = robot.motor_inertia
+    if interpretation.eq24 == "verbatim":
+        divisor = 1.0 + robot.motor_inertia
+    angle, speed = _oscillation(rest_angle, np.sqrt(robot.stiffness / divisor), times)
+    torques = spring + robot.motor_inertia * robot.stiffness / divisor * (rest_angle - angle)
+    if interpretation.line not in ("physical", "reversed"):
+        speed = textbook.pulley_speed(robot, motion.position, motion.velocity)
+    return torques, interpretation.line_speed(robot) * speed
 
 
 def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Array]:
@@ -196,7 +205,8 @@ def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Ar
     angle[0] = goal[0]
     for k, step in enumerate(np.diff(times)):
         rate = (goal[k + 1] - goal[k]) / step
-        offset, drift = angle[k] - goal[k], speed[k] - rate
+        offset = angle[k] - goal[k]
+        drift = speed[k] - rate
         cosine, sine = np.cos(frequency * step), np.sin(frequency * step)
         angle[k + 1] = goal[k + 1] + offset * cosine + drift / frequency * sine
         speed[k + 1] = rate - offset * frequency * sine + drift * cosine

@@ -1,16 +1,20 @@
-"""Rows of the page: our value, the interpretation, a verdict and the evidence for each published number and claim."""
+"""Findings: our value, the interpretation, a verdict and the evidence for each published number and claim."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from string import Template
 from typing import Any
 
-from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriumError, Source
+from cablebot_baselines.paper.contents import VERDICTS
+from cablebot_baselines.paper.inputs import judge_input
+from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriumError
+from cablebot_baselines.paper.judgement import MissingNumberError, Run, Verdict, quantity_text
 from cablebot_baselines.paper.part import Number
-from cablebot_baselines.paper.published import ABOUT, PUBLISHED, Published, load_text
-from cablebot_baselines.paper.texts import command, option_text
-from cablebot_baselines.paper.verdicts import MissingNumber, Run, judge, judge_input
+from cablebot_baselines.paper.published import ABOUT, PUBLISHED, Input, Published, load_text
+from cablebot_baselines.paper.texts import command, option_text, relative_difference
 
 RULE = Template(load_text("rules.md")).substitute(percent=f"{100 * ABOUT:g}").strip()
 """Rules of the verdicts: a Markdown list."""
@@ -19,12 +23,38 @@ _PAYLOAD_PARTS = ("fig10", "fig11", "fig12", "fig13", "fig14", "fig15")
 """Parts that use the robots of §5.2."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One published item, our value, and the verdict. Without a required part the run has no value and no verdict."""
+
+    key: str
+    """Key of the published item."""
+    place: str
+    """Section or table of the paper."""
+    statement: str
+    """Content of the statement."""
+    printed: str
+    """Number as printed."""
+    kind: str
+    """Input, result or claim."""
+    ours: str | None = None
+    """Text of our value."""
+    value: float | None = None
+    """Our value, in the unit of the published one."""
+    interpretation: str = ""
+    """Options that affect our value, as text."""
+    verdict: str | None = None
+    """Verdict on the item."""
+    evidence: str = ""
+    """Sentences."""
+    command: str
+    """Command that computes our value."""
+
+
 def rows(
     interpretation: Interpretation, numbers: Mapping[str, Number], impossible: Mapping[str, str] | None = None
 ) -> list[dict[str, Any]]:
-    """Rows of the page: inputs, results and claims, each in the order of the paper.
-
-    Without a required part, ``ours``, ``value`` and ``verdict`` are None, and ``command`` computes them.
+    """Findings as rows of results.json: inputs, results and claims, each in the order of the paper.
 
     Args:
         interpretation: interpretation of the paper.
@@ -32,68 +62,88 @@ def rows(
         impossible: reason for each part that the interpretation does not allow, by part name.
     """
     run = Run(interpretation=interpretation, numbers=numbers)
-    return [finding(item, run, impossible or {}) for item in PUBLISHED.values()]
+    return [asdict(find(item, run, impossible or {})) for item in PUBLISHED.values()]
 
 
-def finding(item: Published, run: Run, impossible: Mapping[str, str]) -> dict[str, Any]:
-    """Row of one published item, see :func:`rows`."""
-    ours: str | None = None
-    value: float | None = None
-    verdict: str | None = None
-    chosen, evidence = "", ""
-    forbidden = [impossible[part] for part in item.parts if part in impossible and item.kind != "input"]
+def find(item: Published, run: Run, impossible: Mapping[str, str]) -> Finding:
+    """Finding on one published item, see :func:`rows`."""
+    parts = (item.part,) if isinstance(item, Input) else VERDICTS[item.key].parts
+    finding = Finding(
+        key=item.key,
+        place=item.place,
+        statement=item.statement,
+        printed=item.printed,
+        kind=item.kind,
+        command=command(run.interpretation, *parts),
+    )
     try:
-        if forbidden:
-            raise NoEquilibriumError(forbidden[0])
-        ours, value, verdict = (judge_input if item.kind == "input" else judge)(item, run)
-        chosen, evidence = _chosen(item, run.interpretation), _evidence(item, run)
+        if isinstance(item, Input):
+            return _input_finding(finding, item, run.interpretation)
+        for part in parts:
+            if part in impossible:
+                raise NoEquilibriumError(impossible[part])
+        return _judged(finding, item, VERDICTS[item.key], run)
     except NoEquilibriumError as error:
-        ours, verdict = "–", "undecided"
-        chosen, evidence = run.interpretation.text(), f"Not possible under this interpretation: {error}."
-    except MissingNumber as absent:
-        part = str(absent).partition(".")[0]
-        if any(key.startswith(f"{part}.") for key in run.numbers):
-            ours, verdict = "–", "undecided"
-            chosen, evidence = run.interpretation.text(), _absence(str(absent), run.interpretation)
-    return {
-        "key": item.key,
-        "place": item.place,
-        "statement": item.statement,
-        "printed": item.printed,
-        "kind": item.kind,
-        "ours": ours,
-        "value": value,
-        "interpretation": chosen,
-        "verdict": verdict,
-        "evidence": evidence,
-        "command": command(run.interpretation, *item.parts),
-    }
+        reason = f"Not possible under this interpretation: {error}."
+    except MissingNumberError as error:
+        (name,) = error.args
+        part = name.partition(".")[0]
+        if not any(key.startswith(f"{part}.") for key in run.numbers):  # the part was not run
+            return finding
+        reason = _absence(name, run.interpretation)
+    interpretation = run.interpretation.text()
+    return replace(finding, ours="–", verdict="undecided", interpretation=interpretation, evidence=reason)
 
 
-def _chosen(item: Published, interpretation: Interpretation) -> str:
-    """Texts of the options that affect our value."""
-    source: Source | None = None
-    if item.kind != "input":
-        source = "payload" if item.parts[0] in _PAYLOAD_PARTS else "control"
-    texts = [option_text(name, getattr(interpretation, name), source) for name in item.options]
-    if item.choice:
-        texts.append(item.choice)
-    if "claims" in item.parts and not interpretation.closed_loop_possible:
+def _input_finding(finding: Finding, item: Input, interpretation: Interpretation) -> Finding:
+    value, ours, verdict = judge_input(item, interpretation)
+    option = ""
+    if item.option:
+        option = option_text(item.option, getattr(interpretation, item.option))
+    paths = [f"`{path}`" for path in item.sources]
+    evidence = "; ".join(filter(None, [*paths, item.note]))
+    return replace(finding, ours=ours, value=value, verdict=verdict, interpretation=option, evidence=evidence)
+
+
+def _judged(finding: Finding, item: Published, verdict: Verdict, run: Run) -> Finding:
+    """Finding on a result or a claim."""
+    judgement = verdict.judge(run)
+    value, unit = judgement.value, item.unit or verdict.unit
+    text = quantity_text(value, unit)
+    if value == -math.inf:
+        value = None  # the robot fails unloaded
+    if item.kind == "result" and unit == "kg" and value is not None:
+        assert item.value is not None  # a result has a number
+        text = f"{text} ({relative_difference(float(value), item.value)})"
+    if judgement.text:
+        text = run.sentence(judgement.text, ours=text) or text
+    if value is not None and unit == "%":
+        value = 100 * float(value)
+    words = {None: "undecided", True: "reproduced", False: "not reproduced"}
+    return replace(
+        finding,
+        ours=text,
+        value=None if value is None else float(value),
+        interpretation=_chosen(verdict, run.interpretation),
+        verdict=words[judgement.is_reproduced],
+        evidence=run.sentences(judgement.evidence),
+    )
+
+
+def _chosen(verdict: Verdict, interpretation: Interpretation) -> str:
+    """Texts of the options and choices that affect our value."""
+    source: Any = "payload" if verdict.parts[0] in _PAYLOAD_PARTS else "control"
+    texts = [option_text(name, getattr(interpretation, name), source) for name in verdict.options]
+    if verdict.choice:
+        texts.append(verdict.choice)
+    if "claims" in verdict.parts and not interpretation.closed_loop_possible:
         texts.append("torque limits from the motor speed, because no motor can have this line")
     return ", ".join(texts)
 
 
-def _evidence(item: Published, run: Run) -> str:
-    """Sentences of the evidence; for an input the paths of its values and remarks."""
-    if item.kind != "input":
-        return run.all_filled(item.evidence)
-    paths = [f"`{expression.replace('@', '')}`" for expression in item.ours if expression != "published"]
-    return "; ".join([*paths, *item.evidence])
-
-
 def _absence(name: str, interpretation: Interpretation) -> str:
     """Reason for a number without value."""
-    reason = ""
-    if not interpretation.flexible_loop_possible:
-        reason = f", because no motor can have the torque-speed line {interpretation.line} in closed loop"
-    return f"`{name}` has no value{reason}."
+    if interpretation.flexible_loop_possible:
+        return f"`{name}` has no value."
+    line = interpretation.line
+    return f"`{name}` has no value, because no motor can have the torque-speed line {line} in closed loop."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -11,25 +10,101 @@ import numpy as np
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS, RobustPD
 from cablebot_baselines.paper.exact import paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
-from cablebot_gym.kinematics import Array
+from cablebot_baselines.paper.published import Input
+from cablebot_baselines.paper.texts import as_text
 from cablebot_gym.robots import ROBOTS, RPM, Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.uncertainty import UNCERTAINTIES
 
 
+def judge_input(item: Input, interpretation: Interpretation) -> tuple[float | None, str, str]:
+    """Our value as a number and as text, and the verdict on an input.
+
+    Raises:
+        NoEquilibriumError: if the robot with this input does not exist under the interpretation.
+    """
+    values = [read(path, interpretation) for path in item.sources] or [item.value]
+    if item.value is None:
+        return None, str(values[0]), item.verdict
+    flat = np.concatenate([np.ravel(np.asarray(value, float)) for value in values])
+    numbers = np.unique(flat.round(12))
+    expected = item.value if item.corrected is None else item.corrected
+    is_used = np.allclose(numbers, expected, rtol=1e-9, atol=0)
+    if item.is_upper_bound:
+        is_used = bool(numbers.max() < item.value)
+    verdict: str = item.verdict
+    if not is_used and verdict != "contradicted":
+        verdict = "replaced"
+    text = ", ".join(as_text(float(number)) for number in numbers)
+    value = float(numbers[0]) if len(numbers) == 1 else None
+    return value, f"{text} {item.unit}".strip(), verdict
+
+
 def read(path: str, interpretation: Interpretation) -> Any:
-    """Value of a path such as ``planar.mass`` or ``gains.spatial.0``: a source, then keys, indices or attributes."""
-    name, *rest = path.split(".")
-    value = SOURCES[name](interpretation)
-    for name in rest:
+    """Value of a path such as ``planar.mass``, ``planar_circle.radius`` or ``gains.spatial.0``.
+
+    The path consists of a robot, a quantity of a robot or another object, and of keys, indices or attributes.
+    """
+    source, *steps = path.split(".")
+    value = _source(source, interpretation)
+    for step in steps:
         if isinstance(value, Mapping):
-            value = value[name]
+            value = value[step]
+        elif step.isdigit():
+            value = value[int(step)]
         else:
-            value = value[int(name)] if name.isdigit() else getattr(value, name)
+            value = getattr(value, step)
     return value
 
 
-def _circle(robot: Robot) -> dict[str, Any]:
+def _source(name: str, interpretation: Interpretation) -> Any:
+    if name in _ROBOTS:
+        return _ROBOTS[name](interpretation)
+    if name in _OBJECTS:
+        return _OBJECTS[name](interpretation)
+    robot, _, quantity = name.rpartition("_")
+    return _QUANTITIES[quantity](interpretation, _ROBOTS[robot](interpretation))
+
+
+_ROBOTS: dict[str, Callable[[Interpretation], Robot]] = {
+    "planar": lambda interpretation: interpretation.planar,
+    "spatial": lambda interpretation: interpretation.spatial("control"),
+    "flexible": lambda interpretation: interpretation.flexible("control"),
+    "loaded_spatial": lambda interpretation: interpretation.spatial("payload"),
+    "loaded_flexible": lambda interpretation: interpretation.flexible("payload"),
+}
+"""Robots of Tables 2, 4 and 5; ``loaded_`` marks those of Tables 8 and 9."""
+
+
+def _table6(interpretation: Interpretation) -> dict[str, Any]:
+    """Half-widths of the distributions, and mean and variance of the disturbance."""
+    uncertainty = UNCERTAINTIES["table6"](interpretation.flexible("control"))
+    mass = uncertainty.parameters["platform_mass"]
+    stiffness = uncertainty.parameters["stiffness"]
+    wrench = uncertainty.wrench
+    assert wrench is not None  # Table 6 prints a disturbance
+    return {
+        "mass": np.abs([mass.low, mass.high]),
+        "stiffness": np.abs([stiffness.low, stiffness.high]),
+        "force_mean": wrench.force_mean,
+        "force_variance": np.square(wrench.force_std),
+        "factor": np.abs(np.subtract(wrench.factor, 1)),
+    }
+
+
+_OBJECTS: dict[str, Callable[[Interpretation], Any]] = {
+    "sides": lambda interpretation: interpretation.sides,
+    "table6": _table6,
+    "bounds": lambda _: ErrorBounds(),
+    "gains": lambda _: PAPER_GAINS,
+    "law": lambda _: RobustPD,
+    "law_bounds": lambda _: len({"zeta", "phi"} & RobustPD.__dataclass_fields__.keys()),
+    "rigid_robots": lambda _: sum(not robot.flexible for robot in ROBOTS.values()),
+}
+"""Objects besides the robots."""
+
+
+def _circle(_: Interpretation, robot: Robot) -> dict[str, Any]:
     """Quantities of Tables 1 and 3, measured on the motion."""
     circle = paper_circle(robot)
 
@@ -54,64 +129,20 @@ def _circle(robot: Robot) -> dict[str, Any]:
 
 def _size(interpretation: Interpretation, robot: Robot) -> dict[str, float]:
     """a and b of the triangles under the interpretation [m]."""
-    divisor = 2.0 if interpretation.sides == "half-side" else np.sqrt(3)
-    triangles = {"base": robot.base, "platform": robot.platform}
-    return {
-        name: np.linalg.norm(anchors[:, None] - anchors[None], axis=-1).max() / divisor
-        for name, anchors in triangles.items()
-    }
+    sizes = {}
+    for name, anchors in (("base", robot.base), ("platform", robot.platform)):
+        side = np.linalg.norm(anchors[:, None] - anchors[None], axis=-1).max()
+        sizes[name] = side / 2 if interpretation.sides == "half-side" else side / np.sqrt(3)
+    return sizes
 
 
-def _table6(interpretation: Interpretation) -> dict[str, Any]:
-    """Half-widths of the distributions, and mean and variance of the disturbance."""
-    uncertainty = UNCERTAINTIES["table6"](interpretation.flexible("control"))
-    widths = {
-        name: np.abs([uncertainty.parameters[parameter].low, uncertainty.parameters[parameter].high])
-        for name, parameter in (("mass", "platform_mass"), ("stiffness", "stiffness"))
-    }
-    wrench = uncertainty.wrench
-    assert wrench is not None  # Table 6 prints a disturbance
-    return widths | {
-        "force_mean": wrench.force_mean,
-        "force_variance": np.square(wrench.force_std),
-        "factor": np.abs(np.subtract(wrench.factor, 1)),
-    }
-
-
-def _speed(interpretation: Interpretation, robot: Robot) -> Array:
-    """Free speed under the torque-speed line of the interpretation, if a motor can have this line [rpm]."""
-    return np.divide(interpretation.closed_loop_robot(robot).motors.free_speed, RPM)
-
-
-def _slowest_pole() -> float:
-    """Largest real part of the poles of both sets of gains [1/s]."""
-    return float(max(np.roots([1.0, damping, stiffness]).real.max() for stiffness, damping in PAPER_GAINS.values()))
-
-
-SOURCES: dict[str, Callable[[Interpretation], Any]] = {
-    "rigid_robots": lambda chosen: sum(not robot.flexible for robot in ROBOTS.values()),
-    "planar": lambda chosen: chosen.planar,
-    "spatial": lambda chosen: chosen.spatial("control"),
-    "flexible": lambda chosen: chosen.flexible("control"),
-    "loaded_spatial": lambda chosen: chosen.spatial("payload"),
-    "loaded_flexible": lambda chosen: chosen.flexible("payload"),
-    "flexible_freedom": lambda chosen: chosen.flexible("control").coordinates + chosen.flexible("control").cables,
-    "planar_sides": lambda chosen: np.linalg.norm(chosen.planar.base - np.roll(chosen.planar.base, 1, axis=0), axis=1),
-    "spatial_size": lambda chosen: _size(chosen, chosen.spatial("control")),
-    "flexible_size": lambda chosen: _size(chosen, chosen.flexible("control")),
-    "sides": lambda chosen: chosen.sides,
-    "planar_circle": lambda chosen: _circle(chosen.planar),
-    "spatial_circle": lambda chosen: _circle(chosen.spatial("control")),
-    "flexible_circle": lambda chosen: _circle(chosen.flexible("control")),
-    "planar_speed": lambda chosen: _speed(chosen, chosen.planar),
-    "loaded_spatial_speed": lambda chosen: _speed(chosen, chosen.spatial("payload")),
-    "loaded_flexible_speed": lambda chosen: _speed(chosen, chosen.flexible("payload")),
-    "gains": lambda chosen: PAPER_GAINS,
-    "slowest_pole": lambda chosen: _slowest_pole(),
-    "law": lambda chosen: RobustPD,
-    "law_bounds": lambda chosen: sum(field.name in ("zeta", "phi") for field in fields(RobustPD)),
-    "bounds": lambda chosen: ErrorBounds(),
-    "table6": _table6,
+_QUANTITIES: dict[str, Callable[[Interpretation, Robot], Any]] = {
+    "circle": _circle,
+    "size": _size,
+    "sides": lambda _, robot: np.linalg.norm(robot.base - np.roll(robot.base, 1, axis=0), axis=1),
+    "freedom": lambda _, robot: robot.coordinates + robot.cables,
+    "states": lambda _, robot: {"platform": 2 * robot.coordinates, "motors": 2 * robot.cables},
+    # Free speed under the torque-speed line of the interpretation, if a motor can have this line [rpm].
+    "speed": lambda interpretation, robot: np.divide(interpretation.closed_loop_robot(robot).motors.free_speed, RPM),
 }
-"""Objects of the reproduction under an interpretation, by the first name of a path. ``loaded_`` marks the robots of
-Tables 8 and 9; the others are those of Tables 2, 4 and 5."""
+"""Quantities of a robot."""

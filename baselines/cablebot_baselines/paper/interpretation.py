@@ -106,11 +106,12 @@ class Interpretation:
     @property
     def planar(self) -> Robot:
         """The planar robot (Tables 2 and 7)."""
-        quarters = ("up", "left", "down", "right").index(self.planar_apex)
+        if self.planar_apex == "up":
+            return PLANAR
         base = PLANAR.base
-        for _ in range(quarters):
-            base = np.stack([-base[:, 1], base[:, 0]], axis=1)
-        return PLANAR if quarters == 0 else PLANAR.replace(base_anchors=base)
+        for _ in range(("up", "left", "down", "right").index(self.planar_apex)):
+            base = np.stack([-base[:, 1], base[:, 0]], axis=1)  # rotation by 90°
+        return PLANAR.replace(base_anchors=base)
 
     def spatial(self, source: Source) -> Robot:
         """The rigid spatial robot (Tables 4 and 8).
@@ -122,8 +123,8 @@ class Interpretation:
         if self.pulleys == "table4":
             return robot
         pulleys = FLEX_SPATIAL.transmission
-        changed = robot.transmission.replace(pulley_inertia=pulleys.pulley_inertia, damping=pulleys.damping)
-        return robot.replace(transmission=changed)
+        transmission = robot.transmission.replace(pulley_inertia=pulleys.pulley_inertia, damping=pulleys.damping)
+        return robot.replace(transmission=transmission)
 
     def flexible(self, source: Source) -> Robot:
         """The spatial robot with joint springs (Tables 5 and 9).
@@ -156,12 +157,16 @@ class Interpretation:
 
     def _value(self, name: str, source: Source) -> float:
         choice = getattr(self, name)
-        return AS_PRINTED[name][source] if choice == "as-printed" else float(choice)
+        if choice == "as-printed":
+            return AS_PRINTED[name][source]
+        return float(choice)
 
     def line_speed(self, robot: Robot) -> Array:
         """Factor of the pulley speed β̇ in the torque-speed line, shape (m,)."""
-        scale = {"physical": 1.0, "pulley": 1.0, "flat": 0.0, "reversed": -1.0}
-        return -robot.pulley_radius if self.line == "cable" else np.full(robot.cables, scale[self.line])
+        if self.line == "cable":
+            return -robot.pulley_radius
+        factors = {"physical": 1.0, "pulley": 1.0, "flat": 0.0, "reversed": -1.0}
+        return np.full(robot.cables, factors[self.line])
 
     @property
     def closed_loop_possible(self) -> bool:
@@ -174,7 +179,9 @@ class Interpretation:
         return self.line in ("physical", "flat")
 
     def _possible(self, robot: Robot) -> bool:
-        return self.flexible_loop_possible if robot.flexible else self.closed_loop_possible
+        if robot.flexible:
+            return self.flexible_loop_possible
+        return self.closed_loop_possible
 
     def motors(self, robot: Robot) -> Robot:
         """The robot with the torque-speed line of this interpretation.
@@ -186,15 +193,21 @@ class Interpretation:
             raise ValueError(
                 f"no motor can have the torque-speed line {self.line!r} in closed loop; use flat or physical"
             )
-        return robot.replace(motors=robot.motors.replace(free_speed=_FLAT)) if self.line == "flat" else robot
+        if self.line == "flat":
+            return robot.replace(motors=robot.motors.replace(free_speed=_FLAT))
+        return robot
 
     def closed_loop_robot(self, robot: Robot) -> Robot:
         """Robot for closed loops: with this torque-speed line if a motor can have it, otherwise unchanged."""
-        return self.motors(robot) if self._possible(robot) else robot
+        if self._possible(robot):
+            return self.motors(robot)
+        return robot
 
     def counted(self, robot: Robot, added: float) -> float:
         """Payload by the definition of this interpretation [kg]."""
-        return added + (robot.mass if self.payload == "total" else 0.0)
+        if self.payload == "total":
+            return added + robot.mass
+        return added
 
 
 def choices_of() -> dict[str, tuple[str, ...]]:

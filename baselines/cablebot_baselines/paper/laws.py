@@ -10,9 +10,7 @@ class FeedForward(ClassicalLaw):
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Torques of the reference motion [N·m] and current pulley speeds [rad/s]."""
-        motion = (blocks[f"reference_{name}"] for name in ("pose", "velocity", "acceleration"))
-        needed = self._inverse_dynamics(mass, *motion)
-        speeds = self._inverse_dynamics(
-            mass, blocks["pose"], blocks["velocity"], blocks["reference_acceleration"]
-        ).speeds
-        return needed.torques, speeds
+        acceleration = blocks["reference_acceleration"]
+        required = self._inverse_dynamics(mass, blocks["reference_pose"], blocks["reference_velocity"], acceleration)
+        current = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
+        return required.torques, current.speeds

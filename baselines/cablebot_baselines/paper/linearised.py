@@ -11,14 +11,19 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Motors, Robot
 
 _TURN = 0.05
 """Maximum phase advance of the fastest mode per physics step [rad], small enough for RK4 to add no damping."""
+
 _DIFFERENCE = 1e-6
+"""Half step of the central differences."""
+
 _BEYOND = 1e6
+"""Factor of the motor torques for motors that never saturate."""
 
 
 def unsaturated_actions(robot: Robot) -> Robot:
@@ -39,26 +44,20 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
         robot: flexible robot with the motors of :func:`unsaturated_actions`.
         control_frequency: 1/h [Hz].
     """
-    n, m, period = robot.coordinates, robot.cables, 1 / control_frequency
-    angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
-    rest = np.concatenate([robot.home, np.zeros(n), angle, np.zeros(2 * m)])
-    states = np.concatenate([rest + _DIFFERENCE * np.eye(len(rest)), rest - _DIFFERENCE * np.eye(len(rest))])
-    everyone = np.arange(len(states))
-    plant = Plant(robot, len(states), cable="bilateral")
-    pose, velocity, motor_angle, motor_speed, past = np.split(states, [n, 2 * n, 2 * n + m, 2 * n + 2 * m], axis=1)
-    plant.set_state(everyone, pose, velocity)
-    plant.set_motors(everyone, motor_angle, motor_speed)
-    layout = observation_layout(robot)
-    observation = np.zeros((len(states), layout.size))
-    part = layout.split(observation)
-    part["pose"][:], part["velocity"][:], part["reference_pose"][:] = pose, velocity, robot.home
-    part["motor_angle"][:], part["motor_speed"][:] = motor_angle, motor_speed
-    memory = np.column_stack([past, np.full(len(states), period)])  # the time in the observation is 0
-    plant.set_action(law.predict(observation, state=memory)[0])
+    period = 1 / control_frequency
+    rest = np.concatenate([_rest(robot), np.zeros(robot.cables)])
+    size = len(rest)
+    step = _DIFFERENCE * np.eye(size)
+    states = np.concatenate([rest + step, rest - step])
+    plant = _plant_at(robot, states)
+    past_speed = states[:, -robot.cables :]
+    memory = np.column_stack([past_speed, np.full(2 * size, period)])  # the time in the observation is 0
+    action, _ = law.predict(_observation(robot, plant), state=memory)
+    motor_speed = plant.motor_speed.copy()
+    plant.set_action(action)
     _advance(plant, robot, period)
-    motors = [plant.motor_angle, plant.motor_speed]
-    after = np.concatenate([plant.pose, plant.velocity, *motors, motor_speed], axis=1)
-    loop = (after[: len(rest)] - after[len(rest) :]).T / (2 * _DIFFERENCE)
+    after = np.concatenate([_state(plant), motor_speed], axis=1)
+    loop = (after[:size] - after[size:]).T / (2 * _DIFFERENCE)
     return float(np.log(np.abs(np.linalg.eigvals(loop)).max()) / period)
 
 
@@ -72,24 +71,20 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
         robot: flexible robot.
         period: sampling period [s]; the platform should move within a few periods.
     """
-    n, m = robot.coordinates, robot.cables
-    size, robot = 2 * (n + m), unsaturated_actions(robot)
-    angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
+    robot = unsaturated_actions(robot)
     hold = textbook.static_torque(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION) / robot.stall_torque
-    rest = np.concatenate([robot.home, np.zeros(n), angle, np.zeros(m), hold])
-    step = np.concatenate([np.full(size, _DIFFERENCE), np.full(m, _DIFFERENCE / robot.stall_torque.max())])
+    rest = np.concatenate([_rest(robot), hold])
+    size = len(rest) - robot.cables
+    step = np.full(len(rest), _DIFFERENCE)
+    step[size:] /= robot.stall_torque.max()
     states = np.concatenate([rest + np.diag(step), rest - np.diag(step)])
-    pose, velocity, motor_angle, motor_speed, action = np.split(states, [n, 2 * n, 2 * n + m, size], axis=1)
-    plant, everyone = Plant(robot, len(states), cable="bilateral"), np.arange(len(states))
-    plant.set_state(everyone, pose, velocity)
-    plant.set_motors(everyone, motor_angle, motor_speed)
-    plant.set_action(action + robot.speed_slope / robot.stall_torque * motor_speed)
+    plant = _plant_at(robot, states)
+    plant.set_action(states[:, size:] + robot.speed_slope / robot.stall_torque * plant.motor_speed)
     _advance(plant, robot, period)
-    motors = [plant.motor_angle, plant.motor_speed]
-    after = np.concatenate([plant.pose, plant.velocity, *motors], axis=1)
-    response = (after[: size + m] - after[size + m :]).T / (2 * step)
+    after = _state(plant)
+    response = (after[: len(rest)] - after[len(rest) :]).T / (2 * step)
     transition, columns = response[:, :size], [response[:, size:]]
-    for _ in range(size // m - 1):
+    for _ in range(size // robot.cables - 1):
         columns.append(transition @ columns[-1])
     reach = np.concatenate(columns, axis=1)
     reach /= np.linalg.norm(reach, axis=0)
@@ -97,7 +92,42 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
     return int(np.linalg.matrix_rank(reach, tol=1e-6))
 
 
+def _rest(robot: Robot) -> Array:
+    """State (X, Ẋ, β′, β̇′) at rest at home."""
+    angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
+    return np.concatenate([robot.home, np.zeros(robot.coordinates), angle, np.zeros(robot.cables)])
+
+
+def _plant_at(robot: Robot, states: Array) -> Plant:
+    """A plant in states that begin with (X, Ẋ, β′, β̇′), shape (B, ...)."""
+    n, m = robot.coordinates, robot.cables
+    pose, velocity, angle, speed, _ = np.split(states, [n, 2 * n, 2 * n + m, 2 * n + 2 * m], axis=1)
+    plant = Plant(robot, len(states), cable="bilateral")
+    everyone = np.arange(len(states))
+    plant.set_state(everyone, pose, velocity)
+    plant.set_motors(everyone, angle, speed)
+    return plant
+
+
+def _state(plant: Plant) -> Array:
+    return np.concatenate([plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed], axis=1)
+
+
+def _observation(robot: Robot, plant: Plant) -> Array:
+    """Observation of a plant whose reference is the home pose."""
+    layout = observation_layout(robot)
+    observation = np.zeros((len(plant.pose), layout.size))
+    blocks = layout.split(observation)
+    blocks["pose"][:] = plant.pose
+    blocks["velocity"][:] = plant.velocity
+    blocks["reference_pose"][:] = robot.home
+    blocks["motor_angle"][:] = plant.motor_angle
+    blocks["motor_speed"][:] = plant.motor_speed
+    return observation
+
+
 def _advance(plant: Plant, robot: Robot, period: float) -> None:
     """Advances the plant by one control period in steps that are short enough not to damp the springs."""
     substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
-    plant.advance(np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64), substeps=substeps, step=period / substeps)
+    wrench = np.zeros((1, 1, robot.coordinates))
+    plant.advance(wrench, np.zeros(1, np.int64), substeps=substeps, step=period / substeps)

@@ -66,11 +66,15 @@ def load_coefficient(robot: Robot, full: ArrayLike, empty: ArrayLike, speed: Arr
     full, empty = np.asarray(full, float), np.asarray(empty, float)
     lower, upper = textbook.torque_limits(robot, speed)
     difference = full - empty
-    limit = np.where((difference if corrected else full) >= 0, upper, lower)
-    room = limit - (empty if corrected else full)
+    direction, start = difference, empty
+    if not corrected:
+        direction, start = full, full
+    reserve = np.where(direction >= 0, upper, lower) - start
     with np.errstate(divide="ignore", invalid="ignore"):
-        coefficient = np.where(difference == 0, np.inf, room / difference)
-    return coefficient if corrected else np.abs(coefficient)
+        coefficient = np.where(difference == 0, np.inf, reserve / difference)
+    if corrected:
+        return coefficient
+    return np.abs(coefficient)
 
 
 def iterate_load(

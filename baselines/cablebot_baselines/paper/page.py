@@ -14,9 +14,9 @@ from markdown_it import MarkdownIt
 
 from cablebot_baselines.paper.findings import RULE
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.judgement import Run
 from cablebot_baselines.paper.summary import HEADINGS, points
 from cablebot_baselines.paper.texts import as_text, option_text
-from cablebot_baselines.paper.verdicts import Run
 
 Results = Mapping[str, Any]
 """Contents of results.json."""
@@ -44,8 +44,9 @@ class Table(NamedTuple):
 
     def numeric(self) -> list[bool]:
         """Whether each column contains only numbers. Such columns are right-aligned."""
-        columns = list(zip(*self.rows, strict=True)) if self.rows else [()] * len(self.header)
-        return [bool(column) and all(map(_is_number, column)) for column in columns]
+        if not self.rows:
+            return [False] * len(self.header)
+        return [all(map(_is_number, column)) for column in zip(*self.rows, strict=True)]
 
 
 Block = Heading | Table | str
@@ -69,7 +70,7 @@ _GROUPS = (
     ("Interpretations", ("interpretations",)),
     ("Scan of geometries", ("scan",)),
 )
-_REST = "Beyond the paper"
+_UNGROUPED = "Beyond the paper"
 """Heading for parts that belong to no group."""
 
 _COLUMNS = ("Where", "The paper", "Published", "Ours", "Interpretation", "Verdict", "Evidence", "Command")
@@ -99,7 +100,11 @@ def html(results: Results) -> str:
     links: list[str] = []
     names: list[str] = []
     for block in _blocks(results):
-        if isinstance(block, Heading):
+        if isinstance(block, str):
+            body.append(reader.render(block))
+        elif isinstance(block, Table):
+            body.append(_as_html(block, reader))
+        else:
             name = re.sub(r"\W+", "-", block.text.lower()).strip("-")
             names.append(name)
             anchor = name if names.count(name) == 1 else f"{name}-{names.count(name)}"
@@ -107,8 +112,6 @@ def html(results: Results) -> str:
             body.append(f'<h{block.level} id="{anchor}">{text}</h{block.level}>\n')
             if block.level == 2:
                 links.append(f'<li><a href="#{anchor}">{text}</a></li>')
-        else:
-            body.append(reader.render(block) if isinstance(block, str) else _as_html(block, reader))
     frame = Template(files("cablebot_baselines.paper").joinpath("page.html").read_text(encoding="utf-8"))
     return frame.substitute(title=escape(TITLE), links="\n".join(links), body="".join(body))
 
@@ -140,11 +143,10 @@ def _blocks(results: Results) -> Iterator[Block]:
     )
     yield _judged(rows, "input")
     yield Heading(2, "Options and versions")
-    options = results["interpretation"].items()
-    yield Table(
-        ("option", "value", "meaning"),
-        [(f"`--{name.replace('_', '-')}`", value, option_text(name, value)) for name, value in options],
-    )
+    options = []
+    for name, value in results["interpretation"].items():
+        options.append((f"`--{name.replace('_', '-')}`", value, option_text(name, value)))
+    yield Table(("option", "value", "meaning"), options)
     yield Table(("package", "version"), list(results["versions"].items()))
 
 
@@ -156,17 +158,21 @@ def _head(results: Results) -> Iterator[Block]:
     )
     yield f"```sh\n{results['command']}\n```"
     changed = Interpretation(**results["interpretation"]).changed()
-    yield (
-        "The paper leaves some points open. Each choice is an option of this command. This page uses "
-        f"{'the following choices; bold choices differ from the default' if changed else 'the default choices'}:"
-    )
+    choices = "the default choices"
+    if changed:
+        choices = "the following choices; bold choices differ from the default"
+    yield (f"The paper leaves some points open. Each choice is an option of this command. This page uses {choices}:")
     lines = []
     for subject, names in _SUBJECTS.items():
-        texts = {name: option_text(name, results["interpretation"][name]) for name in names}
-        words = "; ".join(f"**{text}**" if name in changed else text for name, text in texts.items())
-        lines.append(f"* {subject}: {words}.")
+        texts = []
+        for name in names:
+            text = option_text(name, results["interpretation"][name])
+            texts.append(f"**{text}**" if name in changed else text)
+        lines.append(f"* {subject}: {'; '.join(texts)}.")
     yield "\n".join(lines)
-    errata = f"[{ERRATA}]({results['errata']})" if "errata" in results else f"`{ERRATA}` of the project"
+    errata = f"`{ERRATA}` of the project"
+    if "errata" in results:
+        errata = f"[{ERRATA}]({results['errata']})"
     yield (
         "The defaults are the choices that this project considers correct. They are not fitted to the published "
         f"numbers. The section *Interpretations* shows the results of the other choices. {errata} lists the misprints "
@@ -190,15 +196,18 @@ _SUBJECTS = {
 
 def _summary(results: Results) -> Iterator[Block]:
     yield Heading(2, "Summary")
-    rows = results["rows"]
-    each = {kind: [row for row in rows if row["kind"] == kind] for kind in ("result", "claim", "input")}
-    yield "\n".join(f"* **{len(some)} {kind}s**: {tally(some)}." for kind, some in each.items())
+    lines = []
+    for kind in ("result", "claim", "input"):
+        rows = [row for row in results["rows"] if row["kind"] == kind]
+        lines.append(f"* **{len(rows)} {kind}s**: {tally(rows)}.")
+    yield "\n".join(lines)
     run = Run(interpretation=Interpretation(**results["interpretation"]), numbers=results["numbers"])
-    judged = list(points(run, rows))
+    judged = list(points(run, results["rows"]))
     for verdict, heading in HEADINGS.items():
-        if texts := [text for result, text in judged if result == verdict]:
+        lines = [f"* {_escaped(text, bold=True)}" for result, text in judged if result == verdict]
+        if lines:
             yield Heading(3, heading)
-            yield "\n".join(f"* {_escaped(text, bold=True)}" for text in texts)
+            yield "\n".join(lines)
     yield Heading(3, "Rules of the verdicts")
     yield RULE
     yield Heading(3, "Terms")
@@ -225,20 +234,13 @@ _TERMS = """\
 
 def _judged(rows: Sequence[Row], kind: str) -> Table:
     """Table of the findings of one kind."""
-    cells = [
-        (
-            row["place"],
-            row["statement"],
-            row["printed"],
-            row["ours"] or "",
-            row["interpretation"],
-            _verdict(row),
-            row["evidence"],
-            f"`{row['command']}`",
-        )
-        for row in rows
-        if row["kind"] == kind
-    ]
+    cells = []
+    for row in rows:
+        if row["kind"] == kind:
+            ours = row["ours"] or ""
+            paper = (row["place"], row["statement"], row["printed"])
+            verdict = (row["interpretation"], _verdict(row), row["evidence"], f"`{row['command']}`")
+            cells.append((*paper, ours, *verdict))
     return Table(_COLUMNS, cells)
 
 
@@ -247,12 +249,14 @@ def _verdict(row: Row) -> str:
 
 
 def _grouped(parts: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, list[Mapping[str, Any]]]]:
-    named = {name for _, names in _GROUPS for name in names}
+    ungrouped = list(parts)
     for heading, names in _GROUPS:
-        if members := [part for part in parts if part["name"] in names]:
+        members = [part for part in parts if part["name"] in names]
+        if members:
             yield heading, members
-    if rest := [part for part in parts if part["name"] not in named]:
-        yield _REST, rest
+        ungrouped = [part for part in ungrouped if part not in members]
+    if ungrouped:
+        yield _UNGROUPED, ungrouped
 
 
 def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[Block]:
@@ -260,13 +264,17 @@ def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[Block
     yield part["text"].strip()
     if part.get("impossible"):
         yield f"Not possible under the chosen interpretation: {_escaped(part['impossible'])}"
-    if (name := part["figure"]) is not None:
+    if part["figure"] is not None:
         alt = re.sub(r"([\[\]\\])", r"\\\1", part["title"])
-        yield f"![{alt}]({name}.svg)"
-    names = dict.fromkeys(re.findall(r"`(\w+)`", part["text"]))  # in the order of the text
-    if named := [(f"`{name}`", numbers[key]) for name in names if (key := f"{part['name']}.{name}") in numbers]:
+        yield f"![{alt}]({part['figure']}.svg)"
+    rows = []
+    for name in dict.fromkeys(re.findall(r"`(\w+)`", part["text"])):  # in the order of the text
+        key = f"{part['name']}.{name}"
+        if key in numbers:
+            rows.append((f"`{name}`", numbers[key]))
+    if rows:
         yield "**Numbers in the text**"
-        yield Table(("number", "value"), named)
+        yield Table(("number", "value"), rows)
     for table in part["tables"]:
         yield f"**{_escaped(table['title'])}**"
         yield Table(table["header"], table["rows"])
@@ -280,9 +288,10 @@ def _as_markdown(block: Block) -> str:
         return block
     if isinstance(block, Heading):
         return f"{'#' * block.level} {block.text}"
-    rules = ["---:" if numeric else "---" for numeric in block.numeric()]
-    cells = ([_escaped(as_text(value)) for value in row] for row in block.rows)
-    lines = [[_escaped(name) for name in block.header], rules, *cells]
+    rules = ["---:" if is_numeric else "---" for is_numeric in block.numeric()]
+    lines = [list(map(_escaped, block.header)), rules]
+    for row in block.rows:
+        lines.append([_escaped(as_text(value)) for value in row])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -293,19 +302,21 @@ def _as_html(table: Table, reader: MarkdownIt) -> str:
         plain = _escaped(text).replace("\\|", "|")  # a bar separates cells only in Markdown
         return f"<{tag}{attributes}>{reader.renderInline(plain)}</{tag}>"
 
-    align = [' style="text-align:right"' if numeric else "" for numeric in table.numeric()]
-    head = "".join(cell("th", f' scope="col"{style}', name) for name, style in zip(table.header, align, strict=True))
+    styles = [' style="text-align:right"' if is_numeric else "" for is_numeric in table.numeric()]
+    heads = [cell("th", f' scope="col"{style}', name) for name, style in zip(table.header, styles, strict=True)]
     lines = []
     for row in table.rows:
         cells = []
-        for name, style, text in zip(table.header, align, map(as_text, row), strict=True):
-            classes = [name.lower().replace(" ", "-")] if name in _COLUMNS else []
-            classes += [_VERDICTS[text]] if name == "Verdict" and text in _VERDICTS else []
-            cells.append(cell("td", style + (f' class="{" ".join(classes)}"' if classes else ""), text))
+        for name, style, text in zip(table.header, styles, map(as_text, row), strict=True):
+            attributes = style
+            if name in _COLUMNS:
+                names = f"{name.lower().replace(' ', '-')} {_VERDICTS.get(text, '') if name == 'Verdict' else ''}"
+                attributes += f' class="{names.strip()}"'
+            cells.append(cell("td", attributes, text))
         lines.append(f"<tr>{''.join(cells)}</tr>\n")
     return (
         '<div class="scroll" role="region" tabindex="0" aria-label="table">\n'
-        f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody>\n</table>\n</div>\n"
+        f"<table>\n<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody>\n</table>\n</div>\n"
     )
 
 
@@ -323,5 +334,7 @@ def _escaped(text: str, *, bold: bool = False) -> str:
         pieces = ["\\`".join(pieces)]
     outside = [re.sub(r"([\\*<\[\]]|(?<!\w)_|_(?!\w))", r"\\\1", piece) for piece in pieces[::2]]
     pieces[::2] = [piece.replace("\\\\`", "\\`") for piece in outside]
-    whole = "`".join(pieces).replace("|", "\\|")
-    return whole.replace("\\*\\*", "**") if bold else whole
+    escaped = "`".join(pieces).replace("|", "\\|")
+    if bold:
+        return escaped.replace("\\*\\*", "**")
+    return escaped

@@ -25,7 +25,7 @@ Results = Mapping[str, Any]
 
 def job(function: Callable[..., Any], **keywords: Any) -> Job:
     """The call of a module-level function. Its keyword arguments can be pickled, and their ``repr`` identifies them."""
-    arguments = ", ".join(f"{name}={value!r}" for name, value in sorted(keywords.items()))
+    arguments = ", ".join(f"{name}={keywords[name]!r}" for name in sorted(keywords))
     return Job(
         key=f"{function.__module__}.{function.__qualname__}({arguments})",
         compute=partial(function, **keywords),

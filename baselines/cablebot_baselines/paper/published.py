@@ -1,8 +1,9 @@
-"""Inputs, results and claims that the paper prints, read from ``published.toml``, and the rules that judge them."""
+"""Inputs, results and claims that the paper prints, read from ``published.toml``."""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Literal
@@ -17,18 +18,12 @@ ABOUT = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """One number or claim of the paper, and the rule that judges it.
+    """One number or claim of the paper."""
 
-    ``ours`` and ``holds`` contain expressions: products of literals, of numbers of the run such as
-    ``fig10.counted_kg``, of attributes of the inputs such as ``@planar.mass``
-    (:data:`~cablebot_baselines.paper.inputs.SOURCES`), and of ``published``, the value of the item. Templates contain
-    such names in braces (:meth:`~cablebot_baselines.paper.verdicts.Run.filled`).
-    """
-
-    key: str
-    """Unique key: the place, a dot, the quantity."""
     kind: Kind
     """Input, result or claim."""
+    key: str
+    """Unique key: the place, a dot, the quantity."""
     statement: str
     """Content of the statement in our words."""
     printed: str = ""
@@ -37,36 +32,39 @@ class Published:
     """Number in ``unit``, without "about"; None if there is no number."""
     unit: str = ""
     """Correct unit of the value, which may differ from the printed one; empty if dimensionless."""
-    times: int
+    times: int = 1
     """Number of occurrences at this place, in digits or words."""
-    parts: tuple[str, ...]
-    """Parts that compute the required numbers, or a part that uses the input."""
-    ours: tuple[str, ...] = ()
-    """Expressions of our value. All values of an input must be equal."""
-    pick: Literal["max", "min"] = "max"
-    """Which of several values of a result or claim is our value."""
-    text: str = ""
-    """Template of our value; the value with its unit if empty."""
-    holds: tuple[str, ...] = ()
-    """Comparisons of two expressions by ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``≈`` (equal within :data:`ABOUT`). The
-    item is reproduced, or the input is used, if all hold. Without a comparison a result or claim is undecided, and an
-    input must equal the published value."""
-    evidence: tuple[str, ...] = ()
-    """Templates of sentences. The page omits a sentence if the run did not compute one of its numbers."""
-    options: tuple[str, ...] = ()
-    """Options of the interpretation that affect our value."""
-    choice: str = ""
-    """Further choices that affect our value."""
-    verdict: str = "used"
-    """Verdict of an input that is used."""
 
     @property
     def place(self) -> str:
         """Section or table."""
         stem = self.key.rpartition(".")[0]
+        if stem == "abstract":
+            return "Abstract"
         if stem.startswith("table"):
             return f"Table {stem.removeprefix('table')}"
-        return "Abstract" if stem == "abstract" else f"§{stem}"
+        return f"§{stem}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input(Published):
+    """A printed parameter and the place of its value in the objects of the runs."""
+
+    part: str
+    """A part that uses the input."""
+    sources: Sequence[str] = ()
+    """Paths of the values (:func:`~cablebot_baselines.paper.inputs.read`), which must be equal. Without a path the
+    reproduction reads the published value itself."""
+    is_upper_bound: bool = False
+    """Whether the published value is an upper bound of ours."""
+    corrected: float | None = None
+    """Value that replaces a misprinted one."""
+    verdict: Literal["used", "used, corrected", "contradicted"] = "used"
+    """Verdict if the input is used."""
+    option: str = ""
+    """Option of the interpretation that affects our value."""
+    note: str = ""
+    """Remark for the page."""
 
 
 def load_table(name: str) -> dict[str, Any]:
@@ -79,23 +77,19 @@ def load_text(name: str) -> str:
     return files("cablebot_baselines.paper").joinpath(name).read_text(encoding="utf-8")
 
 
-def _published(key: str, kind: Kind, fields: dict[str, Any]) -> Published:
-    given: dict[str, Any] = {"times": 0 if kind == "claim" else 1} | fields
-    for name in {"parts", "ours", "holds", "evidence", "options"} & set(given):
-        given[name] = (given[name],) if isinstance(given[name], str) else tuple(given[name])
-    if "value" not in given and kind != "claim" and given["printed"].replace(".", "").isdigit():
-        given["value"] = float(given["printed"])
-    return Published(key=key, kind=kind, **given)
+def _load() -> dict[str, Published]:
+    tables: Mapping[str, dict[str, dict[str, Any]]] = load_table("published.toml")
+    entries: dict[str, Published] = {}
+    for key, fields in tables["input"].items():
+        entries[key] = Input(kind="input", key=key, **fields)
+    for key, fields in tables["result"].items():
+        entries[key] = Published(kind="result", key=key, **fields)
+    for key, fields in tables["claim"].items():
+        entries[key] = Published(kind="claim", key=key, **fields)
+    return entries
 
 
-_KINDS: tuple[Kind, ...] = ("input", "result", "claim")
-
-PUBLISHED: dict[str, Published] = {
-    key: _published(key, kind, fields)
-    for table in (load_table("published.toml"),)
-    for kind in _KINDS
-    for key, fields in table[kind].items()
-}
+PUBLISHED: Mapping[str, Published] = _load()
 """All entries by key: inputs, results and claims, each in the order of the paper."""
 
 
@@ -113,7 +107,7 @@ def published_value(key: str) -> float:
     value = PUBLISHED[key].value
     if value is None:
         raise ValueError(f"{key!r} has no number: its statement is {PUBLISHED[key].statement}")
-    return value
+    return float(value)  # TOML has integers, too
 
 
 _SECTIONS = {"planar": "5.2.1", "spatial": "5.2.2", "flexible": "5.2.3"}

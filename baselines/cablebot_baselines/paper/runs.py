@@ -16,24 +16,29 @@ from cablebot_gym.robots import Robot
 Law = Callable[[Robot], Any]
 """Builds a policy for a robot: a class of :mod:`cablebot_baselines.classical`, or a partial of such a class."""
 
-PLANAR, SPATIAL, FLEX = "CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+CONTROL_FREQUENCY = 500.0
+"""Number of control instants per second [Hz]."""
+
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
+FLEX = "CableBot-FlexSpatial-v0"
 
 
 def largest_payload(*, env_id: str, law: Law, robot: Robot, name: str, **keywords: Any) -> DLCCResult:
     """:func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc` of a law that is built for the controlled robot."""
-    return evaluate_dlcc(law(robot), env_id, robot=robot, name=name, **_with_motion(robot, keywords))
+    keywords.setdefault("trajectory", paper_circle(robot))
+    return evaluate_dlcc(law(robot), env_id, robot=robot, name=name, **keywords)
 
 
 def closed_loop(*, env_id: str, law: Law, robot: Robot, payload: float = 0.0, **keywords: Any) -> Rollout:
     """One episode of a law that is built for the controlled robot."""
-    return record_rollout(law(robot), env_id, payload=payload, robot=robot, **_with_motion(robot, keywords))
+    keywords.setdefault("trajectory", paper_circle(robot))
+    return record_rollout(law(robot), env_id, payload=payload, robot=robot, **keywords)
 
 
 def compared(*, env_id: str, laws: tuple[tuple[str, Law], ...], robot: Robot, **keywords: Any) -> Comparison:
     """:func:`~cablebot_gym.evaluation.compare_policies` of named laws that are built for the controlled robot."""
-    names, policies = [name for name, _ in laws], [law(robot) for _, law in laws]
-    return compare_policies(policies, env_id, names=names, robot=robot, **_with_motion(robot, keywords))
-
-
-def _with_motion(robot: Robot, keywords: dict[str, Any]) -> dict[str, Any]:
-    return {"trajectory": paper_circle(robot)} | keywords
+    keywords.setdefault("trajectory", paper_circle(robot))
+    names = [name for name, _ in laws]
+    policies = [law(robot) for _, law in laws]
+    return compare_policies(policies, env_id, names=names, robot=robot, **keywords)

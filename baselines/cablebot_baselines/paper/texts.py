@@ -26,8 +26,8 @@ def option_text(name: str, value: object, source: Source | None = None) -> str:
         return f"T_min = {float(str(value)):g} N"
     if value == "as-printed" and source is not None:
         value = f"{AS_PRINTED[name][source]:g}"
-    words = OPTIONS[name]["texts"].get(str(value), f"{name.replace('_', ' ')} = {value}")
-    return words.format(**AS_PRINTED[name]) if name in AS_PRINTED else words
+    text: str = OPTIONS[name]["texts"].get(str(value), f"{name.replace('_', ' ')} = {value}")
+    return text.format(**AS_PRINTED.get(name, {}))
 
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -43,24 +43,25 @@ def as_text(value: Number, digits: int = 4) -> str:
         return value
     if isinstance(value, int):
         return f"{value:d}".replace("-", "−")
-    if not math.isfinite(value):
-        return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
     mantissa, _, power = f"{value:.{digits}g}".partition("e")
     mantissa = mantissa.replace("-", "−")
-    return f"{mantissa} · 10{str(int(power)).translate(_RAISED)}" if power else mantissa
-
-
-def short(value: Number) -> str:
-    """Number with three significant digits, as in the paper."""
-    return as_text(value, 3)
+    if not power:
+        return mantissa
+    return f"{mantissa} · 10{str(int(power)).translate(_RAISED)}"
 
 
 def kilograms(value: float | None) -> str:
     """Text of a payload; None if the robot fails unloaded."""
     if value is None or value == -math.inf:
         return "fails unloaded"
-    words = f"{value:#.3g}".rstrip(".") if 1e-3 <= abs(value) < 1e3 else short(value)
-    return f"{words.replace('-', '−')} kg"
+    text = as_text(value, 3)
+    if 1e-3 <= abs(value) < 1e3:
+        text = f"{value:#.3g}".rstrip(".")
+    return f"{text.replace('-', '−')} kg"
 
 
 def relative_difference(ours: float, published: float) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cablebot_baselines.paper.exact import paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Outcome, Results, Table
 from cablebot_baselines.paper.parts.plotting import LEGEND, MOTORS, add_headroom, add_title, curves
 from cablebot_gym.kinematics import Array, cable_lengths, cable_vectors
@@ -72,7 +73,8 @@ def spatial_jobs(interpretation: Interpretation) -> Jobs:
 
 
 def _lengths(robot: Robot) -> Array:
-    return cable_lengths(robot.base, robot.platform, path(robot)[1].position)
+    _, motion = path(robot)
+    return cable_lengths(robot.base, robot.platform, motion.position)
 
 
 def _length_numbers(robot: Robot) -> dict[str, float]:
@@ -81,8 +83,9 @@ def _length_numbers(robot: Robot) -> dict[str, float]:
 
 
 def _draw_lengths(axes: Axes, robot: Robot) -> None:
-    times = path(robot)[0]
-    curves(axes, times, _lengths(robot), [f"cable {cable + 1}" for cable in range(robot.cables)])
+    times, _ = path(robot)
+    labels = [f"cable {cable + 1}" for cable in range(robot.cables)]
+    curves(axes, times, _lengths(robot), labels)
     axes.set(xlim=(times[0], times[-1]), xlabel="time [s]", ylabel="cable length on the path [m]")
     add_headroom(axes, above=0.25)
     axes.legend(**LEGEND, ncols=robot.cables // 3, loc="upper right")
@@ -90,11 +93,14 @@ def _draw_lengths(axes: Axes, robot: Robot) -> None:
 
 def _write(axes: Axes, position: Array, text: str, **style: Any) -> None:
     """Writes text centred at a position."""
-    axes.text(float(position[0]), float(position[1]), text, **{"ha": "center", "va": "center", "fontsize": 9, **style})
+    x, y = position
+    style.setdefault("fontsize", 9)
+    axes.text(float(x), float(y), text, ha="center", va="center", **style)
 
 
 def _arrow(axes: Axes, start: Array, end: Array, style: str = "-|>", colour: str = "black") -> None:
-    axes.annotate("", tuple(end), xytext=tuple(start), arrowprops={"arrowstyle": style, "color": colour})
+    arrow = {"arrowstyle": style, "color": colour}
+    axes.annotate("", tuple(end), xytext=tuple(start), arrowprops=arrow)
 
 
 def _box(colour: str = "white") -> dict[str, Any]:
@@ -106,10 +112,12 @@ def _box(colour: str = "white") -> dict[str, Any]:
 
 def planar_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Side of the triangle, radius of the path and cable lengths."""
-    robot, motion = interpretation.planar, path(interpretation.planar)[1]
+    robot = interpretation.planar
+    _, motion = path(robot)
     sides = np.linalg.norm(robot.base - np.roll(robot.base, 1, axis=0), axis=1)
     radius = np.linalg.norm(motion.position - robot.base.mean(axis=0), axis=1).max()
-    return Outcome(numbers={"side_m": float(sides.mean()), "path_radius_m": float(radius), **_length_numbers(robot)})
+    sizes = {"side_m": float(sides.mean()), "path_radius_m": float(radius)}
+    return Outcome(numbers=sizes | _length_numbers(robot))
 
 
 def draw_planar(interpretation: Interpretation, results: Results) -> Figure:
@@ -127,33 +135,53 @@ def draw_planar(interpretation: Interpretation, results: Results) -> Figure:
 
 
 def _draw_plane(axes: Axes, robot: Robot) -> None:
-    from matplotlib.patches import Arc, Circle, Polygon
+    from matplotlib.patches import Polygon
 
-    motion = path(robot)[1]
-    start, middle = motion.position[0], robot.base.mean(axis=0)
+    _, motion = path(robot)
+    start = motion.position[0]
     axes.add_patch(Polygon(robot.base, closed=True, facecolor="none", edgecolor=GREY, linewidth=1.0))
     axes.plot(*motion.position.T, "--", color="black", linewidth=1.0)
     lowest = int(np.argmin(motion.position[:, 1]))
     _arrow(axes, motion.position[lowest - 1], motion.position[lowest + 1])
-    for i, anchor in enumerate(robot.base):
-        cable = start - anchor
-        angle = float(np.degrees(np.arctan2(cable[1], cable[0])))
-        outward = (anchor - middle) / np.linalg.norm(anchor - middle)
-        axes.add_patch(Circle(anchor, robot.pulley_radius[i], facecolor=SHADE, edgecolor=MOTORS[i], linewidth=1.4))
-        axes.plot(*np.stack([anchor, start]).T, color=MOTORS[i], linewidth=1.8)
-        aside = (0.0, -0.1) if abs(outward[1]) < 0.1 else (0.0, 0.0)  # keeps the text off the reference line of θ
-        _write(axes, anchor + outward * (0.17, 0.13) + aside, f"motor {i + 1}", color=MOTORS[i], weight="bold")
-        axes.plot(anchor[0] + np.array([0, 0.21]), [anchor[1]] * 2, ":", color=GREY, linewidth=1.0)
-        first, last = sorted((0.0, angle))
-        axes.add_patch(Arc(anchor, 0.32, 0.32, theta1=first, theta2=last, color="black", linewidth=1.0))
-        half = np.radians(angle / 2)
-        label = anchor + 0.215 * np.array([np.cos(half), np.sin(half)])
-        label[1] += 0.06 if abs(angle) < 10 else 0.0  # keeps the text off the cable
-        _write(axes, label, f"$\\theta_{i + 1}$", fontsize=11)
+    for motor in range(robot.cables):
+        _draw_motor(axes, robot, motor, start)
     axes.plot(*start, "o", color="black", markersize=8, zorder=5)
-    seen = np.concatenate([robot.base, motion.position])
-    low, high = seen.min(axis=0) - 0.33, seen.max(axis=0) + 0.33
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    _set_limits(axes, np.concatenate([robot.base, motion.position]), (0.33, 0.33))
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+
+
+def _draw_motor(axes: Axes, robot: Robot, motor: int, start: Array) -> None:
+    """Draws a motor of the planar robot, its cable and the angle θ."""
+    from matplotlib.patches import Arc, Circle
+
+    anchor, colour = robot.base[motor], MOTORS[motor]
+    outward = anchor - robot.base.mean(axis=0)
+    outward = outward / np.linalg.norm(outward)
+    axes.add_patch(Circle(anchor, robot.pulley_radius[motor], facecolor=SHADE, edgecolor=colour, linewidth=1.4))
+    axes.plot(*np.stack([anchor, start]).T, color=colour, linewidth=1.8)
+    label = anchor + outward * (0.17, 0.13)
+    if abs(outward[1]) < 0.1:
+        label[1] -= 0.1  # keeps the text off the reference line of θ
+    _write(axes, label, f"motor {motor + 1}", color=colour, weight="bold")
+    x, y = anchor
+    axes.plot(x + np.array([0, 0.21]), [y, y], ":", color=GREY, linewidth=1.0)
+    across, along = start - anchor
+    angle = float(np.degrees(np.arctan2(along, across)))
+    axes.add_patch(
+        Arc(anchor, 0.32, 0.32, theta1=min(0.0, angle), theta2=max(0.0, angle), color="black", linewidth=1.0)
+    )
+    half = np.radians(angle / 2)
+    label = anchor + 0.215 * np.array([np.cos(half), np.sin(half)])
+    if abs(angle) < 10:
+        label[1] += 0.06  # keeps the text off the cable
+    _write(axes, label, f"$\\theta_{motor + 1}$", fontsize=11)
+
+
+def _set_limits(axes: Axes, points: Array, margin: tuple[float, float]) -> None:
+    """Sets equal axes that contain all points with a margin."""
+    left, bottom = points.min(axis=0) - margin
+    right, top = points.max(axis=0) + margin
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
 
 
 # Fig. 2
@@ -162,10 +190,17 @@ def _draw_plane(axes: Axes, robot: Robot) -> None:
 def spatial_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Sizes of the triangles, depth and radius of the path, and cable lengths."""
     robot = interpretation.spatial("control")
-    lengths, pose = _lengths(robot), path(robot)[1].position
-    ends = zip(BASE_CORNERS, PLATFORM_CORNERS, lengths.min(axis=0), lengths.max(axis=0), strict=True)
-    header = ("cable", "base corner", "platform corner", "minimum length [m]", "maximum length [m]")
-    rows = tuple((i, base, platform, float(low), float(high)) for i, (base, platform, low, high) in enumerate(ends, 1))
+    _, motion = path(robot)
+    pose, lengths = motion.position, _lengths(robot)
+    rows = []
+    for cable, (base, platform) in enumerate(zip(BASE_CORNERS, PLATFORM_CORNERS, strict=True)):
+        length = lengths[:, cable]
+        rows.append((cable + 1, base, platform, float(length.min()), float(length.max())))
+    table = Table(
+        title="Ends of the cables and their lengths on the path.",
+        header=("cable", "base corner", "platform corner", "minimum length [m]", "maximum length [m]"),
+        rows=tuple(rows),
+    )
     return Outcome(
         numbers={
             "half_side_base_m": _half_side(robot.base),
@@ -174,13 +209,15 @@ def spatial_outcome(interpretation: Interpretation, results: Results) -> Outcome
             "path_radius_m": float(np.linalg.norm(pose[0, :2])),
             **_length_numbers(robot),
         },
-        tables=(Table(title="Ends of the cables and their lengths on the path.", header=header, rows=rows),),
+        tables=(table,),
     )
 
 
 def _half_side(anchors: Array) -> float:
-    corners = anchors[np.unique(np.round(anchors, 9), axis=0, return_index=True)[1]]
-    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()) / 2
+    _, first_indices = np.unique(np.round(anchors, 9), axis=0, return_index=True)
+    corners = anchors[first_indices]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    return float(sides.mean()) / 2
 
 
 def oblique(points: Array) -> Array:
@@ -188,7 +225,8 @@ def oblique(points: Array) -> Array:
     upright = np.asarray(points) * (1, -1, -1)  # rotation by 180° about x: z up, still right-handed
     right = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
     across = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
-    above = np.cos(_ELEVATION) * np.array([0.0, 0.0, 1.0]) - np.sin(_ELEVATION) * across
+    vertical = np.array([0.0, 0.0, 1.0])
+    above = np.cos(_ELEVATION) * vertical - np.sin(_ELEVATION) * across
     return upright @ np.stack([right, above], axis=-1)
 
 
@@ -203,10 +241,13 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
     grid = figure.add_gridspec(2, 2, height_ratios=[1.05, 1])
     view, below = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
     _draw_hanging(view, robot, oblique, pad=(0.42, 0.12))
-    corner = np.array([view.get_xlim()[0] + 0.14, view.get_ylim()[0] + 0.2])
-    for name, direction in zip("xyz", np.eye(3), strict=True):
-        _arrow(view, corner, corner + 0.17 * oblique(direction))
-        _write(view, corner + 0.215 * oblique(direction), name, fontsize=11, style="italic")
+    left, _ = view.get_xlim()
+    bottom, _ = view.get_ylim()
+    corner = np.array([left + 0.14, bottom + 0.2])
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        direction = oblique(axis)
+        _arrow(view, corner, corner + 0.17 * direction)
+        _write(view, corner + 0.215 * direction, name, fontsize=11, style="italic")
     view.set_axis_off()
     view.set_title("oblique view from above, to scale: base triangle at z = 0, z points down", fontsize=10)
     _draw_hanging(below, robot, _from_below, pad=(0.14, 0.14))
@@ -214,8 +255,9 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
     below.set_title("view from below: z points towards the reader", fontsize=10)
     _draw_lengths(figure.add_subplot(grid[1, 1]), robot)
     sides = f"half sides {_half_side(robot.base):.3g} m and {_half_side(robot.platform):.3g} m"
-    start = path(robot)[1].position[0]
-    pose = f"start of the path: z = {start[2]:g} m, ψ = θ = φ = {start[3]:g} rad"
+    _, motion = path(robot)
+    _, _, z, angle, *_ = motion.position[0]
+    pose = f"start of the path: z = {z:g} m, ψ = θ = φ = {angle:g} rad"
     title = f"Spatial robot (Tables 3 and 4): {sides}, m = {robot.mass:g} kg; motor i winds cable i"
     add_title(figure, interpretation, title, f"{pose}; dashed: path of the platform's centre, dot: its start")
     return figure
@@ -225,27 +267,30 @@ def _draw_hanging(axes: Axes, robot: Robot, project: Callable[[Array], Array], *
     """Draws base, platform at the start of the path, cables and path in a projection."""
     from matplotlib.patches import Polygon
 
-    motion = path(robot)[1]
+    _, motion = path(robot)
     ends = robot.base + cable_vectors(robot.base, robot.platform, motion.position[0])
     base, platform = project(robot.base), project(ends)
     axes.add_patch(Polygon(base[::2], closed=True, facecolor="none", edgecolor=GREY, linewidth=1.2))
     axes.add_patch(Polygon(platform[::2], closed=True, facecolor=SKY, edgecolor="black", linewidth=1.2, alpha=0.9))
-    axes.plot(*project(motion.position[:, :3]).T, "--", color="black", linewidth=1.0)
-    axes.plot(*project(motion.position[0, :3]), "o", color="black", markersize=5, zorder=6)
-    for i in range(robot.cables):
-        line = np.stack([base[i], platform[i]])
-        axes.plot(*line.T, color=MOTORS[i], linewidth=1.8)
-        position = line[0] + 0.42 * (line[1] - line[0])
-        _write(axes, position, str(i + 1), color=MOTORS[i], bbox=_box(MOTORS[i]), zorder=7)
-    for corners, points, distance in ((BASE_CORNERS, base, 0.08), (PLATFORM_CORNERS, platform, 0.05)):
-        centre = points.mean(axis=0)
-        for name, point in dict(zip(corners, points, strict=True)).items():
-            outward = (point - centre) / np.linalg.norm(point - centre)
-            axes.plot(*point, "o", color="black", markersize=4, zorder=6)
-            _write(axes, point + distance * outward, name, zorder=8)
-    seen = np.concatenate([base, platform])
-    low, high = seen.min(axis=0) - pad, seen.max(axis=0) + pad
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    centre = project(motion.position[:, :3])
+    axes.plot(*centre.T, "--", color="black", linewidth=1.0)
+    axes.plot(*centre[0], "o", color="black", markersize=5, zorder=6)
+    for cable, colour in enumerate(MOTORS):
+        start, end = base[cable], platform[cable]
+        axes.plot(*np.stack([start, end]).T, color=colour, linewidth=1.8)
+        _write(axes, start + 0.42 * (end - start), str(cable + 1), color=colour, bbox=_box(colour), zorder=7)
+    _name_corners(axes, BASE_CORNERS, base, 0.08)
+    _name_corners(axes, PLATFORM_CORNERS, platform, 0.05)
+    _set_limits(axes, np.concatenate([base, platform]), pad)
+
+
+def _name_corners(axes: Axes, names: Sequence[str], points: Array, distance: float) -> None:
+    """Writes the names of the corners outside of a triangle."""
+    centre = points.mean(axis=0)
+    for name, point in dict(zip(names, points, strict=True)).items():
+        outward = (point - centre) / np.linalg.norm(point - centre)
+        axes.plot(*point, "o", color="black", markersize=4, zorder=6)
+        _write(axes, point + distance * outward, name, zorder=8)
 
 
 # Fig. 3
@@ -254,7 +299,8 @@ def _draw_hanging(axes: Axes, robot: Robot, project: Callable[[Array], Array], *
 def joint_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Stiffness, static twist and modes of the springs."""
     robot = interpretation.flexible("control")
-    wound, modes = wind_up(robot, path(robot)[1].position), spring_modes(robot)
+    _, motion = path(robot)
+    wound, modes = wind_up(robot, motion.position), spring_modes(robot)
     return Outcome(
         numbers={
             "stiffness_Nm_per_rad": float(robot.stiffness[0]),
@@ -272,10 +318,11 @@ def draw_joint(interpretation: Interpretation, results: Results) -> Figure:
     figure = new_figure(4.6)
     scheme, twists = figure.subplots(1, 2, width_ratios=[1.35, 1])
     _draw_shaft(scheme, robot)
-    motion = path(robot)[1]
+    _, motion = path(robot)
     wound = wind_up(robot, motion.position)
-    turn = np.degrees(np.unwrap(np.arctan2(motion.position[:, 1], motion.position[:, 0])))
-    curves(twists, turn, wound, [f"motor {i + 1}" for i in range(robot.cables)])
+    x, y = motion.position[:, :2].T
+    turn = np.degrees(np.unwrap(np.arctan2(y, x)))
+    curves(twists, turn, wound, [f"motor {motor + 1}" for motor in range(robot.cables)])
     twists.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, 1.3 * wound.max()))
     twists.set(xlabel="position on the path, angle from +x [°]", ylabel="static twist β′ − β = r T/K [rad]")
     twists.legend(**LEGEND, ncols=3, loc="upper center")
@@ -287,8 +334,8 @@ def _draw_shaft(axes: Axes, robot: Robot) -> None:
     """Draws motor, spring and pulley on one shaft in side view, and the cable."""
     from matplotlib.patches import Rectangle
 
-    for first, last in ((0.3, 1.1), (3.3, 4.2), (5.2, 5.8)):
-        axes.plot([first, last], [0, 0], color="black", linewidth=1.6)  # shaft
+    for left, right in ((0.3, 1.1), (3.3, 4.2), (5.2, 5.8)):
+        axes.plot([left, right], [0, 0], color="black", linewidth=1.6)  # shaft
     axes.plot([5.8, 5.8], [-0.3, 0.3], color="black", linewidth=2.5)  # bearing
     for x, y, width, height, colour in ((-0.9, -0.75, 1.2, 1.5, SHADE), (4.2, -1.2, 1.0, 2.4, SKY)):
         axes.add_patch(Rectangle((x, y), width, height, facecolor=colour, edgecolor="black", linewidth=1.2))
@@ -312,3 +359,15 @@ def _draw_shaft(axes: Axes, robot: Robot) -> None:
         _write(axes, np.array([x, y]), text, fontsize=10)
     axes.set(xlim=(-1.5, 7.4), ylim=(-3.1, 2.0), aspect="equal")
     axes.set_axis_off()
+
+
+# --- verdict ----------------------------------------------------------------------------------------------------------
+
+
+@verdict("2.3.constraint", "fig3")
+def spring_constrains_the_motion(run: Run) -> Judgement:
+    """The springs leave fewer free coordinates than platform and motors have."""
+    robot = run.interpretation.flexible("control")
+    free = robot.coordinates + robot.cables
+    evidence = ("A spring exerts a torque and does not constrain the motion. All coordinates of Eq. 8 remain free.",)
+    return Judgement(free, free < 12, evidence, "{ours} free coordinates")

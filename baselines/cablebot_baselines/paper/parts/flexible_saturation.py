@@ -13,11 +13,16 @@ from cablebot_baselines.classical.flex_eq22 import PaperFlexible
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from cablebot_baselines.paper.exact import exact_limit, paper_circle, state_space_limit, state_space_profile
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
 from cablebot_baselines.paper.parts import profiles
+from cablebot_baselines.paper.parts.interpretations import evidence_of_combinations
 from cablebot_baselines.paper.parts.plotting import add_title
+from cablebot_baselines.paper.parts.profiles import PayloadSummary
+from cablebot_baselines.paper.published import ABOUT, LOADS, MOTORS, published_value, within
 from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop, largest_payload
 from cablebot_gym.benchmark.engine import Job
+from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import TravelledPath, add_legend, draw_plane, mark_bound, new_figure, torques_height
 from cablebot_gym.robots import Robot
@@ -35,7 +40,7 @@ _FAR = 4.0
 _PANELS = (("position", "mm"), ("z", "mm"), ("ψ", "mrad"), ("θ", "mrad"), ("φ", "mrad"))
 """Error panels besides the plane with their units of display."""
 
-_OTHERS = {
+_METHODS = {
     "motor_pd": "motor-pd, paper criterion",
     "composite": "composite, paper criterion",
     "eq22": "Eq. 22 as printed, paper criterion",
@@ -88,17 +93,23 @@ def path_outcome(interpretation: Interpretation, results: Results) -> Outcome:
         "peak_z_mm": 1e3 * float(np.abs(_errors(interpretation, shown.arrays)[:, 2]).max()),
     }
     for name in ("eq22", "eq22_friction"):
-        arrays, ended = results[name].arrays, bool(results[name].reason)
-        outside = arrays["tracking_error_peak"] > bound
-        numbers |= {
-            f"{name}_peak_error_mm": 1e3 * float(arrays["tracking_error_peak"].max()),
-            f"{name}_within": not ended and not outside.any(),
-            f"{name}_leaves_s": float(arrays["time"][np.argmax(outside)]) if outside.any() else None,
-            f"{name}_ends_s": float(arrays["time"][-1]) if ended else None,
-            f"{name}_slack": bool(arrays["slack"].any()),
-            f"{name}_peak_action": float(np.abs(arrays["commanded_action"]).max()),
-        }
+        for quantity, value in _eq22_numbers(results[name], bound).items():
+            numbers[f"{name}_{quantity}"] = value
     return Outcome(numbers=numbers)
+
+
+def _eq22_numbers(loop: Rollout, bound: float) -> dict[str, Number]:
+    """Numbers of an episode of the law of the paper."""
+    arrays = loop.arrays
+    outside = np.flatnonzero(arrays["tracking_error_peak"] > bound)
+    return {
+        "peak_error_mm": 1e3 * float(arrays["tracking_error_peak"].max()),
+        "within": not loop.reason and not len(outside),
+        "leaves_s": float(arrays["time"][outside[0]]) if len(outside) else None,
+        "ends_s": float(arrays["time"][-1]) if loop.reason else None,
+        "slack": bool(arrays["slack"].any()),
+        "peak_action": float(np.abs(arrays["commanded_action"]).max()),
+    }
 
 
 def draw_path(interpretation: Interpretation, results: Results) -> Figure:
@@ -108,7 +119,7 @@ def draw_path(interpretation: Interpretation, results: Results) -> Figure:
         still = profiles.on_reference(paper_circle(robot), name="state space")
         title = ["Robot with joint springs, no closed loop", "the path equals the reference by assumption"]
         return _draw_errors(interpretation, [still], [np.zeros_like(still.pose)], title)
-    shown, summary = _shown(results), profiles.PayloadSummary.simulated(results["fl4"])
+    shown, summary = _shown(results), PayloadSummary.simulated(results["fl4"])
     friction = f"Eq. 22, motors with friction {interpretation.spatial('payload').damping[0]:g} N·m·s/rad, 0 kg"
     runs = (
         (shown.arrays, f"fl4, {summary.payload or 0.0:.3f} kg", BLUE),
@@ -133,21 +144,27 @@ def _draw_errors(
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.15])
     plane = figure.add_subplot(grid[:3, 0])
     draw_plane(plane, trajectory, paths, bounds.position)
-    for place, (name, unit) in enumerate(_PANELS):
-        axes = figure.add_subplot(grid[3, 0] if place == 0 else grid[place - 1, 1])
-        columns = [
-            one.position_error if place == 0 else error[:, place + 1] for one, error in zip(paths, errors, strict=True)
-        ]
-        for one, column in zip(paths, columns, strict=True):
-            axes.plot(one.times, 1e3 * column, **one.line)
+    for index, (name, unit) in enumerate(_PANELS):
+        is_norm = index == 0
+        is_lowest = index in (0, len(_PANELS) - 1)
+        if is_norm:
+            axes = figure.add_subplot(grid[3, 0])
+            columns = [path.position_error for path in paths]
+        else:
+            axes = figure.add_subplot(grid[index - 1, 1])
+            columns = [error[:, index + 1] for error in errors]
+        for path, column in zip(paths, columns, strict=True):
+            axes.plot(path.times, 1e3 * column, **path.line)
         bound = bounds.position if unit == "mm" else bounds.rotation
         mark_bound(axes, bound, unit, side="left")  # the curves start at zero
         axes.axhline(-1e3 * bound, color="black", linewidth=1.0)
-        far = np.clip(max(float(np.abs(column).max()) for column in columns), 1.15 * bound, _FAR * bound)
-        axes.set(ylabel=f"{name} error\n[{unit}]", ylim=(-1e3 * far if place else 0.0, 1e3 * max(far, 1.8 * bound)))
-        last = place in (0, len(_PANELS) - 1)
-        axes.set(xlabel="time [s]" if last else "", xlim=(0, trajectory.duration))
-        axes.tick_params(labelbottom=last)
+        largest = max(float(np.abs(column).max()) for column in columns)
+        far = np.clip(largest, 1.15 * bound, _FAR * bound)
+        axes.set_ylabel(f"{name} error\n[{unit}]")
+        axes.set_ylim(0.0 if is_norm else -1e3 * far, 1e3 * max(far, 1.8 * bound))
+        axes.set_xlabel("time [s]" if is_lowest else "")
+        axes.set_xlim(0, trajectory.duration)
+        axes.tick_params(labelbottom=is_lowest)
     add_legend(figure, plane)
     add_title(figure, interpretation, *title)
     return figure
@@ -185,59 +202,125 @@ def torque_jobs(interpretation: Interpretation) -> Jobs:
 def torque_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Fig. 15."""
     rigid, robot = interpretation.spatial("payload"), interpretation.flexible("payload")
-    space, exact = (
-        profiles.PayloadSummary.computed(results["state_space"]),
-        profiles.PayloadSummary.computed(results["rigid_exact"]),
-    )
+    space, exact = PayloadSummary.computed(results["state_space"]), PayloadSummary.computed(results["rigid_exact"])
     numbers = space.numbers(interpretation, robot, "state_space_")
     numbers |= exact.numbers(interpretation, rigid, "rigid_exact_")
     rows = {"rigid, exact tracking": (rigid, exact), "state space of Eqs. 23–25": (robot, space)}
-    simulated, stiff = (space, exact)
+    springs, stiff = space, exact
     if interpretation.flexible_loop_possible:
-        simulated, stiff = (
-            profiles.PayloadSummary.simulated(results["fl4"]),
-            profiles.PayloadSummary.simulated(results["rigid"]),
-        )
-        rows |= {"rigid, fl, paper criterion": (rigid, stiff), "fl4, paper criterion": (robot, simulated)}
-        others = {name: profiles.PayloadSummary.simulated(results[name]) for name in _OTHERS}
-        rows |= {_OTHERS[name]: (robot, summary) for name, summary in others.items()}
+        springs, stiff = PayloadSummary.simulated(results["fl4"]), PayloadSummary.simulated(results["rigid"])
+        rows["rigid, fl, paper criterion"] = rigid, stiff
+        rows["fl4, paper criterion"] = robot, springs
+        for name, description in _METHODS.items():
+            rows[description] = robot, PayloadSummary.simulated(results[name])
         for name in ("motor_pd", "composite", "task", "eq22", "eq22_friction"):
-            numbers |= others[name].numbers(interpretation, robot, f"{name}_")
-    numbers |= simulated.numbers(interpretation, robot) | stiff.numbers(interpretation, rigid, "rigid_")
-    numbers |= {
-        "simulated": interpretation.flexible_loop_possible,
-        "drop_fraction": _drop(numbers, "counted_kg", "rigid_counted_kg"),
-        "state_space_drop_fraction": _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg"),
-    }
-    return Outcome(
-        numbers=numbers, tables=(profiles.payload_table("Largest payloads with and without joint springs.", rows),)
-    )
+            numbers |= PayloadSummary.simulated(results[name]).numbers(interpretation, robot, f"{name}_")
+    numbers |= springs.numbers(interpretation, robot)
+    numbers |= stiff.numbers(interpretation, rigid, "rigid_")
+    numbers["simulated"] = interpretation.flexible_loop_possible
+    numbers["drop_fraction"] = _drop(numbers, "counted_kg", "rigid_counted_kg")
+    numbers["state_space_drop_fraction"] = _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg")
+    table = profiles.payload_table("Largest payloads with and without joint springs.", rows)
+    return Outcome(numbers=numbers, tables=(table,))
 
 
 def _drop(numbers: Mapping[str, Number], flexible: str, rigid: str) -> float | None:
     """Payload reduction by the springs as a fraction of the payload of the rigid robot."""
     reduced, full = numbers[flexible], numbers[rigid]
-    return 1 - float(reduced or 0.0) / float(full) if full else None
+    if not full:
+        return None
+    return 1 - float(reduced or 0.0) / float(full)
 
 
 def draw_torques(interpretation: Interpretation, results: Results) -> Figure:
     """Fig. 15."""
-    robot, simulated = interpretation.flexible("payload"), interpretation.flexible_loop_possible
+    robot = interpretation.flexible("payload")
     height = torques_height(robot.cables) + 0.3
-    figure = new_figure(2 * height if simulated else height)
-    panels = list(figure.subfigures(2 if simulated else 1, 1, squeeze=False)[:, 0])
-    if simulated:
-        summary, shown = profiles.PayloadSummary.simulated(results["fl4"]), _shown(results)
+    halves = 2 if interpretation.flexible_loop_possible else 1
+    figure = new_figure(halves * height)
+    panels = list(figure.subfigures(halves, 1, squeeze=False)[:, 0])
+    if interpretation.flexible_loop_possible:
+        summary, shown = PayloadSummary.simulated(results["fl4"]), _shown(results)
         profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
         profiles.draw_panels(panels[0], profile, profiles.first_saturation(profile, summary))
         title = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
         rigid = results["rigid"].payload
         stiff = "fails unloaded" if rigid is None else f"{rigid:.3f} kg"
-        lines = (summary.sentence(robot), *shown.end_reason, f"rigid robot with fl, paper criterion: {stiff}")
-        add_title(panels[0], interpretation, title, *lines)
-    summary = profiles.PayloadSummary.computed(results["state_space"])
+        comparison = f"rigid robot with fl, paper criterion: {stiff}"
+        add_title(panels[0], interpretation, title, summary.sentence(robot), *shown.end_reason, comparison)
+    summary = PayloadSummary.computed(results["state_space"])
     profile = profiles.computed_profile(state_space_profile(interpretation, robot, summary.payload or 0.0))
     profiles.draw_panels(panels[-1], profile, profiles.first_saturation(profile, summary))
     title = "Robot with joint springs, state space of Eqs. 23–25, no closed loop"
     add_title(panels[-1], interpretation, title, summary.sentence(robot))
     return figure
+
+
+# --- verdicts ---------------------------------------------------------------------------------------------------------
+
+_OPTIONS = ("line", "platform_mass", "triangles", "sides", "stiffness", "eq24")
+_DROP_OPTIONS = ("payload", *_OPTIONS, "pulleys")
+
+
+@verdict("5.2.3.payload", "fig15", options=("payload", *_OPTIONS), choice="Eqs. 23–25")
+def payload_with_springs(run: Run) -> Judgement:
+    """The state space of the paper gives the published payload."""
+    payload = run.payload("fig15.state_space_counted_kg")
+    evidence = (
+        "The reference acceleration jumps at half time. No robot with joint springs can follow this jump exactly.",
+        "The paper may have computed its number from Eqs. 23–25, but no physical robot moves like this.",
+        "DLCC of Eq. 22 on the robot: {fig15.eq22_counted_kg}.",
+        run.sentence_if(
+            "fig15.simulated", "DLCC of the stable law `fl4`: {fig15.counted_kg:vs 5.2.3.payload}; see Interpretations."
+        ),
+        *evidence_of_combinations(run, "flexible"),
+    )
+    return Judgement(payload, within(payload, LOADS["flexible"]), evidence)
+
+
+@verdict("5.2.3.motor", "fig15", options=_OPTIONS, choice="Eqs. 23–25")
+def motor_with_springs(run: Run) -> Judgement:
+    """The published motor saturates first in the state space of the paper."""
+    motor = run.number("fig15.state_space_motor")
+    fl4 = run.sentence_if("fig15.simulated", "`fl4`: limiting violation {fig15.violation}.")
+    return Judgement(
+        motor,
+        motor == MOTORS["flexible"],
+        evidence=("State space of the paper.", fl4),
+        text="motor {fig15.state_space_motor} at {fig15.state_space_time_s}",
+    )
+
+
+@verdict("6.drop", "fig15", options=_DROP_OPTIONS, choice="Eqs. 23–25")
+def payload_drops(run: Run) -> Judgement:
+    """Joint springs reduce the payload by the published percentage."""
+    drop = run.number("fig15.state_space_drop_fraction")
+    evidence = (
+        "Rigid by exact tracking: {fig15.rigid_exact_counted_kg}; with springs by Eqs. 23–25: "
+        "{fig15.state_space_counted_kg}.",
+        run.sentence_if(
+            "fig15.simulated",
+            "Rigid in closed loop: {fig15.rigid_counted_kg}; with springs and `fl4`: {fig15.counted_kg} "
+            "(reduction {fig15.drop_fraction:%}).",
+        ),
+        "The published 1.4 kg are 45.3 % less than the published 2.56 kg.",
+    )
+    return Judgement(drop, within(drop, 0.01 * published_value("6.drop")), evidence)
+
+
+@verdict("5.2.3.less", "fig15", unit="%", options=_DROP_OPTIONS, choice="Eqs. 23–25")
+def payload_is_considerably_less(run: Run) -> Judgement:
+    """Joint springs reduce the payload by more than 5 %."""
+    drop = run.number("fig15.state_space_drop_fraction")
+    return Judgement(drop, drop > ABOUT, ("See §6: reduction of the payload by joint springs.",), "{ours} less")
+
+
+@verdict("5.2.3.path", "fig14", unit="mm", options=("stiffness", "platform_mass"), choice="Eq. 22")
+def path_with_springs(run: Run) -> Judgement:
+    """Eq. 22 as printed keeps the path within R."""
+    evidence = (
+        "Eq. 22 as printed; bound 10 mm.",
+        "With the friction of Table 4 at the motors: {fig14.eq22_friction_peak_error_mm}.",
+        "With `fl4`: {fig14.peak_error_mm}.",
+    )
+    return Judgement(run.number("fig14.eq22_peak_error_mm"), run.number("fig14.eq22_within"), evidence)

@@ -43,11 +43,14 @@ def exact_map(*, robot: Robot, line_speed: Array) -> list[list[ExactPayload]]:
         robot: rigid robot.
         line_speed: see :func:`~cablebot_gym.bounds.closed_form.exact_payload`.
     """
-    circles = [
-        [PaperCircle(name="circle", radius=radius, center=(0.0, 0.0, height, 0.1, 0.1, 0.1)) for radius in RADII]
-        for height in HEIGHTS
-    ]
-    return [[exact_payload(robot, circle, line_speed=line_speed, grid=COARSE) for circle in row] for row in circles]
+    rows = []
+    for height in HEIGHTS:
+        row = []
+        for radius in RADII:
+            circle = PaperCircle(name="circle", radius=radius, center=(0.0, 0.0, height, 0.1, 0.1, 0.1))
+            row.append(exact_payload(robot, circle, line_speed=line_speed, grid=COARSE))
+        rows.append(row)
+    return rows
 
 
 def jobs(interpretation: Interpretation) -> Jobs:
@@ -59,9 +62,11 @@ def jobs(interpretation: Interpretation) -> Jobs:
 def payloads(results: Results) -> tuple[Array, Array]:
     """Payloads (NaN if the robot fails unloaded), and a mask of the circles for which the motors are too weak."""
     exact: list[list[ExactPayload]] = results["exact"]
-    payload = [[one.payload if one.lowest <= 0 <= one.payload else np.nan for one in row] for row in exact]
-    weak = [[one.lowest <= 0 and -np.inf < one.payload < 0 for one in row] for row in exact]
-    return np.array(payload), np.array(weak)
+    payload = np.array([[circle.payload for circle in row] for row in exact])
+    lowest = np.array([[circle.lowest for circle in row] for row in exact])
+    is_feasible = (lowest <= 0) & (payload >= 0)
+    is_weak = (lowest <= 0) & (payload > -np.inf) & (payload < 0)
+    return np.where(is_feasible, payload, np.nan), is_weak
 
 
 def outcome(interpretation: Interpretation, results: Results) -> Outcome:
@@ -70,12 +75,13 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     if not np.isfinite(payload).any():
         return Outcome()
     row, column = np.unravel_index(np.nanargmax(payload), payload.shape)
+    feasible_radii = np.flatnonzero(np.isfinite(payload).any(axis=0))
     return Outcome(
         numbers={
             "exact_largest_kg": float(payload[row, column]),
             "exact_largest_at_r_m": RADII[column],
             "exact_largest_at_z_m": HEIGHTS[row],
-            "exact_widest_r_m": RADII[np.flatnonzero(np.isfinite(payload).any(axis=0))[-1]],
+            "exact_widest_r_m": RADII[feasible_radii[-1]],
         }
     )
 
@@ -93,7 +99,8 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
         image = axes.pcolormesh(*grid, payload, vmin=0.0, cmap="viridis", shading="nearest", rasterized=True)
         figure.colorbar(image, ax=axes, label="payload [kg]")
         lowest, highest = np.nanmin(payload), np.nanmax(payload)
-        if levels := [level for level in _CONTOURS if lowest < level < highest]:
+        levels = [level for level in _CONTOURS if lowest < level < highest]
+        if levels:
             lines = axes.contour(*grid, payload, levels=levels, colors="white", linewidths=1.0)
             axes.clabel(lines, fmt="%g", fontsize=8.5)
     axes.plot(*PAPER_CIRCLE, "*", color="white", markeredgecolor="black", markersize=11)

@@ -28,35 +28,39 @@ LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 1.6, 
 
 def add_title(figure: FigureBase, interpretation: Interpretation, *lines: str) -> None:
     """Adds a title, with the interpretation if it differs from the default."""
-    text = interpretation.text()
-    set_title(figure, *lines, *([] if text == "default" else [f"interpretation: {text}"]))
+    texts = list(lines)
+    if interpretation.changed():
+        texts.append(f"interpretation: {interpretation.text()}")
+    set_title(figure, *texts)
 
 
 def add_loop_title(figure: FigureBase, interpretation: Interpretation, *lines: str) -> None:
     """Adds a title of a closed loop, with the options that it cannot use."""
-    line, notes = interpretation.line, []
+    texts = list(lines)
     if not interpretation.closed_loop_possible:
-        notes.append(f"no motor can have the line {line!r}: the limits show this line, the loop uses the physical line")
+        line = f"no motor can have the line {interpretation.line!r}"
+        texts.append(f"{line}: the limits show this line, the loop uses the physical line")
     if interpretation.alpha == "constant":
-        notes.append("a planar loop uses the smallest α at each instant; a constant α applies to exact tracking only")
-    add_title(figure, interpretation, *lines, *notes)
+        texts.append("a planar loop uses the smallest α at each instant; a constant α applies to exact tracking only")
+    add_title(figure, interpretation, *texts)
 
 
-def curves(axes: Axes, x: Array, columns: Array, labels: Sequence[str], style: str = "-", width: float = 1.6) -> None:
+def curves(axes: Axes, x: Array, columns: Array, labels: Sequence[str]) -> None:
     """Draws the columns of an array in the colours of the motors."""
     for column, label, colour in zip(columns.T, labels, MOTORS, strict=False):
-        axes.plot(x, column, style, color=colour, linewidth=width, label=label)
+        axes.plot(x, column, color=colour, linewidth=1.6, label=label)
 
 
-def coordinate_curves(axes: Axes, x: Array, columns: Array, first: int) -> None:
-    """Draws three or fewer coordinates, of which ``first`` is the index of the first one, with a line at zero."""
+def coordinate_curves(axes: Axes, x: Array, columns: Array, offset: int) -> None:
+    """Draws three or fewer coordinates with a line at zero; ``offset`` is the index of the first coordinate."""
     for index, column in enumerate(columns.T):
-        name, colour = COORDINATES[first + index], MOTORS[index]
-        axes.plot(x, column, STYLES[index], color=colour, linewidth=1.4, label=name)
+        name = COORDINATES[offset + index]
+        axes.plot(x, column, STYLES[index], color=MOTORS[index], linewidth=1.4, label=name)
     axes.axhline(0, color="grey", linewidth=0.6)
 
 
 def add_headroom(axes: Axes, *, above: float = 0.0, below: float = 0.0) -> None:
     """Widens the y axis by fractions of its length, for a legend."""
     low, high = axes.get_ylim()
-    axes.set_ylim(low - below * (high - low), high + above * (high - low))
+    height = high - low
+    axes.set_ylim(low - below * height, high + above * height)

@@ -47,27 +47,37 @@ class PayloadSummary:
     @classmethod
     def simulated(cls, result: DLCCResult) -> PayloadSummary:
         """Summary of a simulated evaluation."""
-        time, motor = None if result.violation is None else result.violation.time, saturated_motor(result)
-        return cls(payload=result.payload, motor=motor, time=time, violation=_violation_kind(result.violation))
+        violation = result.violation
+        return cls(
+            payload=result.payload,
+            motor=saturated_motor(result),
+            time=violation.time if violation else None,
+            violation=_violation_kind(violation),
+        )
 
     @classmethod
     def computed(cls, largest: LargestPayload) -> PayloadSummary:
         """Summary of exact tracking or of the state space."""
-        exists = 0 <= largest.payload < math.inf
         violation = "none" if largest.motor is None else f"motor {largest.motor}"
-        # Without a feasible payload the time belongs to a negative payload, not to zero payload.
-        payload, time = (largest.payload, largest.time) if exists else (None, None)
-        return cls(payload=payload, motor=largest.motor, time=time, violation=violation)
+        if not 0 <= largest.payload < math.inf:
+            # The time belongs to a negative payload, not to zero payload.
+            return cls(payload=None, motor=largest.motor, time=None, violation=violation)
+        return cls(payload=largest.payload, motor=largest.motor, time=largest.time, violation=violation)
 
     def total_mass(self, robot: Robot) -> float | None:
         """Mass of platform and payload [kg]."""
-        return None if self.payload is None else robot.mass + self.payload
+        if self.payload is None:
+            return None
+        return robot.mass + self.payload
 
     def numbers(self, interpretation: Interpretation, robot: Robot, prefix: str = "") -> dict[str, Number]:
         """Numbers for results.json."""
+        counted = None
+        if self.payload is not None:
+            counted = interpretation.counted(robot, self.payload)
         return {
             f"{prefix}payload_kg": self.payload,
-            f"{prefix}counted_kg": None if self.payload is None else interpretation.counted(robot, self.payload),
+            f"{prefix}counted_kg": counted,
             f"{prefix}total_mass_kg": self.total_mass(robot),
             f"{prefix}motor": self.motor,
             f"{prefix}time_s": self.time,
@@ -76,17 +86,21 @@ class PayloadSummary:
 
     def sentence(self, robot: Robot) -> str:
         """Sentence for a title."""
-        when = "" if self.time is None else f" at t = {self.time:.3f} s"
+        violation = self.violation
+        if self.time is not None:
+            violation = f"{violation} at t = {self.time:.3f} s"
         if self.payload is None:
-            return f"fails unloaded (figure: zero payload): {self.violation}{when}"
+            return f"fails unloaded (figure: zero payload): {violation}"
         text = f"payload {self.payload:.3f} kg, total mass {robot.mass + self.payload:.3f} kg"
-        return f"{text}; limiting violation: {self.violation}{when}"
+        return f"{text}; limiting violation: {violation}"
 
 
 def payload_table(title: str, rows: Mapping[str, tuple[Robot, PayloadSummary]]) -> Table:
     """Table of the largest payloads of several methods."""
     header = ("method", "added payload [kg]", "total mass [kg]", "limiting violation", "time [s]")
-    cells = ((name, one.payload, one.total_mass(robot), one.violation, one.time) for name, (robot, one) in rows.items())
+    cells = []
+    for method, (robot, summary) in rows.items():
+        cells.append((method, summary.payload, summary.total_mass(robot), summary.violation, summary.time))
     return Table(title=title, header=header, rows=tuple(cells))
 
 
@@ -107,11 +121,14 @@ class Shown:
     @property
     def peaks(self) -> tuple[float, float]:
         """Largest position error over all physics steps [m] and largest rotation error [rad]."""
-        if self.result.payload is None:
-            position = float(self.arrays["tracking_error_peak"].max())
-        else:
-            position = float((1 - self.result.margins["position"]) * (self.result.error_bounds["position"] or 0.0))
+        position = float(self.arrays["tracking_error_peak"].max())
+        if self.result.payload is not None:
+            position = float((1 - self.result.margins["position"]) * self._bound)
         return position, float(self.arrays["rotation_error"].max())
+
+    @property
+    def _bound(self) -> float:
+        return self.result.error_bounds["position"] or 0.0
 
     @property
     def end_reason(self) -> list[str]:
@@ -123,17 +140,17 @@ class Shown:
     @property
     def within(self) -> bool:
         """Whether the episode is complete and within the position error bound."""
-        return not self.end_reason and self.peaks[0] <= (self.result.error_bounds["position"] or 0.0)
+        position, _ = self.peaks
+        return not self.end_reason and position <= self._bound
 
 
 def travelled(run: Mapping[str, Array], *, name: str, color: str = BLUE) -> TravelledPath:
     """Motion of an episode for the path panels."""
-    pose = run["pose"]
     return TravelledPath(
         times=run["action_time"] + run["action_time"][1],
-        pose=pose,
+        pose=run["pose"],
         position_error=run["tracking_error"],
-        rotation_error=run["rotation_error"] if pose.shape[1] > 2 else None,
+        rotation_error=_rotation(run["pose"], run["rotation_error"]),
         name=name,
         color=color,
     )
@@ -142,16 +159,23 @@ def travelled(run: Mapping[str, Array], *, name: str, color: str = BLUE) -> Trav
 def on_reference(trajectory: Trajectory, *, name: str) -> TravelledPath:
     """Motion without error for exact tracking, without simulation."""
     times = np.linspace(0.0, trajectory.duration, _POINTS)
-    none, pose = np.zeros(len(times)), trajectory(times).position
-    rotation = none if pose.shape[1] > 2 else None
-    return TravelledPath(times=times, pose=pose, position_error=none, rotation_error=rotation, name=name)
+    pose = trajectory(times).position
+    zero = np.zeros(len(times))
+    return TravelledPath(times=times, pose=pose, position_error=zero, rotation_error=_rotation(pose, zero), name=name)
+
+
+def _rotation(pose: Array, error: Array) -> Array | None:
+    """The rotation error; None for a robot without rotation."""
+    return error if pose.shape[1] > 2 else None
 
 
 def simulated_profile(robot: Robot, run: Mapping[str, Array]) -> TorqueProfile:
     """Torques of an episode; ``robot`` has the motors of the episode."""
     lower, upper = textbook.torque_limits(robot, run["motor_speeds"])
     times, action = run["action_time"], run["commanded_action"]
-    requested = (upper + lower) / 2 + (upper - lower) / 2 * action if np.abs(action).max() > 1 else None
+    requested = None
+    if np.abs(action).max() > 1:
+        requested = (upper + lower) / 2 + (upper - lower) / 2 * action
     end = float(times[-1] + times[1])
     return TorqueProfile(times=times, torques=run["torques"], lower=lower, upper=upper, requested=requested, end=end)
 
@@ -184,28 +208,42 @@ def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
 
 def draw_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark) -> None:
     """Draws the torque panels with fewer instants; keeps the marked instant and its neighbours."""
-    count = len(profile.times)
-    thinned, around = np.arange(0, count, math.ceil(count / _POINTS)), mark.step + np.arange(-2, 3)
-    kept = np.unique(np.concatenate([thinned, [count - 1], np.clip(around, 0, count - 1)]))
-    names = ("times", "torques", "lower", "upper", "requested")
-    arrays = {name: values[kept] for name in names if (values := getattr(profile, name)) is not None}
-    torque_panels(figure, replace(profile, **arrays), replace(mark, step=int(np.searchsorted(kept, mark.step))))
+    end = len(profile.times) - 1
+    thinned = np.arange(0, end + 1, math.ceil(len(profile.times) / _POINTS))
+    around_mark = np.clip(mark.step + np.arange(-2, 3), 0, end)
+    drawn = np.unique(np.concatenate([thinned, [end], around_mark]))
+    profile = replace(
+        profile,
+        times=profile.times[drawn],
+        torques=profile.torques[drawn],
+        lower=profile.lower[drawn],
+        upper=profile.upper[drawn],
+        requested=None if profile.requested is None else profile.requested[drawn],
+    )
+    torque_panels(figure, profile, replace(mark, step=int(np.searchsorted(drawn, mark.step))))
 
 
 def saturated_motor(result: DLCCResult) -> int | None:
     """Motor whose torque limits the payload, counted from 1."""
     violation = result.violation
-    return violation.index if violation is not None and violation.kind == "torque" else None
+    if violation is None or violation.kind != "torque":
+        return None
+    return violation.index
 
 
 def violation_text(violation: Violation | None) -> str:
     """Limiting violation and its time, rounded to milliseconds."""
-    time = None if violation is None else violation.time
-    return _violation_kind(violation) + ("" if time is None else f" at {time:.3f} s")
+    text = _violation_kind(violation)
+    if violation is None or violation.time is None:
+        return text
+    return f"{text} at {violation.time:.3f} s"
 
 
 def _violation_kind(violation: Violation | None) -> str:
     if violation is None:
         return "none"
-    where = {"torque": f"motor {violation.index}", "slack": f"cable {violation.index} slack"}
-    return where.get(violation.kind, violation.reason or violation.kind)
+    if violation.kind == "torque":
+        return f"motor {violation.index}"
+    if violation.kind == "slack":
+        return f"cable {violation.index} slack"
+    return violation.reason or violation.kind

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from cablebot_gym.robots import SPATIAL
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 ROUNDING = 0.06
@@ -64,8 +65,11 @@ def geometries(*, interpretation: Interpretation, base_size: str) -> list[Geomet
 def planar_turns(*, interpretation: Interpretation) -> list[float]:
     """Largest payload of exact tracking for each rotation of the planar triangle [kg]."""
     robot = interpretation.planar
-    turned = (robot.replace(base_anchors=_turned(robot.base, turn)) for turn in PLANAR_TURNS)
-    return [exact_limit(interpretation, one).payload for one in turned]
+    payloads = []
+    for turn in PLANAR_TURNS:
+        turned = robot.replace(base_anchors=_turned(robot.base, turn))
+        payloads.append(exact_limit(interpretation, turned).payload)
+    return payloads
 
 
 def _turned(points: Array, angle: float) -> Array:
@@ -85,24 +89,26 @@ def jobs(interpretation: Interpretation) -> Jobs:
 
 def _geometries(results: Results) -> tuple[Array, Array]:
     """Payloads and limiting motors of all geometries."""
-    found = [item for size in SIZES for item in results[f"base {size}"]]
-    return np.array([item.payload for item in found]), np.array([item.motor for item in found])
+    rows = [geometry for size in SIZES for geometry in results[f"base {size}"]]
+    columns = np.array(rows).reshape(-1, 2)
+    return columns[:, 0], columns[:, 1]
 
 
 def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Counts of geometries, and extreme payloads."""
     payload, motor = _geometries(results)
-    positive, hit = payload > 0, np.abs(payload - LOADS["spatial"]) <= ROUNDING
+    positive = payload[payload > 0]
+    is_hit = np.abs(payload - LOADS["spatial"]) <= ROUNDING
     planar = np.array(results["planar"])
     return Outcome(
         numbers={
             "geometries": len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS),
             "with_equilibrium": len(payload),
-            "with_positive_payload": int(positive.sum()),
-            "hits": int(hit.sum()),
-            "hits_second_motor": int((hit & (motor == 2)).sum()),
-            "least_kg": float(payload[positive].min()) if positive.any() else None,
-            "largest_kg": float(payload.max()) if positive.any() else None,
+            "with_positive_payload": len(positive),
+            "hits": int(is_hit.sum()),
+            "hits_second_motor": int((is_hit & (motor == 2)).sum()),
+            "least_kg": float(positive.min()) if len(positive) else None,
+            "largest_kg": float(positive.max()) if len(positive) else None,
             "planar_best_added_kg": float(planar.max()),
             "planar_best_turn_deg": float(np.degrees(PLANAR_TURNS[planar.argmax()])),
         }
@@ -112,24 +118,36 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
 def draw(interpretation: Interpretation, results: Results) -> Figure:
     """Histogram of the spatial payloads, and planar payload versus rotation."""
     figure = new_figure(4.4)
-    left, right = figure.subplots(1, 2)
+    spatial, planar = figure.subplots(1, 2)
     payload, _ = _geometries(results)
-    bins = np.arange(0, payload.max(initial=0.25) + 0.25, 0.25)
-    left.hist(payload[payload > 0], bins=bins, color=BLUE, label="geometries with a positive payload")
-    target, published = LOADS["spatial"], {"color": VERMILLION, "alpha": 0.5, "linewidth": 0}
-    label = f"published: {target:g} ± {ROUNDING:g} kg"
-    left.axvspan(target - ROUNDING, target + ROUNDING, label=label, **published)
-    left.set(xlabel="payload of exact tracking [kg]", ylabel="geometries")
-    left.set_title("spatial: sizes and rotations of both triangles")
-    degrees, planar, target = np.degrees(PLANAR_TURNS), np.array(results["planar"]), LOADS["planar"]
-    right.plot(degrees, planar, color=BLUE, label="added to the platform")
-    mass = interpretation.planar.mass
-    right.plot(degrees, planar + mass, "--", color=GREY, label="total mass of platform and load")
-    right.axhspan(0.95 * target, 1.05 * target, label=f"published: {target:g} kg ± 5 %", **published)
-    right.set(xlabel="rotation of the planar triangle [°]", ylabel="mass [kg]", xlim=(0, 120), ylim=(0, None))
-    right.set_title("planar: rotation of the triangle")
-    right.legend(loc="lower right", fontsize=9)
-    add_legend(figure, left)
+    _draw_spatial(spatial, payload)
+    _draw_planar(planar, np.array(results["planar"]), interpretation.planar.mass)
+    add_legend(figure, spatial)
     line = f"line = {interpretation.line}"
     set_title(figure, f"Geometries that give the published payloads; exact tracking, {line}")
     return figure
+
+
+_PUBLISHED: dict[str, Any] = {"color": VERMILLION, "alpha": 0.5, "linewidth": 0}
+"""Style of the published payload."""
+
+
+def _draw_spatial(axes: Axes, payload: Array) -> None:
+    bins = np.arange(0, payload.max(initial=0.25) + 0.25, 0.25).tolist()
+    axes.hist(payload[payload > 0], bins=bins, color=BLUE, label="geometries with a positive payload")
+    load = LOADS["spatial"]
+    label = f"published: {load:g} ± {ROUNDING:g} kg"
+    axes.axvspan(load - ROUNDING, load + ROUNDING, label=label, **_PUBLISHED)
+    axes.set(xlabel="payload of exact tracking [kg]", ylabel="geometries")
+    axes.set_title("spatial: sizes and rotations of both triangles")
+
+
+def _draw_planar(axes: Axes, payload: Array, platform: float) -> None:
+    degrees = np.degrees(PLANAR_TURNS)
+    axes.plot(degrees, payload, color=BLUE, label="added to the platform")
+    axes.plot(degrees, payload + platform, "--", color=GREY, label="total mass of platform and load")
+    load = LOADS["planar"]
+    axes.axhspan(0.95 * load, 1.05 * load, label=f"published: {load:g} kg ± 5 %", **_PUBLISHED)
+    axes.set(xlabel="rotation of the planar triangle [°]", ylabel="mass [kg]", xlim=(0, 120), ylim=(0, None))
+    axes.set_title("planar: rotation of the triangle")
+    axes.legend(loc="lower right", fontsize=9)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cablebot_baselines.classical import FeedbackLinearization, PaperFlexible
 from cablebot_baselines.paper.exact import Profile, exact_profile, state_space_profile
 from cablebot_baselines.paper.interpretation import Interpretation
+from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
 from cablebot_baselines.paper.parts import plotting
+from cablebot_baselines.paper.published import ABOUT
 from cablebot_baselines.paper.runs import FLEX, PLANAR, SPATIAL, closed_loop
 from cablebot_gym.benchmark.engine import Job
 from cablebot_gym.evaluation.rollout import Rollout
@@ -25,6 +27,7 @@ from cablebot_gym.utils.palette import BLUE, GREY, SHADE, VERMILLION
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
+    from matplotlib.gridspec import GridSpec
 
 JUMP = 0.5
 """Time of the jump in the acceleration of Tables 1 and 3 [s]."""
@@ -34,6 +37,21 @@ WINDOW = 0.2
 
 _SMOOTH, _RINGING = 0.01, 0.004
 """Time steps of the drawn torque limits, large enough to keep the figure files small [s]."""
+
+
+# --- Figs. 5 and 6 ----------------------------------------------------------------------------------------------------
+
+
+def planar_jobs(interpretation: Interpretation) -> Jobs:
+    """Episode of Fig. 5."""
+    law = partial(FeedbackLinearization, minimum_tension=interpretation.minimum_tension)
+    robot = interpretation.closed_loop_robot(interpretation.planar)
+    return {"loop": job(closed_loop, env_id=PLANAR, law=law, robot=robot)}
+
+
+def spatial_jobs(interpretation: Interpretation) -> Jobs:
+    """Episode of Fig. 6."""
+    return {"loop": _rigid_loop(interpretation)}
 
 
 def _rigid_loop(interpretation: Interpretation) -> Job:
@@ -52,81 +70,49 @@ def loop_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     }
     if arrays["pose"].shape[1] > 2:
         numbers["peak_rotation_mrad"] = 1e3 * float(arrays["rotation_error_peak"].max())
-    numbers |= {
-        "least_tension_N": float(arrays["tensions"].min()),
-        "slack": bool(arrays["slack"].any()),
-        "carried": loop.verdict.carried,
-    }
-    peaks = np.abs(arrays["torques"]).max(axis=0)
-    return Outcome(numbers=numbers | {f"peak_torque_{motor}_Nm": float(peak) for motor, peak in enumerate(peaks, 1)})
-
-
-# Figs. 5 and 6
-
-
-def planar_jobs(interpretation: Interpretation) -> Jobs:
-    """Episode of Fig. 5."""
-    law = partial(FeedbackLinearization, minimum_tension=interpretation.minimum_tension)
-    robot = interpretation.closed_loop_robot(interpretation.planar)
-    return {"loop": job(closed_loop, env_id=PLANAR, law=law, robot=robot)}
-
-
-def spatial_jobs(interpretation: Interpretation) -> Jobs:
-    """Episode of Fig. 6."""
-    return {"loop": _rigid_loop(interpretation)}
+    numbers["least_tension_N"] = float(arrays["tensions"].min())
+    numbers["slack"] = bool(arrays["slack"].any())
+    numbers["carried"] = loop.verdict.carried
+    for motor, peak in enumerate(np.abs(arrays["torques"]).max(axis=0), 1):
+        numbers[f"peak_torque_{motor}_Nm"] = float(peak)
+    return Outcome(numbers=numbers)
 
 
 def draw_planar(interpretation: Interpretation, results: Results) -> Figure:
     """Fig. 5."""
     title = "Planar robot (Tables 1 and 2): feedback linearization, no payload"
-    return _draw_loop(interpretation, interpretation.planar, results["loop"], title, interpretation.minimum_tension)
+    return _draw_loop(interpretation, interpretation.planar, results["loop"], title)
 
 
 def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
     """Fig. 6."""
     robot = interpretation.spatial("control")
     title = f"Spatial robot (Tables 3 and 4): feedback linearization, total mass {robot.mass:g} kg"
-    return _draw_loop(interpretation, robot, results["loop"], title, 0.0)
+    return _draw_loop(interpretation, robot, results["loop"], title)
 
 
-def _draw_loop(
-    interpretation: Interpretation, robot: Robot, loop: Rollout, title: str, minimum_tension: float
-) -> Figure:
+def _draw_loop(interpretation: Interpretation, robot: Robot, loop: Rollout, title: str) -> Figure:
     """Draws torques, tensions and errors, each with its limits."""
-    arrays, times = loop.arrays, loop.arrays["action_time"]
     heights = [2.1 * (robot.cables // 3) + 0.7, 4.6]
     figure = new_figure(sum(heights) + 0.4)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     panels = motor_panels(above, robot)
-    lower, upper = textbook.torque_limits(robot, interpretation.line_speed(robot) * arrays["motor_speeds"])
+    times, torques = loop.arrays["action_time"], loop.arrays["torques"]
+    lower, upper = textbook.torque_limits(robot, interpretation.line_speed(robot) * loop.arrays["motor_speeds"])
     limit_panels(panels, times, lower, upper)
     for motor, axes in enumerate(panels):
-        axes.plot(times, arrays["torques"][:, motor], color=plotting.MOTORS[motor], linewidth=1.8)
+        axes.plot(times, torques[:, motor], color=plotting.MOTORS[motor], linewidth=1.8)
     panels[0].plot([], [], color=BLUE, linewidth=1.8, label="torque, in the colour of the motor")
     panels[0].set_ylim(float(lower.min()), float(upper.max()))
     plotting.add_headroom(panels[0], above=0.05, below=0.05)
     add_legend(above, panels[0])
     grid = below.add_gridspec(2, 2 if robot.planar else 3)
+    minimum_tension = interpretation.minimum_tension if robot.planar else 0.0
     _draw_tensions(below.add_subplot(grid[:, 0]), loop, minimum_tension)
-    bounds, end = ErrorBounds(), arrays["time"]
-    error = -1e3 * (arrays["pose"] - arrays["reference_pose"])
-    kinds = [("position", "mm", slice(0, 2 if robot.planar else 3), "tracking_error", bounds.position, "‖e‖", "R")]
+    _draw_position_error(below, grid, loop, slice(0, 2 if robot.planar else 3))
     if not robot.planar:
-        kinds.append(("rotation", "mrad", slice(3, 6), "rotation_error", bounds.rotation, "max |e|", "bound"))
-    for column, (name, unit, block, norm, bound, size, symbol) in enumerate(kinds, 1):
-        axes = below.add_subplot(grid[0, column])
-        plotting.coordinate_curves(axes, end, error[:, block], block.start)
-        axes.tick_params(labelbottom=False)
-        axes.set_title(f"{name} errors X_d − X", fontsize=10)
-        axes.set(xlim=(0, end[-1]), ylabel=f"error [{unit}]")
-        axes.legend(**plotting.LEGEND, ncols=3, loc="lower left")
-        plotting.add_headroom(axes, below=0.25)
-        axes = below.add_subplot(grid[1, column], sharex=axes)
-        axes.semilogy(end, np.maximum(1e3 * arrays[norm], 0.1 * bound), color=BLUE, linewidth=1.5)
-        axes.axhline(1e3 * bound, color="black", linewidth=1.0, label=f"{symbol} = {1e3 * bound:g} {unit}")
-        axes.set(xlabel="time [s]", ylabel=f"{size} [{unit}]")
-        axes.legend(**plotting.LEGEND)
-    reason = [f"the episode ends at {end[-1]:.3f} s: {loop.reason}"] if loop.reason else []
+        _draw_rotation_error(below, grid, loop)
+    reason = [f"the episode ends at {loop.arrays['time'][-1]:.3f} s: {loop.reason}"] if loop.reason else []
     plotting.add_loop_title(figure, interpretation, title, *reason)
     return figure
 
@@ -155,8 +141,8 @@ def limit_panels(
 ) -> None:
     """Draws U± and shades the torques beyond the limits."""
     far = 3 * float(np.abs([lower, upper]).max())
-    chosen = _thinned(times, step)
-    times, lower, upper = times[chosen], lower[chosen], upper[chosen]
+    drawn = _thinned(times, step)
+    times, lower, upper = times[drawn], lower[drawn], upper[drawn]
     for motor, axes in enumerate(panels):
         axes.fill_between(times, upper[:, motor], far, color=SHADE, linewidth=0, label="beyond the torque limits")
         axes.fill_between(times, -far, lower[:, motor], color=SHADE, linewidth=0)
@@ -171,28 +157,69 @@ def _thinned(times: Array, step: float) -> Array:
 
 
 def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
-    times, tensions = loop.arrays["action_time"], loop.arrays["tensions"]
-    plotting.curves(axes, times, tensions, [f"cable {cable + 1}" for cable in range(tensions.shape[1])])
+    tensions = loop.arrays["tensions"]
+    labels = [f"cable {cable + 1}" for cable in range(tensions.shape[1])]
+    plotting.curves(axes, loop.arrays["action_time"], tensions, labels)
     name = f"T_min = {minimum:g} N" if minimum > 0 else "slack at 0 N"
     axes.axhline(minimum, color="black", linewidth=1.0, linestyle="--", label=name)
     top = float(tensions.max())
-    axes.set(xlim=(0, loop.arrays["time"][-1]), ylim=(-0.04 * top, 1.38 * top), xlabel="time [s]", ylabel="tension [N]")
+    axes.set(xlim=(0, loop.arrays["time"][-1]), ylim=(-0.04 * top, 1.38 * top))
+    axes.set(xlabel="time [s]", ylabel="tension [N]")
     axes.set_title("tensions", fontsize=10)
     axes.legend(**plotting.LEGEND, ncols=2, loc="upper left")
 
 
-# Fig. 7
+def _draw_position_error(figure: SubFigure, grid: GridSpec, loop: Rollout, coordinates: slice) -> None:
+    bound = 1e3 * ErrorBounds().position
+    above, below = _error_panels(figure, grid[0, 1], grid[1, 1], loop, coordinates)
+    above.set_title("position errors X_d − X", fontsize=10)
+    above.set_ylabel("error [mm]")
+    _draw_norm(below, loop, "tracking_error", bound, f"R = {bound:g} mm")
+    below.set_ylabel("‖e‖ [mm]")
+
+
+def _draw_rotation_error(figure: SubFigure, grid: GridSpec, loop: Rollout) -> None:
+    bound = 1e3 * ErrorBounds().rotation
+    above, below = _error_panels(figure, grid[0, 2], grid[1, 2], loop, slice(3, 6))
+    above.set_title("rotation errors X_d − X", fontsize=10)
+    above.set_ylabel("error [mrad]")
+    _draw_norm(below, loop, "rotation_error", bound, f"bound = {bound:g} mrad")
+    below.set_ylabel("max |e| [mrad]")
+
+
+def _error_panels(figure: SubFigure, upper: Any, lower: Any, loop: Rollout, coordinates: slice) -> tuple[Axes, Axes]:
+    """Panel of the errors of some coordinates, and an empty panel of their norm."""
+    times = loop.arrays["time"]
+    errors = -1e3 * (loop.arrays["pose"] - loop.arrays["reference_pose"])
+    above = figure.add_subplot(upper)
+    plotting.coordinate_curves(above, times, errors[:, coordinates], coordinates.start)
+    above.tick_params(labelbottom=False)
+    above.set_xlim(0, times[-1])
+    above.legend(**plotting.LEGEND, ncols=3, loc="lower left")
+    plotting.add_headroom(above, below=0.25)
+    return above, figure.add_subplot(lower, sharex=above)
+
+
+def _draw_norm(axes: Axes, loop: Rollout, name: str, bound: float, label: str) -> None:
+    norm = np.maximum(1e3 * loop.arrays[name], 1e-4 * bound)  # the errors start at zero
+    axes.semilogy(loop.arrays["time"], norm, color=BLUE, linewidth=1.5)
+    axes.axhline(bound, color="black", linewidth=1.0, label=label)
+    axes.set_xlabel("time [s]")
+    axes.legend(**plotting.LEGEND)
+
+
+# --- Fig. 7 -----------------------------------------------------------------------------------------------------------
 
 
 def flexible_jobs(interpretation: Interpretation) -> Jobs:
     """Episodes and torque profiles of Fig. 7."""
     robot, rigid = interpretation.flexible("control"), interpretation.spatial("control")
-    loop = {"law": partial(PaperFlexible, as_printed=True), "robot": interpretation.closed_loop_robot(robot)}
+    law = partial(PaperFlexible, as_printed=True)
     return {
         "rigid": _rigid_loop(interpretation),
         "rigid_exact": job(exact_profile, interpretation=interpretation, robot=rigid, payload=0.0),
         "state_space": job(state_space_profile, interpretation=interpretation, robot=robot, payload=0.0),
-        "loop": job(closed_loop, env_id=FLEX, **loop),
+        "loop": job(closed_loop, env_id=FLEX, law=law, robot=interpretation.closed_loop_robot(robot)),
     }
 
 
@@ -207,7 +234,9 @@ def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcom
     """Numbers of Fig. 7."""
     state_space, rigid, loop = results["state_space"], results["rigid_exact"], results["loop"]
     robot = interpretation.flexible("control")
-    divisor = robot.motor_inertia if interpretation.eq24 == "corrected" else 1 + robot.motor_inertia
+    divisor = robot.motor_inertia
+    if interpretation.eq24 == "verbatim":
+        divisor = 1 + divisor
     error, times = loop.arrays["tracking_error_peak"], loop.arrays["time"]
     margin = np.minimum(state_space.upper - state_space.torques, state_space.torques - state_space.lower)
     lost = np.flatnonzero(error > ErrorBounds().position)
@@ -236,21 +265,96 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
     figure = new_figure(5.9)
     panels = motor_panels(figure, robot)
     jump = int(np.searchsorted(space.times, JUMP))
-    chosen = np.union1d(_thinned(space.times, 1e-3), [jump, jump + 1])
-    times, limits = space.times[chosen], (space.lower[chosen], space.upper[chosen])
-    limit_panels(panels, times, *limits, step=_RINGING, colour=GREY, label="limits U± of the blue curve")
+    drawn = np.union1d(_thinned(space.times, 1e-3), [jump, jump + 1])
+    times, torques = space.times[drawn], space.torques[drawn]
+    limits = {"lower": space.lower[drawn], "upper": space.upper[drawn]}
+    limit_panels(panels, times, **limits, step=_RINGING, colour=GREY, label="limits U± of the blue curve")
+    curves: tuple[tuple[Array, Array, dict[str, Any]], ...] = (
+        (times, torques, {"color": BLUE, "linewidth": 1.2, "label": "with springs, Eqs. 22–25"}),
+        (
+            loop["action_time"],
+            loop["torques"],
+            {"color": VERMILLION, "linewidth": 0.6, "label": "Eq. 22 as printed, closed loop"},
+        ),
+        (rigid["action_time"], rigid["torques"], {"color": "black", "linewidth": 1.4, "label": "rigid (Table 4)"}),
+    )
     for motor, axes in enumerate(panels):
-        for x, torques, colour, width, name in (
-            (times, space.torques[chosen], BLUE, 1.2, "with springs, Eqs. 22–25"),
-            (loop["action_time"], loop["torques"], VERMILLION, 0.6, "Eq. 22 as printed, closed loop"),
-            (rigid["action_time"], rigid["torques"], "black", 1.4, "rigid (Table 4)"),
-        ):
-            axes.plot(x, torques[:, motor], color=colour, linewidth=width, label=name)
+        for instants, values, style in curves:
+            axes.plot(instants, values[:, motor], **style)
         axes.axvline(JUMP, color=GREY, linestyle=":", linewidth=1.2, label="jump of the reference")
-    seen = np.concatenate([space.torques, rigid["torques"]])
-    panels[0].set_ylim(min(0.0, float(seen.min())), float(seen.max()))
+    visible = np.concatenate([space.torques, rigid["torques"]])
+    panels[0].set_ylim(min(0.0, float(visible.min())), float(visible.max()))
     plotting.add_headroom(panels[0], above=0.15, below=0.1)
     add_legend(figure, panels[0])
     springs = f"joint springs K = {robot.stiffness[0]:g} N·m/rad (Table 5)"
     plotting.add_loop_title(figure, interpretation, f"Spatial robot with {springs}, total mass {robot.mass:g} kg")
     return figure
+
+
+# --- verdicts ---------------------------------------------------------------------------------------------------------
+
+
+@verdict("abstract.accuracy", "fig5", "fig6", "claims", unit="mm")
+def accuracy_is_perfect(run: Run) -> Judgement:
+    """No error is larger than 5 % of R."""
+    planar, spatial = run.number("fig5.peak_error_mm"), run.number("fig6.peak_error_mm")
+    largest = max(planar, spatial, run.number("claims.closed_loop_spatial_error_mm"))
+    evidence = (
+        "Largest error without uncertainty: planar {fig5.peak_error_mm}, spatial {fig6.peak_error_mm}.",
+        "Mean error of the spatial robot with the uncertainty of Table 6: {claims.closed_loop_spatial_error_mm}.",
+        "The threshold is 0.5 mm, 5 % of R. The causes are sampling and the jump at half time.",
+    )
+    return Judgement(largest, largest <= 0.5, evidence)
+
+
+@verdict("1.tension", "fig5", "fig6", unit="N", options=("minimum_tension",))
+def no_tension_is_negative(run: Run) -> Judgement:
+    """The cables of both robots remain taut on the paths of the paper."""
+    least = min(run.number("fig5.least_tension_N"), run.number("fig6.least_tension_N"))
+    is_slack = max(run.number("fig5.slack"), run.number("fig6.slack"))
+    evidence = (
+        "Smallest tension: planar {fig5.least_tension_N}, spatial {fig6.least_tension_N}.",
+        "For the planar robot this is T_min, because α keeps the tensions above it.",
+    )
+    return Judgement(least, least > 0 and not is_slack, evidence, "≥ {ours}")
+
+
+@verdict("4.1.tension", "fig5", unit="N", options=("minimum_tension",))
+def planar_tensions_are_positive(run: Run) -> Judgement:
+    """The cables of the planar robot remain taut."""
+    least, is_slack = run.number("fig5.least_tension_N"), run.number("fig5.slack")
+    evidence = ("The smallest tension is T_min, because α keeps the tensions above it.",)
+    return Judgement(least, least > 0 and not is_slack, evidence, "≥ {ours}")
+
+
+@verdict("1.elasticity", "fig7")
+def elasticity_matters_in_joints_and_cables(run: Run) -> Judgement:
+    """This project has no model of elastic cables."""
+    evidence = ("The paper has no model of elastic cables. §4.3 and §5.2.3 treat the joints.",)
+    return Judgement(None, None, evidence, "joints only")
+
+
+@verdict("4.3.vibration", "fig7", unit="N·m", options=("stiffness", "eq24"))
+def torques_vibrate_only_when_the_input_changes(run: Run) -> Judgement:
+    """The torques of both robots differ by more than 5 % of the largest rigid torque after the jump only."""
+    late, before = run.number("fig7.ripple_late_Nm"), run.number("fig7.ripple_before_Nm")
+    after, threshold = run.number("fig7.ripple_after_Nm"), ABOUT * run.number("fig7.rigid_peak_Nm")
+    evidence = (
+        "RMS difference between the torques of Eqs. 23–25 and the rigid torques: {fig7.ripple_before_Nm} in the 0.2 s "
+        "before the jump, {fig7.ripple_after_Nm} in the 0.2 s after it, {fig7.ripple_late_Nm} in the last 0.2 s.",
+        "The threshold is 5 % of the largest rigid torque of {fig7.rigid_peak_Nm}.",
+        "The jump excites the vibration, and these equations have no damping.",
+    )
+    text = "{fig7.ripple_after_Nm} after the change, {fig7.ripple_late_Nm} at the end"
+    return Judgement(late, max(before, late) <= threshold < after, evidence, text)
+
+
+@verdict("6.torque", "fig7", unit="N·m", options=("stiffness", "eq24"))
+def elasticity_changes_the_torques(run: Run) -> Judgement:
+    """After the jump the torques of both robots differ by more than 5 % of the largest rigid torque."""
+    after, threshold = run.number("fig7.ripple_after_Nm"), ABOUT * run.number("fig7.rigid_peak_Nm")
+    evidence = (
+        "RMS difference in the 0.2 s after the jump.",
+        "Largest torque: {fig7.flexible_peak_Nm} with springs, {fig7.rigid_peak_Nm} without springs.",
+    )
+    return Judgement(after, after > threshold, evidence)
