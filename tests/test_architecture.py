@@ -32,6 +32,7 @@ ORDER = (
         "envs",
         "datasets",
         "policies",
+        "isolation",
         "evaluation",
         "bounds",
         "plotting",

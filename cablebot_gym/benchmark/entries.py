@@ -16,9 +16,9 @@ from cablebot_gym.benchmark.leaderboard import EntryNote, Results
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.suites import find_suite, suite_cells
 from cablebot_gym.benchmark.tables import task_title
+from cablebot_gym.isolation.sandbox import sandbox_name
 from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, Entry, digests, package_root, plain_files, read_entry
 from cablebot_gym.policies.loading import is_own, policy_points
-from cablebot_gym.policies.sandbox import sandbox_name
 from cablebot_gym.utils.code_hash import source_files
 from cablebot_gym.utils.files import atomic_write_text, read_text
 from cablebot_gym.utils.imports import split_name

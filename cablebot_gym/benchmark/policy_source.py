@@ -6,9 +6,9 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from cablebot_gym.isolation.isolated import public_entry
 from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
 from cablebot_gym.policies.entry import is_entry, read_entry
-from cablebot_gym.policies.isolated import public_entry
 from cablebot_gym.policies.loading import policy_points, split_estimator
 from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.utils.code_hash import module_file

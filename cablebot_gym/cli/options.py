@@ -339,7 +339,8 @@ def loaded_policy(
     Raises:
         ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without ``isolate``.
     """
-    from cablebot_gym.policies import IsolatedPolicy, load_policy
+    from cablebot_gym.isolation import IsolatedPolicy
+    from cablebot_gym.policies import load_policy
 
     if isolate:
         limits = {} if deadline is None else {"deadline": deadline}
@@ -373,7 +374,7 @@ def choose_sandbox(no_sandbox: bool) -> None:
     Raises:
         ValueError: if there is no sandbox, and it is not declined.
     """
-    from cablebot_gym.policies import sandbox
+    from cablebot_gym.isolation import sandbox
 
     if no_sandbox:
         return sandbox.opt_out()
@@ -395,7 +396,7 @@ def counted(count: int, noun: str) -> str:
 
 def note_unsupported(names: list[str], env_id: str) -> None:
     """Prints a note for each policy that does not list the environment as supported. Such a policy still runs."""
-    from cablebot_gym.policies.isolated import public_entry
+    from cablebot_gym.isolation.isolated import public_entry
 
     for name in names:
         entry = public_entry(name)

@@ -20,9 +20,10 @@ from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_criterion
 from cablebot_gym.evaluation.statistics import plausible_successes
+from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE
-from cablebot_gym.policies import IsolatedPolicy, Policy, PolicyError, find_policy, name_of
+from cablebot_gym.policies import Policy, PolicyError, find_policy, name_of
 from cablebot_gym.policies.loading import ESTIMATOR_ENTRY_POINT_GROUP
 from cablebot_gym.policies.protocol import checked_actions, measured_kind, reset_policy
 from cablebot_gym.policies.wrapped import Wrapper

@@ -26,8 +26,9 @@ from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
+from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.physics.statics import payload_ceiling
-from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
+from cablebot_gym.policies import PolicyError, holds_unsaturated_actions
 from cablebot_gym.policies.wrapped import Wrapper
 from cablebot_gym.robots import PAPER_PAYLOAD_MAX, Robot, has_paper_capacity
 from cablebot_gym.task import ErrorBounds

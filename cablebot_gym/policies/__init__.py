@@ -1,6 +1,5 @@
 """The policy protocol, and how names and files are loaded as policies."""
 
-from cablebot_gym.policies.isolated import IsolatedPolicy
 from cablebot_gym.policies.loading import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,
@@ -19,7 +18,6 @@ __all__ = [
     "ENTRY_POINT_GROUP",
     "FILE_ENTRY_POINT_GROUP",
     "FileLoader",
-    "IsolatedPolicy",
     "Policy",
     "PolicyEntry",
     "PolicyError",

@@ -18,8 +18,9 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
+from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.kinematics import Array, turned
-from cablebot_gym.policies import IsolatedPolicy, Policy, load_policy
+from cablebot_gym.policies import Policy, load_policy
 from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.protocol import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius

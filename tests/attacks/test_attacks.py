@@ -11,8 +11,8 @@ import pytest
 from attacks.suite import ATTACKS, ENV_ID, FOLDER, LESS, SANDBOX, SANDBOXED, SCORED, cheats, page, run
 
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+from cablebot_gym.isolation.sandbox import sandbox_problem
 from cablebot_gym.policies import PolicyError
-from cablebot_gym.policies.sandbox import sandbox_problem
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies use signals and fork")
 

@@ -19,8 +19,9 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
-from cablebot_gym.policies import IsolatedPolicy, PolicyError, load_policy
+from cablebot_gym.policies import PolicyError, load_policy
 from cablebot_gym.policies.stand_in import StandIn
 from cablebot_gym.policies.wrapped import statistics
 from cablebot_gym.robots import PLANAR

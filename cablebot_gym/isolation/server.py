@@ -1,4 +1,4 @@
-"""The process of an isolated policy, which :mod:`cablebot_gym.policies.isolated` starts.
+"""The process of an isolated policy, which :mod:`cablebot_gym.isolation.isolated` starts.
 
 Requests are pickled by the parent process. Replies are frames: :data:`HEADER` and a body of bytes or JSON. The parent
 process checks them and never unpickles anything.

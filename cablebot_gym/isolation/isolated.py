@@ -27,10 +27,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from cablebot_gym.measurement import POSE
-from cablebot_gym.policies.entry import is_entry
-from cablebot_gym.policies.loading import as_robot, is_own, policy_points, split_estimator
-from cablebot_gym.policies.process import (
+from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox, sandboxed
+from cablebot_gym.isolation.server import (
     ANSWER,
     DESCRIBE,
     FAILURE,
@@ -44,8 +42,10 @@ from cablebot_gym.policies.process import (
     RESET,
     memory_limit,
 )
+from cablebot_gym.measurement import POSE
+from cablebot_gym.policies.entry import is_entry
+from cablebot_gym.policies.loading import as_robot, is_own, policy_points, split_estimator
 from cablebot_gym.policies.protocol import Array, PolicyEntry, PolicyError
-from cablebot_gym.policies.sandbox import opted_out, prepare_sandbox, sandboxed
 from cablebot_gym.policies.wrapped import say
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -107,8 +107,8 @@ class IsolatedPolicy:
         wrappers: names of the wrappers of the training, the innermost first, see
             :data:`~cablebot_gym.policies.wrapped.Wrapper`. They run in the process of the policy.
         sandbox: whether the process runs in a sandbox without network, other processes, and most files, see
-            :func:`~cablebot_gym.policies.sandbox.sandboxed`. Entries of others always do, unless
-            :func:`~cablebot_gym.policies.sandbox.opt_out` was called.
+            :func:`~cablebot_gym.isolation.sandbox.sandboxed`. Entries of others always do, unless
+            :func:`~cablebot_gym.isolation.sandbox.opt_out` was called.
 
     Raises:
         ValueError: if the name is unknown or the policy cannot be loaded, if a wrapper is given by an object, or if
@@ -346,7 +346,7 @@ class _Process:
             for name, value in os.environ.items()
             if name.upper() in _ENVIRONMENT or name.startswith(_ENVIRONMENT_PREFIXES)
         } | {"PYTHONPATH": path, "TMPDIR": folder, "TEMP": folder, "TMP": folder}
-        command = [sys.executable, "-P", "-c", "from cablebot_gym.policies.process import main; main()"]
+        command = [sys.executable, "-P", "-c", "from cablebot_gym.isolation.server import main; main()"]
         self._sandboxed = sandboxed_specs is not None
         self._popen = subprocess.Popen(
             command if sandboxed_specs is None else sandboxed(command, sandboxed_specs, Path(folder)),

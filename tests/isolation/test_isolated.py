@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from clock import HANG, Clock, wait_until
 
-from cablebot_gym.policies import IsolatedPolicy, PolicyError, isolated
-from cablebot_gym.policies.process import ANSWER
+from cablebot_gym.isolation import IsolatedPolicy, isolated
+from cablebot_gym.isolation.server import ANSWER
+from cablebot_gym.policies import PolicyError
 from cablebot_gym.robots import SPATIAL
 
 MODULE = """
@@ -206,7 +207,7 @@ def test_late_answer_raises(monkeypatch, times, message):
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)
 def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
     code = "import sys; sys.path[:0] = ['']; import numpy as np\n" + (
-        "from cablebot_gym.policies import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
+        "from cablebot_gym.isolation import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
         "IsolatedPolicy('mine:hangs', SPATIAL).predict(np.zeros((1, 3)))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
