@@ -16,7 +16,7 @@ class InlinePolicy:
         self._policy = load_policy(spec, robot)
         if real_time is not None:
             self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot), real_time))
-        self.unsaturated_actions, self.stochastic = declarations(self._policy)
+        self.unsaturated_actions, self.stochastic, _ = declarations(self._policy)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._policy, name)

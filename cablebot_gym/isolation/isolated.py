@@ -3,85 +3,28 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import os
 import pickle
 import queue
-import shutil
-import signal
 import struct
-import subprocess
 import sys
-import tempfile
-import threading
 import time
-import weakref
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
-from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox, sandboxed
-from cablebot_gym.isolation.server import (
-    ANSWER,
-    DESCRIBE,
-    FAILURE,
-    FOLDER,
-    HEADER,
-    INVALID,
-    LENGTH,
-    LOAD,
-    MAGIC,
-    PREDICT,
-    RESET,
-    memory_limit,
-)
+from cablebot_gym.isolation.deadlines import DEADLINE, Deadlines
+from cablebot_gym.isolation.process import EndedError, PolicyProcess, plain
+from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox
+from cablebot_gym.isolation.server import ANSWER, FAILURE, INVALID, LOAD, PREDICT, RESET
 from cablebot_gym.measurement import POSE
-from cablebot_gym.policies.entry import is_entry
-from cablebot_gym.policies.loading import as_robot, is_own, policy_points, split_estimator
-from cablebot_gym.policies.protocol import Array, PolicyEntry, PolicyError
-from cablebot_gym.policies.wrapped import say
+from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
+from cablebot_gym.policies.spec import PolicySpec, as_robot
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
-from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.workers import GRACE
-
-_LOGGER = logging.getLogger("cablebot_gym")
-
-DEADLINE = 60.0
-"""Default deadline of a call of a policy [s]."""
-
-START_UP = 10
-"""Deadline of loading, reset and first call together, in deadlines of a call: plans and compiled code are made then."""
-
-TOTAL = 240
-"""Deadline of all calls together, in deadlines of a call."""
-
-_TEXT = 16_384
-"""Largest length of a reply that is not an array of actions [bytes]."""
-
-_STDERR = 4096
-"""Number of last bytes of standard error that are kept."""
-
-_LINE = 1200
-"""Number of characters of a text of the policy that messages repeat."""
-
-_ENVIRONMENT = {
-    *("PATH", "HOME", "USER", "LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "VIRTUAL_ENV"),
-    *("CONDA_PREFIX", "XDG_CACHE_HOME", "CABLEBOT_CACHE", "SYSTEMROOT", "WINDIR", "COMSPEC", "PATHEXT"),
-    *("USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA", "NUMBER_OF_PROCESSORS"),
-}
-_ENVIRONMENT_PREFIXES = (
-    *("LC_", "PYTHON", "COVERAGE_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_", "KMP_", "VECLIB_", "NUMEXPR_"),
-    *("TORCH", "PYTORCH_", "CUDA_", "NVIDIA_", "HIP_", "ROCR_"),
-)
-"""Environment variables of this process that the policy gets, by name and by the beginning of their name."""
 
 
 class IsolatedPolicy:
@@ -97,15 +40,16 @@ class IsolatedPolicy:
     processes and files of the same user are protected from the policy only in a sandbox.
 
     Args:
-        spec: name of the policy, as on the command line.
+        name: name of the policy, as on the command line.
         robot: nominal robot.
         deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call for a batch together may
-            take :data:`START_UP` times as long, and all calls for all batches :data:`TOTAL` times.
+            take :data:`~cablebot_gym.isolation.deadlines.START_UP` times as long, and all calls for all batches
+            :data:`~cablebot_gym.isolation.deadlines.TOTAL` times.
         real_time: control period after which an action is replaced by the last one of its episode [s]; None for no
             limit. The process of the policy measures the time, so it has to be honest. See
-            :class:`~cablebot_gym.policies.real_time.RealTime`.
+            :class:`~cablebot_gym.policies.adapters.RealTime`.
         wrappers: names of the wrappers of the training, the innermost first, see
-            :data:`~cablebot_gym.policies.wrapped.Wrapper`. They run in the process of the policy.
+            :data:`~cablebot_gym.policies.wrappers.Wrapper`. They run in the process of the policy.
         sandbox: whether the process runs in a sandbox without network, other processes, and most files, see
             :func:`~cablebot_gym.isolation.sandbox.sandboxed`. Entries of others always do, unless
             :func:`~cablebot_gym.isolation.sandbox.opt_out` was called.
@@ -118,7 +62,7 @@ class IsolatedPolicy:
 
     def __init__(
         self,
-        spec: str,
+        name: str,
         robot: Robot | str,
         *,
         deadline: float = DEADLINE,
@@ -126,42 +70,48 @@ class IsolatedPolicy:
         wrappers: Sequence[str | Path] = (),
         sandbox: bool = False,
     ) -> None:
-        self.name = self.spec = spec
-        robot, names = as_robot(robot), tuple(map(str, wrappers))
-        self._wrappers = names
-        self._sandbox = sandbox or (is_entry(spec) and not opted_out())
-        if self._sandbox:
-            prepare_sandbox(robot)
-        self._deadline = number("deadline", deadline, above=0, unit="s")
+        self.name = name
+        self._process: PolicyProcess | None = None
+        self._fresh = False
+        self._deadlines = Deadlines(deadline)
+        self._spec, robot = PolicySpec.parse(name), as_robot(robot)
+        self._cables = robot.cables
         if not all(isinstance(wrapper, (str, Path)) for wrapper in wrappers):
             raise ValueError(
                 "an isolated policy takes the names of its wrappers, such as file.py:name: its process imports them"
             )
-        path = [entry or os.getcwd() for entry in sys.path]
-        self._load = pickle.dumps((LOAD, spec, robot, path, real_time, names))
-        self._cables, self._process, self._waited = robot.cables, None, 0.0
-        flags = self._start()
-        self.unsaturated_actions = flags.get("unsaturated_actions") is True
+        wrapper_names = tuple(map(str, wrappers))
+        self._sandboxed_names: tuple[str, ...] | None = None
+        if sandbox or (self._spec.kind == "entry" and not opted_out()):
+            prepare_sandbox(robot)
+            self._sandboxed_names = (self._spec.target, *wrapper_names)
+        self._load = pickle.dumps((name, robot, search_path(), real_time, wrapper_names))
+        described = self._start()
+        self.unsaturated_actions = described.get("unsaturated_actions") is True
         """Whether the policy declares ``unsaturated_actions``."""
-        self.stochastic = flags.get("stochastic") is True
+        self.stochastic = described.get("stochastic") is True
         """Whether the policy declares ``stochastic``."""
-        self.measurement = str(flags.get("measurement", POSE.kind))
+        self.measurement = plain(described.get("measurement", POSE.kind))
         """Kind of measurement that the policy reads."""
-        found = flags.get("wrappers")
-        self.wrappers = tuple(_plain(str(name)) for name in found) if isinstance(found, list) else names
+        self.wrappers = _texts(described.get("wrappers"))
         """Names of the wrappers, the innermost first, with those that were found beside the policy."""
-        if note := _plain(str(flags.get("note", ""))):
+        self._notes = _texts(described.get("notes"))
+        for note in self._notes:
             say(note)
-        self.fallbacks: float | None = 0.0 if flags.get("fallbacks") is True else None
+        self.fallbacks: float | None = 0.0 if described.get("fallbacks") is True else None
         """Number of fallbacks that the policy has counted; None if it does not count them."""
 
-    _process: _Process | None
-    _fresh: bool
-    """Whether the process has only loaded the policy."""
-    _called: bool
-    """Whether the process has returned actions."""
-    _started: float
-    """Time for which this process had waited for the policy when its process started [s]."""
+    @property
+    def loaded(self) -> LoadedPolicy:
+        """This policy for evaluations."""
+        return LoadedPolicy(
+            policy=self,
+            name=self.name,
+            declarations=declarations(self),
+            held=self._spec.held and not self.wrappers,
+            wrappers=self.wrappers,
+            notes=self._notes,
+        )
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Starts a fresh process and passes the tasks, one for each observation of the batch, to its policy.
@@ -171,20 +121,16 @@ class IsolatedPolicy:
             PolicyError: if the policy fails.
         """
         try:
-            request = pickle.dumps((RESET, tuple(tasks)))
+            request = pickle.dumps((tuple(tasks),))
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise ValueError(f"the tasks cannot be passed to another process: {error}") from error
         if self._process is None or not self._fresh:
             self._start()
         self._fresh = False
-        self._ask(request, 0)
+        self._ask(RESET, request)
 
     def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Array | None = None,
-        deterministic: bool = True,
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Array, Any]:
         """Actions of the policy for a batch (N, size) or one observation (size,); the state is the number of calls.
 
@@ -193,20 +139,21 @@ class IsolatedPolicy:
         Raises:
             PolicyError: if the policy fails.
         """
-        single = np.ndim(observation) == 1
         rows = np.atleast_2d(observation)
         starts = np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
         if self._process is None:
             self._start()
-        size = 8 * len(rows) * self._cables
         self._fresh = False
-        body = self._ask(pickle.dumps((PREDICT, rows, starts, state is None), 5), size + 8, exact=True)
-        self._called = True
-        (fallbacks,) = struct.unpack("<d", body[size:])
+        size = 8 * len(rows) * self._cables
+        reply = self._ask(PREDICT, pickle.dumps((rows, starts, state is None), 5), size + 8)
+        if len(reply) != size + 8:
+            raise self._failed("its process sent invalid data")
+        self._deadlines.finish_start_up()
+        (fallbacks,) = struct.unpack("<d", reply[size:])
         if self.fallbacks is not None and math.isfinite(fallbacks) and fallbacks >= 0:
             self.fallbacks = fallbacks
-        actions = np.frombuffer(body[:size]).reshape(len(rows), self._cables).copy()
-        return actions[0] if single else actions, (state or 0) + 1
+        actions = np.frombuffer(reply[:size]).reshape(len(rows), self._cables).copy()
+        return (actions if np.ndim(observation) > 1 else actions[0]), (state or 0) + 1
 
     def close(self) -> None:
         """Ends the process of the policy and all processes that it has started. The next call starts a new one."""
@@ -217,59 +164,45 @@ class IsolatedPolicy:
     def __enter__(self) -> IsolatedPolicy:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _start(self) -> dict[str, Any]:
-        """Starts a process in place of the present one, loads the policy and returns its declarations."""
+        """Starts a process in place of the present one, loads the policy and returns its description."""
         self.close()
-        self._process = _Process((self.spec, *self._wrappers) if self._sandbox else None)
-        self._fresh, self._called, self._started = True, False, self._waited
-        body = self._ask(self._load, _TEXT)
-        flags = _json(body)
-        if not isinstance(flags, dict):
+        self._process = PolicyProcess(self._sandboxed_names)
+        self._deadlines.start_process()
+        self._fresh = True  # it has only loaded the policy
+        described = parse_json(self._ask(LOAD, self._load))
+        if not isinstance(described, dict):
             raise self._failed("its process sent invalid data")
-        return flags
+        return described
 
-    def _ask(self, request: bytes, largest: int, *, exact: bool = False) -> bytes:
-        """Body of the answer to a request.
-
-        Args:
-            request: the request.
-            largest: largest length of the body [bytes].
-            exact: whether the body must have this length.
-        """
+    def _ask(self, kind: int, request: bytes, largest: int = 0) -> bytes:
+        """Body of the answer to a request, see :meth:`~cablebot_gym.isolation.process.PolicyProcess.exchange`."""
         assert self._process is not None
-        start_up, total = START_UP * self._deadline, TOTAL * self._deadline
-        limits = [(total - self._waited, total, "all calls together")]
-        if self._called:
-            limits.append((self._deadline, self._deadline, "a call"))
-        else:
-            limits.append((start_up - self._waited + self._started, start_up, "loading, reset() and the first call"))
-        allowed, limit, what = min(limits)
+        seconds, limit = self._deadlines.remaining()
         started = time.monotonic()
         try:
-            kind, body = self._process.exchange(request, largest, max(allowed, 0.0))
+            reply_kind, body = self._process.exchange(kind, request, largest, seconds)
         except queue.Empty:
-            raise self._failed(f"it did not answer within {limit:g} s, the deadline of {what}") from None
-        except _EndedError as error:
+            raise self._failed(f"it did not answer within {limit}") from None
+        except EndedError as error:
             raise self._failed(str(error)) from None
         except BaseException:  # an interrupt
             self.close()
             raise
-        self._waited += time.monotonic() - started
-        if kind == ANSWER and (len(body) == largest or not exact):
+        self._deadlines.wait(time.monotonic() - started)
+        if reply_kind == ANSWER:
             return body
-        content = _json(body) if kind != ANSWER else None
-        if not isinstance(content, dict) or not isinstance(content.get("error"), str):
+        content = parse_json(body)
+        if reply_kind not in (FAILURE, INVALID) or not isinstance(content, dict) or "error" not in content:
             raise self._failed("its process sent invalid data")
-        index = content.get("index")
-        if kind == INVALID:
+        cause, index = plain(content["error"]), content.get("index")
+        if reply_kind == INVALID:
             self.close()
-            raise ValueError(_plain(content["error"]))
-        raise self._failed(_plain(content["error"]), index if isinstance(index, int) else None)
+            raise ValueError(cause)
+        raise self._failed(cause, index if isinstance(index, int) else None)
 
     def _failed(self, cause: str, index: int | None = None) -> PolicyError:
         """Ends the process and makes an error."""
@@ -277,208 +210,12 @@ class IsolatedPolicy:
         return PolicyError.of(self.name, cause, index)
 
 
-def public_entries() -> dict[str, PolicyEntry]:
-    """All installed policies by name, sorted, see :func:`public_entry`. A policy without entry is skipped."""
-    names = sorted({point.name for point in policy_points()})
-    return {name: entry for name in names if (entry := public_entry(name)) is not None}
+def search_path() -> list[str]:
+    """Search path of modules for another process."""
+    return [folder or os.getcwd() for folder in sys.path]
 
 
-@cache
-def public_entry(name: str) -> PolicyEntry | None:
-    """The entry of an installed policy, without code of other packages; None if there is none.
-
-    The package of another project is imported in a process of its own, which sends the environment ids, the data files
-    and whether the policy is slow. The factory of such an entry makes an :class:`IsolatedPolicy`. A policy whose
-    package cannot be imported is skipped with a warning.
-    """
-    estimator, inner = split_estimator(name)
-    if estimator is not None:
-        entry = public_entry(inner)
-        return None if entry is None else replace(entry, name=name, unsaturated_actions=False)
-    points = policy_points(name)
-    try:
-        if points:
-            return points[0].load() if is_own(points[0]) else _described(name)
-    except Exception as error:
-        _LOGGER.warning("policy %r is skipped: %s", name, error)
-    return None
-
-
-def _described(name: str) -> PolicyEntry:
-    process = _Process()
-    try:
-        request = pickle.dumps((DESCRIBE, name, [entry or os.getcwd() for entry in sys.path]))
-        kind, body = process.exchange(request, _TEXT, START_UP * DEADLINE)
-    finally:
-        process.end()
-    data = _json(body)
-    if kind != ANSWER:
-        raise ValueError(_plain(str(data["error"])))
-    files = None if data["files"] is None else [Path(str(path)) for path in data["files"]]
-    return PolicyEntry(
-        name=name,
-        kind="learned",
-        env_ids=tuple(str(env_id) for env_id in data["env_ids"]),
-        factory=partial(IsolatedPolicy, name),
-        summary="",
-        slow=data["slow"] is True,
-        files=None if files is None else tuple(path for path in files if path.is_file()),
-    )
-
-
-class _EndedError(Exception):
-    """The process of a policy has ended, or what it sent is invalid. The message is the cause as a clause."""
-
-
-class _Process:
-    """A process, the thread that talks to it, and the thread that drains its standard error.
-
-    Args:
-        sandboxed_specs: names of the policy and of its wrappers for which the process is put into a sandbox; None for
-            no sandbox.
-    """
-
-    def __init__(self, sandboxed_specs: Sequence[str] | None = None) -> None:
-        folder = tempfile.mkdtemp(prefix=FOLDER)
-        path = os.pathsep.join(entry for entry in sys.path if entry)
-        environment = {
-            name: value
-            for name, value in os.environ.items()
-            if name.upper() in _ENVIRONMENT or name.startswith(_ENVIRONMENT_PREFIXES)
-        } | {"PYTHONPATH": path, "TMPDIR": folder, "TEMP": folder, "TMP": folder}
-        command = [sys.executable, "-P", "-c", "from cablebot_gym.isolation.server import main; main()"]
-        self._sandboxed = sandboxed_specs is not None
-        self._popen = subprocess.Popen(
-            command if sandboxed_specs is None else sandboxed(command, sandboxed_specs, Path(folder)),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            bufsize=0,
-            env=environment,
-            start_new_session=True,
-        )
-        self._stderr = bytearray()
-        self._jobs: queue.SimpleQueue[tuple[bytes, int] | None] = queue.SimpleQueue()
-        self._outcomes: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
-        self._drainer = threading.Thread(target=_drain, args=(self._popen.stderr, self._stderr), daemon=True)
-        threads = [
-            threading.Thread(target=_talk, args=(self._popen, self._jobs, self._outcomes), daemon=True),
-            self._drainer,
-        ]
-        for thread in threads:
-            thread.start()
-        self.end = weakref.finalize(self, _end, self._popen, folder, self._jobs, threads)
-        """Ends the process; also called when the object is collected and when the interpreter exits."""
-
-    def exchange(self, request: bytes, largest: int, seconds: float) -> tuple[int, bytes]:
-        """Kind and body of the reply to a request.
-
-        Raises:
-            queue.Empty: if there is no reply within ``seconds``.
-            _EndedError: if the process has ended, or if the reply is invalid.
-        """
-        self._jobs.put((request, largest))
-        outcome = self._outcomes.get(timeout=seconds)
-        if outcome is not None:
-            return outcome
-        try:
-            status = self._popen.wait(GRACE)  # the pipe closes shortly before the process ends
-        except subprocess.TimeoutExpired:
-            raise _EndedError("its process closed its pipe or sent invalid data") from None
-        if self._sandboxed and status > 128:  # as shells report a signal
-            status = 128 - status
-        cause = f"its process ended with exit status {status}"
-        if status < 0:
-            with suppress(ValueError):
-                cause = f"its process was ended by {signal.Signals(-status).name}"
-        self._drainer.join(GRACE)  # the last bytes of standard error
-        lines = _plain(bytes(self._stderr).decode(errors="replace").strip().rpartition("\n")[2])
-        raise _EndedError(f"{cause}; the last line of its standard error is {lines!r}" if lines else cause)
-
-
-def _talk(
-    popen: subprocess.Popen[bytes],
-    jobs: queue.SimpleQueue[tuple[bytes, int] | None],
-    outcomes: queue.SimpleQueue[tuple[int, bytes] | None],
-) -> None:
-    """Thread that sends requests and puts kind and body of each reply, or None after an error."""
-    assert popen.stdin is not None
-    assert popen.stdout is not None
-    while (job := jobs.get()) is not None:
-        request, largest = job
-        outcome = None
-        with suppress(OSError, ValueError):
-            view = memoryview(LENGTH.pack(len(request)) + request)
-            while view:
-                view = view[popen.stdin.write(view) :]
-            magic, kind, size = HEADER.unpack(_read(popen.stdout, HEADER.size))
-            known = magic == MAGIC and kind in (ANSWER, FAILURE, INVALID)
-            if known and size <= (largest if kind == ANSWER else _TEXT):
-                outcome = kind, _read(popen.stdout, size)
-        outcomes.put(outcome)
-
-
-def _read(pipe: IO[bytes], size: int) -> bytes:
-    parts = []
-    while size > 0:
-        part = pipe.read(min(size, 1 << 20))
-        if not part:
-            raise OSError("the pipe is closed")
-        parts.append(part)
-        size -= len(part)
-    return b"".join(parts)
-
-
-def _drain(pipe: IO[bytes], tail: bytearray) -> None:
-    """Thread that reads standard error and keeps its last bytes."""
-    with suppress(OSError, ValueError):
-        while part := pipe.read(1 << 16):
-            tail += part
-            del tail[:-_STDERR]
-
-
-def _end(
-    popen: subprocess.Popen[bytes],
-    folder: str,
-    jobs: queue.SimpleQueue[tuple[bytes, int] | None],
-    threads: list[threading.Thread],
-) -> None:
-    """Ends a process, its process group and, on Linux, every other process that has inherited its limit of memory."""
-    jobs.put(None)
-    with suppress(OSError):
-        popen.kill()
-    if hasattr(os, "killpg"):
-        with suppress(OSError):
-            os.killpg(popen.pid, signal.SIGKILL)
-    popen.wait()
-    for _ in range(20):  # a process may start others meanwhile
-        if not (found := _processes_of(popen.pid)):
-            break
-        for number_ in found:
-            with suppress(OSError):
-                os.kill(number_, signal.SIGKILL)
-    for thread in threads:
-        thread.join(1.0)
-    if not any(thread.is_alive() for thread in threads):
-        for pipe in (popen.stdin, popen.stdout, popen.stderr):
-            if pipe is not None:
-                pipe.close()
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-def _processes_of(number_: int) -> list[int]:
-    """Numbers of the processes that have the limit of memory of the policy's process with a number (Linux)."""
-    if not sys.platform.startswith("linux"):
-        return []
-    found, wanted = [], f" {memory_limit(number_)} "
-    for path in Path("/proc").glob("[0-9]*/limits"):
-        with suppress(OSError):
-            if wanted in path.read_text(encoding="ascii"):
-                found.append(int(path.parent.name))
-    return found
-
-
-def _json(body: bytes) -> Any:
+def parse_json(body: bytes) -> Any:
     """JSON data of a reply; None if it is invalid."""
     try:
         return json.loads(body)
@@ -486,7 +223,5 @@ def _json(body: bytes) -> Any:
         return None
 
 
-def _plain(text: str) -> str:
-    """A text in one line of printable characters."""
-    plain = "".join(character if character.isprintable() else " " for character in text)
-    return " ".join(plain.split())[:_LINE]
+def _texts(value: Any) -> tuple[str, ...]:
+    return tuple(map(plain, value)) if isinstance(value, list) else ()

@@ -19,7 +19,8 @@ import pytest
 from clock import HANG, Clock, wait_until
 
 from cablebot_gym.isolation import IsolatedPolicy, isolated
-from cablebot_gym.isolation.server import ANSWER
+from cablebot_gym.isolation.deadlines import TOTAL
+from cablebot_gym.isolation.server import ANSWER, LOAD
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.robots import SPATIAL
 
@@ -163,12 +164,12 @@ class Timed:
     def __init__(self, clock, times):
         self.clock, self.times = clock, times
 
-    def exchange(self, request, largest, seconds):
+    def exchange(self, kind, body, largest, seconds):
         needed = next(self.times)
         self.clock.sleep(min(needed, seconds))
         if needed > seconds:
             raise queue.Empty
-        return ANSWER, b"{}" if largest == isolated._TEXT else bytes(largest)
+        return ANSWER, b"{}" if kind == LOAD else bytes(largest)
 
     def end(self):
         pass
@@ -196,10 +197,10 @@ def test_late_answer_raises(monkeypatch, times, message):
     clock = Clock()
     needed = itertools.cycle([times.get(call, 0.0) for call in ("load", "reset", "first", "second")])
     monkeypatch.setattr(isolated, "time", clock)
-    monkeypatch.setattr(isolated, "_Process", lambda specs: Timed(clock, needed))
+    monkeypatch.setattr(isolated, "PolicyProcess", lambda names: Timed(clock, needed))
     with pytest.raises(PolicyError, match=re.escape(f"it did not answer within {message}")):
         ask_for_batches(100, deadline=1.0)
-    assert clock.now <= isolated.TOTAL
+    assert clock.now <= TOTAL
 
 
 @pytest.mark.slow

@@ -26,14 +26,15 @@ from cablebot_gym.policies import (
     PolicyEntry,
     PolicyError,
     PolicyFactory,
+    PolicySpec,
     as_policy,
-    holds_unsaturated_actions,
+    load,
     load_policy,
-    loading,
     policy_entries,
-    policy_entry,
+    spec,
 )
-from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, checked_actions, reset_policy
+from cablebot_gym.policies.adapters import CallablePolicy
+from cablebot_gym.policies.protocol import BatchItemError, reset_policy
 from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
 from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
 from cablebot_gym.task import Task
@@ -63,13 +64,13 @@ class Point:
 @pytest.fixture
 def points(monkeypatch):
     """Entry points of other packages by group, in addition to the installed ones of policies."""
-    installed, added = loading.entry_points, {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
+    installed, added = spec.entry_points, {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
 
     def entry_points(*, group, name=None):
-        own = [*installed(group=group)] if group == ENTRY_POINT_GROUP else []
-        return [point for point in (*added[group], *own) if name in (None, point.name)]
+        own = [] if group == FILE_ENTRY_POINT_GROUP else [*installed(group=group)]
+        return [point for point in (*added.get(group, ()), *own) if name in (None, point.name)]
 
-    monkeypatch.setattr(loading, "entry_points", entry_points)
+    monkeypatch.setattr(spec, "entry_points", entry_points)
     return added
 
 
@@ -165,7 +166,7 @@ def test_robot_may_be_named_or_be_that_of_an_environment():
 
 def test_class_is_made_for_the_robot_of_the_evaluation():
     batch = Batch(Constant, PLANAR_ID)
-    assert (batch.name, batch.policy.robot.name) == ("Constant", "planar")
+    assert (batch.policy.name, batch.policy.policy.robot.name) == ("Constant", "planar")
     with pytest.raises(
         TypeError, match=r"calls Constant\(\), which needs robot: PolicyFactory\(lambda: Constant\(robot"
     ):
@@ -328,7 +329,7 @@ def test_model_of_normalised_observations_reads_them_also_in_physical_units(tmp_
     assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
     batch = policy.predict(np.stack([raw, raw]), None, np.ones(2, bool), True)[0]
     np.testing.assert_allclose(batch, [action, action], rtol=1e-6)
-    np.testing.assert_array_equal(Batch(model, PLANAR_ID).policy.predict(raw, deterministic=True)[0], action)
+    np.testing.assert_array_equal(Batch(model, PLANAR_ID).policy.policy.predict(raw, deterministic=True)[0], action)
     with pytest.raises(ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"):
         Batch(model, "CableBot-Spatial-v0")
 
@@ -517,7 +518,8 @@ OBSERVATION = np.zeros((1, 21))
 
 def call(policy, observation=OBSERVATION):
     start, payloads = np.ones(len(observation), np.bool_), np.arange(len(observation), dtype=float)
-    return checked_actions(policy, "mine", observation, None, start, cables=3, payloads=payloads, time=0.0)
+    loaded = load(policy, PLANAR, name="mine")
+    return loaded.act(observation, None, start, cables=3, payloads=payloads, time=0.0)
 
 
 def test_policy_gets_a_copy_of_the_observation():
@@ -562,9 +564,9 @@ def test_law_that_is_held_to_it_requests_more_torque_than_the_motors_have(name, 
 
 
 def test_declarations_of_other_policies_are_not_held(points):
-    assert all(holds_unsaturated_actions(name) for name, _ in HELD)
+    assert all(PolicySpec.parse(name).held for name, _ in HELD)
     assert {name for name, entry in policy_entries().items() if entry.unsaturated_actions} == {name for name, _ in HELD}
     points[ENTRY_POINT_GROUP].append(Point(replace(FL, name="theirs")))
-    assert policy_entry("theirs").unsaturated_actions
+    assert PolicySpec.parse("theirs").entry().unsaturated_actions
     for name in ("trajopt", "apg-loops", "mine:make", "model.zip", "theirs"):
-        assert not holds_unsaturated_actions(name)
+        assert not PolicySpec.parse(name).held

@@ -85,7 +85,7 @@ class Estimated:
     def __init__(self, policy: Policy, robot: Robot, estimator: Estimator | None = None) -> None:
         self.policy, self.robot = policy, robot
         self.estimator = ExtendedKalmanFilter(robot) if estimator is None else estimator
-        self.unsaturated_actions, self.stochastic = declarations(policy)
+        self.unsaturated_actions, self.stochastic, _ = declarations(policy)
         self._full = observation_layout(robot)
         self._measured: ObservationLayout | None = None
 
