@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from cablebot_gym.isolation.deadlines import DEADLINE, Deadlines
 from cablebot_gym.isolation.process import EndedError, PolicyProcess, plain
 from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox
 from cablebot_gym.isolation.server import ANSWER, FAILURE, INVALID, LOAD, PREDICT, RESET
-from cablebot_gym.measurement import POSE
 from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
 from cablebot_gym.policies.spec import PolicySpec, as_robot
 from cablebot_gym.robots import Robot
@@ -87,12 +87,9 @@ class IsolatedPolicy:
             self._sandboxed_names = (self._spec.target, *wrapper_names)
         self._load = pickle.dumps((name, robot, search_path(), real_time, wrapper_names))
         described = self._start()
-        self.unsaturated_actions = described.get("unsaturated_actions") is True
-        """Whether the policy declares ``unsaturated_actions``."""
-        self.stochastic = described.get("stochastic") is True
-        """Whether the policy declares ``stochastic``."""
-        self.measurement = plain(described.get("measurement", POSE.kind))
-        """Kind of measurement that the policy reads."""
+        declared = declarations(SimpleNamespace(**described))
+        self.unsaturated_actions, self.stochastic = declared.unsaturated_actions, declared.stochastic
+        self.measurement = plain(declared.measurement)
         self.wrappers = _texts(described.get("wrappers"))
         """Names of the wrappers, the innermost first, with those that were found beside the policy."""
         self._notes = _texts(described.get("notes"))

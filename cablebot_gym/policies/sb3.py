@@ -71,7 +71,7 @@ def statistics_beside(path: Path) -> Path | None:
 
 
 def behind_wrappers(
-    policy: Policy, robot: Robot, subject: str, wrappers: Sequence[Wrapper] = (), beside: Path | None = None
+    policy: Policy, robot: Robot, subject: str, wrappers: Sequence[Wrapper], beside: Path | None
 ) -> Policy:
     """The policy behind its wrappers. A Stable-Baselines3 model is checked first.
 
@@ -89,22 +89,25 @@ def behind_wrappers(
         ValueError: if a wrapper is invalid, or if the spaces of a model differ from those of the wrapped environment.
     """
     packages = {kind.__module__.partition(".")[0] for kind in type(policy).__mro__}
-    if packages.isdisjoint({"stable_baselines3", "sb3_contrib"}):
-        return WrappedPolicy(policy, Stack(wrappers, robot)) if wrappers else policy
-    model: Any = policy
-    stack, note = Stack(wrappers, robot), ""
-    if not stack.normalises:
+    is_model = not packages.isdisjoint({"stable_baselines3", "sb3_contrib"})
+    if not is_model and not wrappers:
+        return policy
+    stack, note, normalised = Stack(wrappers, robot), "", False
+    if is_model:
+        model: Any = policy
         training = model.get_vec_normalize_env()
-        if training is not None:
-            stack = stack.with_last(statistics("VecNormalize", pickle.dumps(training)))
+        if training is not None and not stack.normalises:
+            stack = Stack([*wrappers, statistics("VecNormalize", pickle.dumps(training))], robot)
             note = f"{subject} gets observations normalised by the VecNormalize of its training environment"
-        elif beside is not None:
-            stack = stack.with_last(beside)
+        elif beside is not None and not stack.normalises:
+            stack = Stack([*wrappers, beside], robot)
             note = f"{subject} gets observations normalised by {str(beside)!r}, which was found beside it"
-    normalised = _check_spaces(model, subject, stack)
-    if not stack.wrappers:
-        return NormalisedPolicy(model, stack.layout) if normalised else policy
-    return WrappedPolicy(policy, stack.with_first(NORMALISED) if normalised else stack, note)
+        normalised = _check_spaces(model, subject, stack)
+    if normalised and not stack.wrappers:
+        return NormalisedPolicy(policy, stack.layout)
+    if normalised:
+        stack = stack.normalised()
+    return WrappedPolicy(policy, stack, note) if stack.wrappers else policy
 
 
 def _algorithms(path: Path) -> list[Any]:
@@ -161,7 +164,7 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
     if NORMALISED in stack.names:
         equal_bounds = 1.0
     elif equal_bounds < 1:
-        equal_normalised = _agreement(inputs, stack.with_first(NORMALISED).observation_space)
+        equal_normalised = _agreement(inputs, stack.normalised().observation_space)
     normalised = equal_normalised >= equal_bounds and equal_bounds < 1
     difference = ""
     if not _fits(model, stack):

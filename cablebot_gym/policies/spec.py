@@ -14,7 +14,7 @@ from typing import Any, Literal, cast
 
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.policies.adapters import as_policy
-from cablebot_gym.policies.entry import CARD
+from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.policies.protocol import (
     LoadedPolicy,
     Policy,
@@ -22,7 +22,6 @@ from cablebot_gym.policies.protocol import (
     PolicyError,
     declarations,
     name_of,
-    required_arguments,
     say,
 )
 from cablebot_gym.policies.sb3 import behind_wrappers, load_model, statistics_beside
@@ -53,6 +52,11 @@ FileLoader = Callable[[Path, Robot], Policy | None]
 ValueError with an explanation if the file is of its kind, but is damaged or made for another robot."""
 
 
+Kind = Literal["entry", "installed", "file", "factory", "unknown"]
+"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip`` file;
+``package.module:factory`` or ``file.py:factory``."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PolicySpec:
     """A policy's name, read without importing or running any code."""
@@ -63,9 +67,8 @@ class PolicySpec:
     """Installed estimators in front of the policy, the outermost first: ``ekf`` of ``ekf+fl``."""
     target: str
     """The name without the estimators."""
-    kind: Literal["entry", "installed", "file", "factory", "unknown"]
-    """Kind of the target: folder of an entry with its card; name of an installed policy; ``.zip`` file;
-    ``package.module:factory`` or ``file.py:factory``."""
+    kind: Kind
+    """Kind of the target."""
     points: tuple[EntryPoint, ...]
     """Entry points of the installed policy. Those of this project come first."""
 
@@ -82,8 +85,8 @@ class PolicySpec:
             estimators.append(estimator)
             target = policy
         points = sorted(entry_points(group=ENTRY_POINT_GROUP, name=target), key=is_own, reverse=True)
-        kind: Literal["entry", "installed", "file", "factory", "unknown"] = "unknown"
-        if Path(target, CARD).is_file():
+        kind: Kind = "unknown"
+        if is_entry(target):
             kind = "entry"
         elif points:
             kind = "installed"
@@ -196,7 +199,7 @@ def load(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequen
         target = _call(policy, robot, subject) if isinstance(policy, type) else as_policy(policy)
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
     for estimator in reversed(estimators):
-        made = as_policy(estimator.load()(robot, made))
+        made = estimator.load()(robot, made)
     note = getattr(target, "note", "")
     if note:
         say(note)
@@ -236,10 +239,28 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
         path = Path(name)
         return _load_file(path, robot), f"policy file {name!r}", statistics_beside(path)
     if spec.kind == "factory":
-        return _call(_import_factory(name, subject), robot, subject), subject, None
+        factory = _import_factory(name, subject)
+        return _call(factory, robot, subject), subject, None
     forms = "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
     check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
+
+
+def _import_factory(name: str, subject: str) -> Callable[..., Any]:
+    try:
+        factory = import_object(name)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        reason = error if isinstance(error, Exception) else raised(error)
+        raise _failure(error, subject, f"cannot import it ({reason})") from error
+    if isinstance(factory, PolicyEntry):
+        return factory.factory
+    if isinstance(factory, Policy) and not isinstance(factory, type):
+        return lambda: factory
+    if not callable(factory):
+        raise ValueError(f"{subject}: it must be a function that takes a robot and returns a policy")
+    return cast(Callable[..., Any], factory)
 
 
 def _call(factory: Callable[..., Any], robot: Robot, subject: str) -> Policy:
@@ -261,30 +282,15 @@ def _arguments(factory: Callable[..., Any], robot: Robot) -> list[Robot]:
         signature = inspect.signature(factory)
     except ValueError:  # some callables of C have none
         return [robot]
-    optional = isinstance(factory, type) and "robot" not in signature.parameters and not required_arguments(factory)
-    for arguments in ([], [robot]) if optional else ([robot], []):
+    candidates: list[list[Robot]] = [[robot], []]
+    if isinstance(factory, type) and "robot" not in signature.parameters:
+        candidates.reverse()  # its first argument may be anything
+    for arguments in candidates:
         with suppress(TypeError):
             signature.bind(*arguments)
             return arguments
     remedy = f"def make(robot): return {name_of(factory)}(…)"
     raise TypeError(f"it takes {signature}, but is called with the robot: {remedy}")
-
-
-def _import_factory(name: str, subject: str) -> Callable[..., Any]:
-    try:
-        factory = import_object(name)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        reason = error if isinstance(error, Exception) else raised(error)
-        raise _failure(error, subject, f"cannot import it ({reason})") from error
-    if isinstance(factory, PolicyEntry):
-        return factory.factory
-    if isinstance(factory, Policy) and not isinstance(factory, type):
-        return lambda: factory
-    if not callable(factory):
-        raise ValueError(f"{subject}: it must be a function that takes a robot and returns a policy")
-    return cast(Callable[..., Any], factory)
 
 
 def _failure(error: BaseException, subject: str, cause: str) -> ValueError | PolicyError:

@@ -21,8 +21,9 @@ import gymnasium as gym
 import numpy as np
 from greenlet import getcurrent, greenlet
 from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorObservationWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from gymnasium.wrappers.vector import TransformObservation
 from numpy.typing import ArrayLike
 
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
@@ -288,31 +289,21 @@ def as_vec_env(env: VectorEnv[Any, Any, Any]) -> Any:
         def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
             return [getattr(env, attr_name)] * self.num_envs
 
-        def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-            raise NotImplementedError("the attributes of the environment cannot be set")
-
-        def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-            raise NotImplementedError("the environment has no further methods")
-
         def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
             return [False] * self.num_envs
+
+        def env_method(self, method_name: str, *args: Any, **kwargs: Any) -> list[Any]:
+            raise NotImplementedError("the environment has no further methods, and its attributes cannot be set")
+
+        set_attr: Any = env_method
 
     return VecEnvStandIn()
 
 
-class NormalisedObservation(VectorObservationWrapper):
-    """Observations of order one, as from the environment with ``normalised_observation``."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        self._layout = env.unwrapped.layout
-        self.single_observation_space = self._layout.space(normalised=True)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-
-    def observations(self, observations: Array) -> Array:
-        """The normalised observations."""
-        normalised: Array = self._layout.normalise(observations)
-        return normalised
+def normalised_observation(env: Any) -> VectorEnv[Any, Any, Any]:
+    """Observations of order one, as from the environment with the keyword ``normalised_observation``."""
+    layout: ObservationLayout = env.unwrapped.layout
+    return TransformObservation(env, layout.normalise, single_observation_space=layout.space(normalised=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,11 +329,13 @@ class NamedWrapper:
         if isinstance(wrapper, (str, Path)):
             name = str(wrapper)
             if name == NORMALISED:
-                return cls(name=name, wrap=NormalisedObservation, forms=(VECTOR,))
-            if name.endswith(".pkl"):
-                return statistics(name, _read(name))
+                return cls(name=name, wrap=normalised_observation, forms=(VECTOR,))
             try:
+                if name.endswith(".pkl"):
+                    return statistics(name, Path(name).read_bytes())
                 wrap = import_object(name)
+            except OSError as error:
+                raise ValueError(f"cannot read wrapper {name!r}: {error.strerror}") from error
             except Exception as error:
                 raise ValueError(f"wrapper {name!r}: cannot import it ({error})") from error
         else:
@@ -397,13 +390,6 @@ class NamedWrapper:
         raise ValueError(f"wrapper {self.name!r}: {'; '.join(errors)}")
 
 
-def _read(path: str) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise ValueError(f"cannot read the statistics {path!r}: {error.strerror}") from error
-
-
 def statistics(name: str, data: bytes) -> NamedWrapper:
     """The wrapper of a pickled ``VecNormalize``, with frozen statistics. A pickle can execute any code."""
     return NamedWrapper(name=name, wrap=partial(_vec_normalize, data), forms=(SB3,))
@@ -453,7 +439,8 @@ class Stack:
         layers = list(_layers(env))
         for layer in layers:
             _check_frozen(layer)
-        self.normalises = any(_is_vec_normalize(layer) for layer in layers)
+        kinds = {kind.__name__ for layer in layers for kind in type(layer).__mro__}
+        self.normalises = "VecNormalize" in kinds
         """Whether a ``VecNormalize`` is among the wrappers."""
         single = not isinstance(env, VectorEnv)
         self.observation_space = env.observation_space if single else env.single_observation_space
@@ -464,13 +451,9 @@ class Stack:
         """Names of the wrappers, the innermost first."""
         return tuple(wrapper.name for wrapper in self.wrappers)
 
-    def with_first(self, wrapper: Wrapper | NamedWrapper) -> Stack:
-        """A stack with a further wrapper inside these."""
-        return Stack([wrapper, *self.wrappers], self.robot)
-
-    def with_last(self, wrapper: Wrapper | NamedWrapper) -> Stack:
-        """A stack with a further wrapper around these."""
-        return Stack([*self.wrappers, wrapper], self.robot)
+    def normalised(self) -> Stack:
+        """A stack with :data:`NORMALISED` inside these wrappers."""
+        return Stack([NORMALISED, *self.wrappers], self.robot)
 
     def run(
         self, policy: Policy, tasks: Sequence[Task] | None, observation: Array, starts: Array, deterministic: bool
@@ -525,10 +508,6 @@ def _layers(env: Any) -> Iterator[Any]:
             yield from _layers(env.first)
         inner = vars(env)
         env = inner.get("env") or inner.get("venv")
-
-
-def _is_vec_normalize(layer: Any) -> bool:
-    return any(kind.__name__ == "VecNormalize" for kind in type(layer).__mro__)
 
 
 def _check_frozen(layer: Any) -> None:

@@ -208,7 +208,7 @@ def test_error_in_a_wrapper_names_its_line_and_payload(wrapper, message):
         ([lambda env: None], r"around a vector environment it raised TypeError: it returned NoneType; around a single"),
         ([3], "wrapper 'int' must be a function or class that takes an environment"),
         (["no_such_module:name"], r"wrapper 'no_such_module:name': cannot import it \(No module named"),
-        (["none.pkl"], "cannot read the statistics 'none.pkl': No such file"),
+        (["none.pkl"], "cannot read wrapper 'none.pkl': No such file"),
         ("mine.py:wrap", r"wrappers must be a list, such as \['mine.py:wrap'\]"),
     ],
 )
