@@ -91,7 +91,7 @@ def alive(pid):
         return False
 
 
-def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
+def test_every_batch_gets_a_fresh_process(spec, env):
     Path("weight.txt").write_text("0.5", encoding="ascii")
     observation = np.zeros((5, 3))
     with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
@@ -144,7 +144,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
-def test_processes_that_a_policy_starts_end_when_it_is_collected(spec):
+def test_processes_of_a_policy_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
     policy.predict(np.zeros((1, 3)))
     lines = [line.split() for line in Path("pids").read_text(encoding="ascii").splitlines()]
