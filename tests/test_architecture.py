@@ -89,6 +89,13 @@ def test_package_imports_only_those_before_it(package):
             assert (root, rest.split(".")[0] in allowed) == ("cablebot_gym", True), f"{module} imports {other}"
 
 
+def test_only_benchmark_report_and_commands_know_isolation():
+    """The evaluator takes a loaded policy, in whatever process it runs."""
+    importers = {name for name in FILES if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))}
+    rooms = {name.split(".")[1] for name in importers}
+    assert rooms == {"isolation", "benchmark", "report", "cli"}
+
+
 def test_every_package_is_in_the_order():
     assert {name.split(".")[1] for name in FILES if name.startswith("cablebot_gym.")} == set(ORDER)
 
