@@ -91,7 +91,9 @@ def test_package_imports_only_those_before_it(package):
 
 def test_only_benchmark_report_and_commands_know_isolation():
     """The evaluator takes a loaded policy, in whatever process it runs."""
-    importers = {name for name in FILES if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))}
+    importers = {
+        name for name in FILES if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))
+    }
     rooms = {name.split(".")[1] for name in importers}
     assert rooms == {"isolation", "benchmark", "report", "cli"}
 

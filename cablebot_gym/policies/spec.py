@@ -5,10 +5,12 @@ from __future__ import annotations
 import inspect
 import logging
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -33,6 +35,8 @@ from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
 
 _LOGGER = logging.getLogger("cablebot_gym")
+
+_NAME = attrgetter("name")
 
 ENTRY_POINT_GROUP = "cablebot_gym.policies"
 """Entry point group of policies. A package adds a policy by an entry point that names a :class:`PolicyEntry`. The entry
@@ -77,14 +81,14 @@ class PolicySpec:
         """The parts of a policy's name."""
         estimators: list[EntryPoint] = []
         target = text
-        while True:
+        while "+" in target:
             name, _, policy = target.partition("+")
-            estimator = next(iter(entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP, name=name)), None)
-            if not policy or estimator is None:
+            candidates = list(entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP, name=name))
+            if not policy or not candidates:
                 break
-            estimators.append(estimator)
+            estimators.append(candidates[0])
             target = policy
-        points = sorted(entry_points(group=ENTRY_POINT_GROUP, name=target), key=is_own, reverse=True)
+        points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=target))
         kind: Kind = "unknown"
         if is_entry(target):
             kind = "entry"
@@ -94,7 +98,7 @@ class PolicySpec:
             kind = "file"
         elif ":" in target or target.endswith(".py"):
             kind = "factory"
-        return cls(text=text, estimators=tuple(estimators), target=target, kind=kind, points=tuple(points))
+        return cls(text=text, estimators=tuple(estimators), target=target, kind=kind, points=points)
 
     @property
     def installed(self) -> bool:
@@ -119,16 +123,7 @@ class PolicySpec:
 
         An entry that cannot be imported, or has another name than its entry point, is skipped with a warning.
         """
-        for point in self.points:
-            try:
-                entry: PolicyEntry = point.load()
-            except Exception as error:
-                _LOGGER.warning("policy %r is skipped: %s raised %s", point.name, point.value, error)
-                continue
-            if entry.name == point.name:
-                return entry
-            _LOGGER.warning("policy %r is skipped: its entry has the name %r", point.name, entry.name)
-        return None
+        return _first_entry(self.points)
 
 
 def is_own(point: EntryPoint) -> bool:
@@ -143,8 +138,29 @@ def policy_names() -> list[str]:
 
 def policy_entries() -> dict[str, PolicyEntry]:
     """All installed policies by name, sorted. A policy whose package cannot be imported is skipped with a warning."""
-    entries = {name: PolicySpec.parse(name).entry() for name in policy_names()}
-    return {name: entry for name, entry in entries.items() if entry is not None}
+    entries = {}
+    for name, points in groupby(sorted(entry_points(group=ENTRY_POINT_GROUP), key=_NAME), key=_NAME):
+        entry = _first_entry(_own_first(points))
+        if entry is not None:
+            entries[name] = entry
+    return entries
+
+
+def _own_first(points: Iterable[EntryPoint]) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(points, key=is_own, reverse=True))
+
+
+def _first_entry(points: Iterable[EntryPoint]) -> PolicyEntry | None:
+    for point in points:
+        try:
+            entry: PolicyEntry = point.load()
+        except Exception as error:
+            _LOGGER.warning("policy %r is skipped: %s raised %s", point.name, point.value, error)
+            continue
+        if entry.name == point.name:
+            return entry
+        _LOGGER.warning("policy %r is skipped: its entry has the name %r", point.name, entry.name)
+    return None
 
 
 def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
