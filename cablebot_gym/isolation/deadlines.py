@@ -45,11 +45,10 @@ class Deadlines:
     def remaining(self) -> tuple[float, str]:
         """Time that the next answer may take [s], and the limit behind it in words."""
         total, start_up = TOTAL * self._deadline, START_UP * self._deadline
-        seconds = total - self._total
-        text = f"{total:g} s, the deadline of all calls together"
-        if self._started_up and self._deadline < seconds:
-            seconds, text = self._deadline, f"{self._deadline:g} s, the deadline of a call"
-        elif not self._started_up and start_up - self._process < seconds:
-            seconds = start_up - self._process
-            text = f"{start_up:g} s, the deadline of loading, reset() and the first call"
-        return max(seconds, 0.0), text
+        limits = [(total - self._total, total, "all calls together")]
+        if self._started_up:
+            limits.append((self._deadline, self._deadline, "a call"))
+        else:
+            limits.append((start_up - self._process, start_up, "loading, reset() and the first call"))
+        seconds, limit, calls = min(limits)
+        return max(seconds, 0.0), f"{limit:g} s, the deadline of {calls}"

@@ -217,6 +217,8 @@ class Rows(_Vector):
                 raise TypeError(f"it returned {type(single).__name__} instead of an environment")
             return single
 
+        # One for each row and all its steps: to make a greenlet takes as long as several steps.
+        self._greenlets = [greenlet(partial(_call_row, index)) for index in range(env.num_envs)]
         self._rows = self._run([partial(wrapped_row, index) for index in range(env.num_envs)])
         self.first = self._rows[0]
         """The wrapped environment of the first row."""
@@ -243,19 +245,27 @@ class Rows(_Vector):
 
     def _run(self, calls: Sequence[Callable[[], Any]]) -> list[Any]:
         """The result of a call for each row. All calls step the environment together."""
-        rows = [greenlet(partial(_call_row, index, call)) for index, call in enumerate(calls)]
-        answers = [row.switch() for row in rows]
-        while not all(row.dead for row in rows):
-            if any(row.dead for row in rows):
+        answers = [row.switch(call) for row, call in zip(self._greenlets, calls, strict=True)]
+        while True:
+            finished = [isinstance(answer, _Result) for answer in answers]
+            if all(finished):
+                return [answer.value for answer in answers]
+            if any(finished):
                 raise RuntimeError(UNEQUAL)
             observation = self.env.step(np.stack(answers))[0]
-            answers = [row.switch(observation[index]) for index, row in enumerate(rows)]
-        return answers
+            answers = [row.switch(observation[index]) for index, row in enumerate(self._greenlets)]
 
 
-def _call_row(index: int, call: Callable[[], Any]) -> Any:
+@dataclass(frozen=True)
+class _Result:
+    value: Any
+
+
+def _call_row(index: int, call: Callable[[], Any]) -> None:
+    """Runs calls of a row. It pauses in their steps of the environment, and with the :class:`_Result` of each call."""
     try:
-        return call()
+        while True:
+            call = pause(_Result(call()))
     except BatchItemError:
         raise
     except Exception as error:
