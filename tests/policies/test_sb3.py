@@ -139,7 +139,7 @@ def test_model_for_another_workspace_is_accepted(tmp_path):
 
 @pytest.fixture
 def trained(tmp_path):
-    """A PPO model whose network is linear, and the wrapped training environment; see :func:`linear`."""
+    """Makes an untrained PPO model and the ``VecNormalize`` of its training environment."""
     sb3 = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
