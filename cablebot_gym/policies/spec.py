@@ -16,7 +16,7 @@ from typing import Any, Literal, cast
 
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.policies.adapters import as_policy
-from cablebot_gym.policies.entry import is_entry
+from cablebot_gym.policies.entry import CARD
 from cablebot_gym.policies.protocol import (
     LoadedPolicy,
     Policy,
@@ -90,7 +90,7 @@ class PolicySpec:
             target = policy
         points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=target))
         kind: Kind = "unknown"
-        if is_entry(target):
+        if Path(target, CARD).is_file():
             kind = "entry"
         elif points:
             kind = "installed"
