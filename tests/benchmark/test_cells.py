@@ -323,13 +323,13 @@ def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
     assert len(set(seen)) == 4
 
 
-def test_hash_of_an_installed_policy_has_the_files_that_its_entry_names(module, monkeypatch):
+def test_hash_of_an_installed_policy_has_its_declared_files(module, monkeypatch):
     for name, text in (("__init__.py", ""), ("law.py", "K = 1\n"), ("own.bin", "1"), ("card.json", "1")):
         path = module(f"toy_package/{name}", text)
     files = (path.parent / "own.bin",)
     entry = PolicyEntry(name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files)
     point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
-    monkeypatch.setattr(policy_sources, "policy_points", lambda name: [point])
+    monkeypatch.setattr("cablebot_gym.policies.spec.entry_points", lambda group, name: [point])
     monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
     changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
     seen = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
