@@ -26,7 +26,6 @@ INTERNAL = (
     "cablebot_gym.physics.kernel",
     "cablebot_gym.planning.signals",
     "cablebot_gym.policies.sb3",
-    "cablebot_gym.policies.spec",
     "cablebot_gym.report",
 )
 """Internal modules and packages. The names without a leading underscore in all other modules form the public API."""

@@ -191,7 +191,7 @@ def load(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequen
 
     Args:
         policy: a name as for :func:`load_policy`, a policy object, a callable, a class that makes a policy, or a loaded
-            policy, such as an :class:`~cablebot_gym.isolation.IsolatedPolicy`.
+            policy, such as an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`.
         robot: nominal robot.
         name: name of the policy in results and messages; None for its own name.
         wrappers: as for :func:`load_policy`.
