@@ -19,6 +19,7 @@ INTERNAL = (
     "cablebot_gym.envs.sensors",
     "cablebot_gym.envs.simulation",
     "cablebot_gym.importers",
+    "cablebot_gym.isolation.server",
     "cablebot_gym.physics.code_cache",
     "cablebot_gym.physics.compiling",
     "cablebot_gym.physics.inlining",
@@ -26,10 +27,7 @@ INTERNAL = (
     "cablebot_gym.physics.nearest_point",
     "cablebot_gym.physics.tension_problems",
     "cablebot_gym.planning.signals",
-    "cablebot_gym.policies.loading",
-    "cablebot_gym.policies.process",
     "cablebot_gym.policies.sb3",
-    "cablebot_gym.policies.stand_in",
     "cablebot_gym.report",
 )
 """Internal modules and packages. The names without a leading underscore in all other modules form the public API."""

@@ -10,13 +10,13 @@ from cablebot_gym.robots import Robot
 
 
 class InlinePolicy:
-    """Has what the cells of a benchmark use of an :class:`~cablebot_gym.policies.IsolatedPolicy`."""
+    """Has what the cells of a benchmark use of an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`."""
 
     def __init__(self, spec: str, robot: Robot, *, real_time: float | None = None) -> None:
         self._policy = load_policy(spec, robot)
         if real_time is not None:
             self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot), real_time))
-        self.unsaturated_actions, self.stochastic = declarations(self._policy)
+        self.unsaturated_actions, self.stochastic, _ = declarations(self._policy)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._policy, name)

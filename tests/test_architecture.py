@@ -32,6 +32,7 @@ ORDER = (
         "envs",
         "datasets",
         "policies",
+        "isolation",
         "evaluation",
         "bounds",
         "plotting",
@@ -95,6 +96,15 @@ def test_package_imports_only_those_before_it(package):
             root, _, path = imported.partition(".")
             assert root == "cablebot_gym", f"{module} imports {imported}"
             assert path.split(".")[0] in allowed, f"{module} imports {imported}"
+
+
+def test_only_benchmark_report_and_commands_know_isolation():
+    """The evaluator takes a loaded policy, in whatever process it runs."""
+    importers = {
+        name for name in FILES if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))
+    }
+    rooms = {name.split(".")[1] for name in importers}
+    assert rooms == {"isolation", "benchmark", "report", "cli"}
 
 
 def test_every_package_is_in_the_order():

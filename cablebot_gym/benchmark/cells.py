@@ -20,8 +20,8 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch, versions
 from cablebot_gym.evaluation.timing import time_actions
-from cablebot_gym.policies.isolated import IsolatedPolicy
-from cablebot_gym.policies.loading import is_own, policy_points
+from cablebot_gym.isolation import IsolatedPolicy
+from cablebot_gym.policies import PolicySpec
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
@@ -228,8 +228,7 @@ class TimingCell(Conditions):
         A policy of this project runs in this process. ``exchange`` marks others, whose times include the exchange with
         the process of the policy.
         """
-        points = policy_points(self.policy)
-        own = bool(points) and is_own(points[0])
+        own = PolicySpec.parse(self.policy).own
         with nullcontext(self.policy) if own else IsolatedPolicy(self.policy, self.robot) as policy:
             times = time_actions(policy, self.env_id, **self.env_options())
         return asdict(times) | {"exchange": not own, "processor": processor()}
@@ -331,7 +330,7 @@ def processor() -> str:
 def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
     """Hash of the code that evaluates a policy, this package's and the policy's, and of the files of the robot."""
     modules, data = policy_source(policy)
-    judge = ("cablebot_gym.evaluation.evaluator", "cablebot_gym.evaluation.timing", "cablebot_gym.policies.isolated")
+    judge = ("cablebot_gym.evaluation.evaluator", "cablebot_gym.evaluation.timing", "cablebot_gym.isolation.isolated")
     return source_hash(*judge, *modules, data=(*data, *robot_files))
 
 

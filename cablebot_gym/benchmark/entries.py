@@ -16,9 +16,9 @@ from cablebot_gym.benchmark.leaderboard import EntryNote, Results
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.suites import find_suite, suite_cells
 from cablebot_gym.benchmark.tables import task_title
+from cablebot_gym.isolation.sandbox import sandbox_name
+from cablebot_gym.policies import PolicySpec
 from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, Entry, digests, package_root, plain_files, read_entry
-from cablebot_gym.policies.loading import is_own, policy_points
-from cablebot_gym.policies.sandbox import sandbox_name
 from cablebot_gym.utils.code_hash import source_files
 from cablebot_gym.utils.files import atomic_write_text, read_text
 from cablebot_gym.utils.imports import split_name
@@ -45,11 +45,11 @@ def make_entry(folder: Path, policy: str, env_ids: Sequence[str], texts: Mapping
     Raises:
         ValueError: if the policy belongs to this project or has no files, or if the folder has another entry.
     """
-    root, paths, spec, package = _policy_files(policy)
+    root, paths, target, package = _policy_files(policy)
     entry = Entry(
         name=folder.absolute().name,
         env_ids=tuple(env_ids),
-        policy=spec,
+        policy=target,
         package=package,
         files=digests(root, paths),
         **texts,
@@ -70,22 +70,25 @@ def _policy_files(policy: str) -> tuple[Path, list[Path], str, str | None]:
     """Folder and files of a policy, its name in the entry, and the requirement of its package if it has one."""
     if policy.endswith(".zip"):
         return Path(policy).parent, list(policy_source(policy)[1]), Path(policy).name, None
-    points = policy_points(policy)
-    if points and is_own(points[0]):
+    spec = PolicySpec.parse(policy)
+    if spec.own:
         raise ValueError(f"policy {policy!r} belongs to this project, and is on the leaderboard already")
-    module, _ = split_name(points[0].value if points else policy)
+    point = spec.points[0] if spec.points else None
+    module, _ = split_name(policy if point is None else point.value)
     top = module.partition(".")[0]
     found = package_root(top)
     if found is None:
         raise ValueError(f"policy {policy!r} has no source: give an installed name, module:factory, file.py:factory")
     root, owned = found
-    spec = points[0].value if points else f"{module}:{policy.rpartition(':')[2]}"
-    dist = points[0].dist.name if points and points[0].dist else next(iter(packages_distributions().get(top, ())), None)
+    target = f"{module}:{policy.rpartition(':')[2]}" if point is None else point.value
+    dist = next(iter(packages_distributions().get(top, ())), None)
+    if point is not None and point.dist is not None:
+        dist = point.dist.name
     package = None if dist is None else f"{dist}=={version(dist)}"
     if owned.is_dir() or package is not None:
-        return root, plain_files(owned), spec, package
+        return root, plain_files(owned), target, package
     modules = [path for path in source_files(module).values() if path.parent == root]
-    return root, [*modules, *policy_source(policy)[1]], spec, None
+    return root, [*modules, *policy_source(policy)[1]], target, None
 
 
 def renamed(records: Sequence[Record], policy: str) -> list[Record]:

@@ -6,10 +6,9 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP
-from cablebot_gym.policies.entry import is_entry, read_entry
-from cablebot_gym.policies.isolated import public_entry
-from cablebot_gym.policies.loading import policy_points, split_estimator
+from cablebot_gym.isolation.installed import public_entry
+from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP, PolicySpec
+from cablebot_gym.policies.entry import read_entry
 from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.imports import split_name
@@ -23,28 +22,27 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     are the modules of all installed loaders, the file itself and the statistics beside it. Of a module outside a
     package, the data files are those next to it with a suffix or a name that its source contains, such as ``.npz``.
     """
-    estimator, inner = split_estimator(policy)
-    if estimator is not None:
-        modules, files = policy_source(inner)
-        return (estimator.module, *modules), files
-    if is_entry(policy):
-        return (), read_entry(Path(policy)).paths(Path(policy))
-    if policy.endswith(".zip"):
-        loaders = entry_points(group=FILE_ENTRY_POINT_GROUP)
-        statistics = statistics_beside(Path(policy))
-        files = (Path(policy), *([] if statistics is None else [statistics]))
-        return tuple(sorted({point.module for point in loaders})), files
-    if ":" in policy or policy.endswith(".py"):
+    spec = PolicySpec.parse(policy)
+    if spec.estimators:
+        modules, files = policy_source(spec.target)
+        return (*(estimator.module for estimator in spec.estimators), *modules), files
+    path = Path(policy)
+    if spec.kind == "unknown":
+        return (), ()
+    if spec.kind == "entry":
+        return (), read_entry(path).paths(path)
+    if spec.kind == "file":
+        loaders = {point.module for point in entry_points(group=FILE_ENTRY_POINT_GROUP)}
+        statistics = statistics_beside(path)
+        return tuple(sorted(loaders)), (path,) if statistics is None else (path, statistics)
+    if spec.kind == "factory":
         module, _ = split_name(policy)
     else:
-        points = policy_points(policy)
-        if not points:
-            return (), ()
-        module, entry = points[0].module, public_entry(policy)
+        module, entry = spec.points[0].module, public_entry(policy)
         if entry is not None and entry.files is not None:
             return (module,), entry.files
-    path = module_file(module)
-    return (module,), () if path is None else _data_files(path, in_package(module))
+    source = module_file(module)
+    return (module,), () if source is None else _data_files(source, in_package(module))
 
 
 def in_package(module: str) -> bool:

@@ -17,8 +17,9 @@ from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot, fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.statistics import fewest_draws
+from cablebot_gym.isolation import IsolatedPolicy
+from cablebot_gym.isolation.installed import public_entries, public_entry
 from cablebot_gym.policies.entry import is_entry, read_entry
-from cablebot_gym.policies.isolated import IsolatedPolicy, public_entries, public_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.task import find_error_bounds, to_jsonable

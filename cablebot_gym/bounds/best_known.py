@@ -31,7 +31,7 @@ from cablebot_gym.physics.statics import HEAVIEST
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.planning.library import fingerprint, load_or_compute
 from cablebot_gym.planning.stage_functions import import_casadi
-from cablebot_gym.policies.protocol import OpenLoop
+from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory

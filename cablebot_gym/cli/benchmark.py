@@ -120,7 +120,7 @@ def benchmark(
     from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
     from cablebot_gym.benchmark.tables import failures
-    from cablebot_gym.policies.isolated import public_entries
+    from cablebot_gym.isolation.installed import public_entries
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, check_writable_file
 
     backend = _backend(workers, ray)

@@ -71,7 +71,7 @@ def compare(
     names, robot = options.split_names(policies), options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
     loaded = options.loaded_policies(names, robot, episode.pop("wrappers"))
-    common: dict[str, Any] = {"names": names, "draws": draws, "progress": True, **episode}
+    common: dict[str, Any] = {"draws": draws, "progress": True, **episode}
     comparison: Comparison | PayloadComparison
     if grid is None:
         payload = robot.defaults.payload(0.0) if payload is None else payload

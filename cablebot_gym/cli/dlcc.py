@@ -96,10 +96,10 @@ def dlcc(
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
     wrappers, robot = episode["wrappers"], options.robot_of(env_id, episode)
-    subjects = {
-        name: options.loaded_policy(name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers)
+    policies = [
+        options.loaded_policy(name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers)
         for name in names
-    }
+    ]
     options.note_unsupported(names, env_id)
     settings: dict[str, Any] = {
         "payload_max": payload_max,
@@ -111,18 +111,16 @@ def dlcc(
     }
     evaluated = {key: value for key, value in episode.items() if key != "wrappers"}
     found: list[dict[str, Any]] = []
-    for name, loaded in subjects.items():
+    for loaded in policies:
         chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
         inapplicable = []
-        if criterion is CriterionChoice.both and not getattr(loaded, "unsaturated_actions", False):
+        if criterion is CriterionChoice.both and not loaded.declarations.unsaturated_actions:
             chosen, inapplicable = ["task"], ["paper"]
-        subject = loaded if isolate or wrappers else name
         results = [
-            evaluate_dlcc(subject, env_id, criterion=one, progress=True, name=name, **settings, **evaluated)
-            for one in chosen
+            evaluate_dlcc(loaded, env_id, criterion=one, progress=True, **settings, **evaluated) for one in chosen
         ]
         data = [result.to_dict() for result in results]
-        if (folder := folders[name]) is not None:
+        if (folder := folders[loaded.name]) is not None:
             from cablebot_gym.plotting.figures import save_figures
 
             atomic_write_text(folder / "result.json", _json(data) + "\n")
@@ -135,7 +133,7 @@ def dlcc(
         for result in results:
             if result.violation_seed is not None and not result.stochastic:
                 print(f"{result.criterion}: this command repeats the failure:")
-                print(f"  {_failure_command(result, name, episode)}")
+                print(f"  {_failure_command(result, loaded.name, episode)}")
     if as_json:
         print(_json(found))
     elif isolate:

@@ -17,7 +17,7 @@ from cablebot_gym.utils.console import command_line, notes_console
 from cablebot_gym.utils.files import read_text
 
 if TYPE_CHECKING:
-    from cablebot_gym.policies import Policy
+    from cablebot_gym.policies import LoadedPolicy
     from cablebot_gym.robots import Robot
     from cablebot_gym.trajectories import Trajectory
 
@@ -333,33 +333,34 @@ def loaded_policy(
     deadline: float | None = None,
     sandbox: bool = False,
     wrappers: Sequence[str] = (),
-) -> Policy:
+) -> LoadedPolicy:
     """The policy with a name, made for a robot, in a process of its own with ``isolate``.
 
     Raises:
         ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without ``isolate``.
     """
-    from cablebot_gym.policies import IsolatedPolicy, load_policy
+    from cablebot_gym.isolation import IsolatedPolicy
+    from cablebot_gym.policies import load
 
     if isolate:
         limits = {} if deadline is None else {"deadline": deadline}
-        return IsolatedPolicy(name, robot, sandbox=sandbox, wrappers=wrappers, **limits)
+        return IsolatedPolicy(name, robot, sandbox=sandbox, wrappers=wrappers, **limits).loaded
     if sandbox:
         raise ValueError("--sandbox needs --isolate: only the process of an isolated policy can have one")
     if deadline is not None:
         raise ValueError("--deadline needs --isolate: only the process of an isolated policy can be ended")
-    return load_policy(name, robot, wrappers=wrappers)
+    return load(name, robot, wrappers=wrappers)
 
 
-def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> list[Policy]:
+def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> list[LoadedPolicy]:
     """The policies with these names, made for a robot. The wrappers apply to those that are not installed.
 
     Raises:
         ValueError: if a policy cannot be loaded, or if there are wrappers and only installed policies.
     """
-    from cablebot_gym.policies.loading import policy_points
+    from cablebot_gym.policies import PolicySpec
 
-    installed = [bool(policy_points(name)) for name in names]
+    installed = [PolicySpec.parse(name).installed for name in names]
     if wrappers and all(installed):
         raise ValueError(f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}")
     return [
@@ -373,7 +374,7 @@ def choose_sandbox(no_sandbox: bool) -> None:
     Raises:
         ValueError: if there is no sandbox, and it is not declined.
     """
-    from cablebot_gym.policies import sandbox
+    from cablebot_gym.isolation import sandbox
 
     if no_sandbox:
         return sandbox.opt_out()
@@ -395,7 +396,7 @@ def counted(count: int, noun: str) -> str:
 
 def note_unsupported(names: list[str], env_id: str) -> None:
     """Prints a note for each policy that does not list the environment as supported. Such a policy still runs."""
-    from cablebot_gym.policies.isolated import public_entry
+    from cablebot_gym.isolation.installed import public_entry
 
     for name in names:
         entry = public_entry(name)

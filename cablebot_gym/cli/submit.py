@@ -56,7 +56,7 @@ def submit(
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
     from cablebot_gym.benchmark.tables import failures
     from cablebot_gym.cli.benchmark import computed
-    from cablebot_gym.policies import sandbox
+    from cablebot_gym.isolation import sandbox
     from cablebot_gym.policies.entry import CARD
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
     from cablebot_gym.utils.workers import check_workers

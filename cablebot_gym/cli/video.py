@@ -126,6 +126,6 @@ def record_episodes(
     import_pygame()
     loaded = loaded_policies(names, robot, wrappers)
     episodes = []
-    for name, one in zip(names, loaded, strict=True):
-        episodes.append((f"{name} on {place}", record_rollout(one, env_id, name=name, progress=True, **keywords)))
+    for each in loaded:
+        episodes.append((f"{each.name} on {place}", record_rollout(each, env_id, progress=True, **keywords)))
     return episodes

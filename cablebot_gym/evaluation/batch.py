@@ -22,10 +22,8 @@ from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE
-from cablebot_gym.policies import IsolatedPolicy, Policy, PolicyError, find_policy, name_of
-from cablebot_gym.policies.loading import ESTIMATOR_ENTRY_POINT_GROUP
-from cablebot_gym.policies.protocol import checked_actions, measured_kind, reset_policy
-from cablebot_gym.policies.wrapped import Wrapper
+from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
+from cablebot_gym.policies.spec import ESTIMATOR_ENTRY_POINT_GROUP
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
 from cablebot_gym.uncertainty import find_uncertainty
@@ -170,12 +168,12 @@ class Batch:
     The judge's task is read once, before the policy is loaded; the policy receives copies.
 
     Args:
-        policy: an object with ``predict``, a callable ``observation -> action``, a class that makes one of them, or a
-            name as on the command line.
+        policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a class that makes
+            one of them, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         name: name of the policy; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
-            :data:`~cablebot_gym.policies.wrapped.Wrapper`.
+            :data:`~cablebot_gym.policies.wrappers.Wrapper`.
         criterion: ``task`` or ``paper``.
         error_bounds: bounds of the tracking errors; None for those of the robot.
         uncertainty: model errors and disturbances that the policy does not know.
@@ -229,20 +227,19 @@ class Batch:
         self.task: Task = deepcopy(env.tasks[0])
         """Task of the first episode. The judge reads its bounds, length and robot."""
         self.task.check_motion()
-        self.name, robot = name or name_of(policy), deepcopy(self._robot)
-        if wrappers and isinstance(policy, IsolatedPolicy):
-            raise ValueError("wrappers of an isolated policy run in its process: IsolatedPolicy(…, wrappers=…)")
-        self.policy = find_policy(policy, robot, name=self.name, wrappers=wrappers)
-        self.wrappers: tuple[str, ...] = getattr(self.policy, "wrappers", ())
-        """Names of the wrappers of the policy, the innermost first."""
-        if (reads := measured_kind(self.policy)) != (kind := self.settings.measurement.kind):
-            estimators = sorted(point.name for point in entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP))
-            behind = f"name an estimator, such as {estimators[0]}+{self.name}, or " if estimators else ""
-            remedy = f"{behind}declare measurement = 'winches'" if kind != POSE.kind else "use measurement='winches'"
-            raise ValueError(f"policy {self.name!r} reads measurement {reads!r}, not {kind!r}: {remedy}")
-        self.stochastic = bool(getattr(self.policy, "stochastic", False))
-        """Whether the policy declares that its actions are random."""
-        random = self._uncertainty.random or self.stochastic
+        self.policy: LoadedPolicy = load(policy, deepcopy(self._robot), name=name, wrappers=wrappers)
+        """The policy."""
+        declared, kind = self.policy.declarations, self.settings.measurement.kind
+        if declared.measurement != kind:
+            remedy = "use measurement='winches'"
+            if kind != POSE.kind:
+                estimators = sorted(point.name for point in entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP))
+                behind = f"name an estimator, such as {estimators[0]}+{self.policy.name}, or " if estimators else ""
+                remedy = f"{behind}declare measurement = 'winches'"
+            raise ValueError(
+                f"policy {self.policy.name!r} reads measurement {declared.measurement!r}, not {kind!r}: {remedy}"
+            )
+        random = self._uncertainty.random or declared.stochastic
         self.draws = (DEFAULT_DRAWS if random else 1) if draws is None else whole("draws", draws, least=1)
         """Number of episodes at each payload."""
         self.random = random or keywords.get("initial_error_range") is not None
@@ -251,9 +248,9 @@ class Batch:
             raise ValueError(f"all {draws} draws would be equal: choose a random uncertainty or draws=1")
         self.seeds = draw_seeds(self.seed, self.draws)
         """Seed of each draw. An environment that is reset with this seed has the parameters of the draw."""
-        if self.criterion == "paper" and not getattr(self.policy, "unsaturated_actions", False):
+        if self.criterion == "paper" and not declared.unsaturated_actions:
             raise ValueError(
-                f"the paper criterion does not apply to policy {self.name!r}, because it does not declare "
+                f"the paper criterion does not apply to policy {self.policy.name!r}, because it does not declare "
                 "unsaturated_actions = True; use criterion='task'"
             )
         self._last_rows = 1
@@ -275,8 +272,8 @@ class Batch:
     @property
     def fallbacks(self) -> float | None:
         """Mean number of the policy's fallbacks per episode of the last batch; None if it does not count them."""
-        count = getattr(self.policy, "fallbacks", None)
-        return None if count is None else float(count) / self._last_rows
+        count = self.policy.fallbacks
+        return None if count is None else count / self._last_rows
 
     def description(self) -> dict[str, Any]:
         """Fields that results of evaluations and comparisons share. ``environment`` is JSON-able data."""
@@ -341,7 +338,7 @@ class Batch:
             if observer is not None:
                 observer.start(env, observation, info)
             others: dict[str, Any] = {"observer": observer, "count": count, "full_motion": full_motion}
-            run_episodes(env, self.policy, self.name, observation, judge, **others)
+            run_episodes(env, self.policy, observation, judge, **others)
             verdicts |= {index: judge.verdict(place) for place, index in enumerate(indices.tolist())}
         return [verdicts[index] for index in range(len(rows))]
 
@@ -367,7 +364,7 @@ class Batch:
             text = (
                 f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone, in {carried} of {self.draws} together"
             )
-            raise PolicyError(f"policy {self.name!r} {DEPENDENT.format(text)}")
+            raise PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
 
 
 def _threads(rows: int) -> int:
@@ -384,8 +381,7 @@ def secret_order(count: int) -> NDArray[np.int64]:
 
 def run_episodes(
     env: CableBotVectorEnv,
-    policy: Policy,
-    name: str,
+    policy: LoadedPolicy,
     observation: Array,
     judge: Judge,
     *,
@@ -398,7 +394,6 @@ def run_episodes(
     Args:
         env: the environment.
         policy: the policy, which is reset first.
-        name: name of the policy in messages.
         observation: observations of the reset, (N, size).
         judge: checks the steps; it has been reset and has the number of control steps of each motion.
         observer: receives the steps.
@@ -408,7 +403,7 @@ def run_episodes(
     Raises:
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
     """
-    reset_policy(policy, name, lambda: deepcopy(env.tasks))
+    policy.reset(lambda: deepcopy(env.tasks))
     state, start = None, np.ones(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
     count, longest = count or StepCount(None, 0), int(judge.steps.max())
@@ -417,9 +412,7 @@ def run_episodes(
         if over.all():
             count.add(longest - step)
             return
-        action, state = checked_actions(
-            policy,
-            name,
+        action, state = policy.act(
             observation,
             state,
             start,

@@ -16,8 +16,7 @@ from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import name_of
-from cablebot_gym.policies.wrapped import Wrapper
+from cablebot_gym.policies import Wrapper, name_of
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.console import chosen_progress
@@ -243,7 +242,7 @@ def compare_policies(
         seed: seed that determines the draws.
         names: names of the policies in the result; None for their own names.
         wrappers: wrappers of the training of each policy, the innermost first, see
-            :data:`cablebot_gym.policies.wrapped.Wrapper`; None for no wrappers.
+            :data:`cablebot_gym.policies.wrappers.Wrapper`; None for no wrappers.
         progress: callback after every control step; True shows it on standard error.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
 

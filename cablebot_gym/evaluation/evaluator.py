@@ -27,8 +27,7 @@ from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
 from cablebot_gym.physics.statics import payload_ceiling
-from cablebot_gym.policies import IsolatedPolicy, PolicyError, holds_unsaturated_actions
-from cablebot_gym.policies.wrapped import Wrapper
+from cablebot_gym.policies import PolicyError, Wrapper
 from cablebot_gym.robots import PAPER_PAYLOAD_MAX, Robot, has_paper_capacity
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
@@ -102,8 +101,8 @@ def evaluate_dlcc(
     episodes. It can miss a failure between two payloads, so its result is marked as unranked.
 
     Args:
-        policy: an object with ``predict``, a callable ``observation -> action``, a class that makes one of them, or a
-            name as on the command line.
+        policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a class that makes
+            one of them, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         criterion: ``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position, slack).
         error_bounds: bounds of the tracking errors; None for those of the robot.
@@ -121,7 +120,7 @@ def evaluate_dlcc(
         name: name of the policy in the result; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first: classes or functions, their names, or the
             file of a ``VecNormalize``. They wrap a stand-in of the environment, see
-            :data:`cablebot_gym.policies.wrapped.Wrapper`.
+            :data:`cablebot_gym.policies.wrappers.Wrapper`.
         search: ``scan``, or ``bisection`` for slow policies.
         progress: callback after every control step; True shows it on standard error.
         keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
@@ -159,7 +158,7 @@ def evaluate_dlcc(
     ranked = search == SEARCHES[0]
     default = DEFAULT_RESOLUTION if ranked and not several else DRAWN_RESOLUTION
     resolution = number("resolution", default if resolution is None else resolution, above=0, unit="kg")
-    with chosen_progress(progress, f"{batch.name}, {batch.criterion} criterion") as step:
+    with chosen_progress(progress, f"{batch.policy.name}, {batch.criterion} criterion") as step:
         finder = _Search(batch, top, resolution, probability, confidence, step, thorough=ranked)
         finder.run()
         below, above = finder.gap()
@@ -168,10 +167,8 @@ def evaluate_dlcc(
     has_rotation = batch.criterion == "task" and not robot.point_mass
     position, rotation = batch.error_bounds.position, batch.error_bounds.rotation if has_rotation else None
     bounds = {"position": position, "rotation": rotation}
-    installed = policy.spec if isinstance(policy, IsolatedPolicy) else policy
-    held = isinstance(installed, str) and not batch.wrappers and holds_unsaturated_actions(installed)
     return DLCCResult(
-        policy=batch.name,
+        policy=batch.policy.name,
         criterion=batch.criterion,
         payload=None if below is None else below.payload,
         total_mass=None if below is None else below.payload + robot.mass,
@@ -185,8 +182,8 @@ def evaluate_dlcc(
         feasible=finder.feasible(below),
         payload_max=top,
         error_bounds=bounds,
-        stochastic=batch.stochastic,
-        declared=batch.criterion == "paper" and not held,
+        stochastic=batch.policy.declarations.stochastic,
+        declared=batch.criterion == "paper" and not batch.policy.held,
         assured=finder.assured if batch.random else None,
         probability=probability if several else None,
         confidence=confidence if several else None,
@@ -195,7 +192,7 @@ def evaluate_dlcc(
         success=finder.success(),
         rollout=rollout,
         fallbacks=batch.fallbacks,
-        wrappers=batch.wrappers,
+        wrappers=batch.policy.wrappers,
         **batch.description(),
     )
 
@@ -262,7 +259,7 @@ class _Search:
         self._scan = self._trials_of(self._grid, self._scan_seeds, verdicts)
         if batch.draws == 1 or not self._thorough:
             self._trials = {trial.payload: trial for trial in self._scan}
-        again_count = SCAN_POINTS if self._thorough and not batch.stochastic else 0
+        again_count = SCAN_POINTS if self._thorough and not batch.policy.declarations.stochastic else 0
         chosen = self._random.permutation(len(rows))[:again_count].tolist()
         dense_rows: list[Row] = []
         while True:
@@ -352,7 +349,7 @@ class _Search:
         others = [batch.run([row], count=self._count)[0] for row in rows[1:]]
         verdicts = batch.run(rows[:1], observer=recorder, count=self._count) + others
         rollout = recorder.rollouts(verdicts)[0]
-        if batch.stochastic:
+        if batch.policy.declarations.stochastic:
             return rollout, below, above
         self._check_repetition([trial.verdicts[draw] for trial, draw in draws], verdicts)
         if batch.draws == 1:
@@ -423,7 +420,7 @@ class _Search:
             rows, scan, order = self._scanned
             further = (self._batch.run(rows, count=self._count, order=order) for _ in range(DIAGNOSES))
             reason = _RANDOM if any(self._difference(scan, one) for one in further) else DEPENDENT
-            raise PolicyError(f"policy {self._batch.name!r} {reason.format(text)}")
+            raise PolicyError(f"policy {self._batch.policy.name!r} {reason.format(text)}")
 
     def _difference(self, first: _Verdicts, again: _Verdicts) -> str | None:
         """The first difference between episodes and their repetitions as text; None if there is none."""

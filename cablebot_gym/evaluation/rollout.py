@@ -16,7 +16,7 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
-from cablebot_gym.policies.wrapped import Wrapper
+from cablebot_gym.policies import Wrapper
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
@@ -183,7 +183,7 @@ def record_rollout(
         seed: seed of the environment.
         name: name of the policy in messages; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
-            :data:`cablebot_gym.policies.wrapped.Wrapper`.
+            :data:`cablebot_gym.policies.wrappers.Wrapper`.
         progress: callback after the reset and after every control step; True shows it on standard error.
         keywords: keywords of the environment.
 
@@ -205,7 +205,7 @@ def record_rollout(
         **settings,
     )
     recorder = Recorder([0])
-    with chosen_progress(progress, f"{batch.name} on {env_id}", "steps") as step:
+    with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
         verdicts = batch.run([(payload, batch.seed)], observer=recorder, count=count, full_motion=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cablebot_gym.evaluation.batch import Batch
-from cablebot_gym.policies.real_time import WARM_UP, RealTime
+from cablebot_gym.policies.adapters import WARM_UP, RealTime
 from cablebot_gym.utils.checks import number
 
 
@@ -24,7 +24,7 @@ class ActionTimes:
     missed: float
     """Fraction of the actions that take longer than the control period."""
     start: float
-    """Time of the reset and of the first :data:`~cablebot_gym.policies.real_time.WARM_UP` actions together, in which
+    """Time of the reset and of the first :data:`~cablebot_gym.policies.adapters.WARM_UP` actions together, in which
     policies plan or compile code [s]. The other values are those of the later actions."""
     period: float
     """Control period [s]."""
@@ -42,12 +42,13 @@ def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 
 
     Raises:
         ValueError: if an argument is invalid, or if the environment terminates the episode within the first
-            :data:`~cablebot_gym.policies.real_time.WARM_UP` actions.
+            :data:`~cablebot_gym.policies.adapters.WARM_UP` actions.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
     """
     settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     batch = Batch(policy, env_id, draws=1, seed=seed, keywords=keywords, **settings)
-    batch.policy = timed = RealTime(batch.policy, math.inf)
+    timed = RealTime(batch.policy.policy, math.inf)
+    batch.policy = replace(batch.policy, policy=timed)
     batch.run([(number("payload", payload, least=0, unit="kg"), batch.seed)], full_motion=True)
     times, period = np.array(timed.times[WARM_UP:]), 1 / batch.task.control_frequency
     if not times.size:

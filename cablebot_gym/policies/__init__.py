@@ -1,37 +1,35 @@
-"""The policy protocol, and how names and files are loaded as policies."""
+"""The policy protocol, and how a policy's name becomes a loaded policy."""
 
-from cablebot_gym.policies.isolated import IsolatedPolicy
-from cablebot_gym.policies.loading import (
+from cablebot_gym.policies.adapters import PolicyFactory, RealTime, WrappedPolicy, as_policy
+from cablebot_gym.policies.protocol import Declarations, LoadedPolicy, Policy, PolicyEntry, PolicyError, name_of
+from cablebot_gym.policies.spec import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,
     FileLoader,
-    find_policy,
-    holds_unsaturated_actions,
+    PolicySpec,
+    load,
     load_policy,
     policy_entries,
-    policy_entry,
 )
-from cablebot_gym.policies.protocol import Policy, PolicyEntry, PolicyError, PolicyFactory, as_policy, name_of
-from cablebot_gym.policies.real_time import RealTime
-from cablebot_gym.policies.wrapped import WrappedPolicy, Wrapper
+from cablebot_gym.policies.wrappers import Wrapper
 
 __all__ = [
     "ENTRY_POINT_GROUP",
     "FILE_ENTRY_POINT_GROUP",
+    "Declarations",
     "FileLoader",
-    "IsolatedPolicy",
+    "LoadedPolicy",
     "Policy",
     "PolicyEntry",
     "PolicyError",
     "PolicyFactory",
+    "PolicySpec",
     "RealTime",
     "WrappedPolicy",
     "Wrapper",
     "as_policy",
-    "find_policy",
-    "holds_unsaturated_actions",
+    "load",
     "load_policy",
     "name_of",
     "policy_entries",
-    "policy_entry",
 ]

@@ -1,13 +1,14 @@
-"""The policy protocol, the entry of an installed policy, and checks of the actions that a policy returns."""
+"""The protocol of a policy, a policy that is loaded, and checks of what it returns."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,227 +99,109 @@ class BatchItemError(RuntimeError):
         """Index of the observation in the batch, from 0."""
 
 
-class CallablePolicy:
-    """A policy made from a function ``observation -> action``, which is called for one observation at a time.
+class Declarations(NamedTuple):
+    """What a policy declares about itself, see :class:`Policy`."""
 
-    All episodes of a batch share the function, so it must not remember anything from one call to the next. Use
-    :class:`PolicyFactory` for a callable with state.
-    """
-
-    def __init__(self, function: Callable[[Array], Any]) -> None:
-        self._function = function
-        self.unsaturated_actions, self.stochastic = declarations(function)
-        self.measurement = measured_kind(function)
-        if hasattr(function, "reset"):
-            self.reset = function.reset
-
-    def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Array | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
-        """Action of the function for each observation.
-
-        Raises:
-            BatchItemError: if the function raises, or if its results are not numbers of one shape.
-        """
-        if observation.ndim == 1:
-            return np.asarray(self._function(observation), float), state
-        return _stacked(observation, lambda _, item: self._function(item)), state
+    unsaturated_actions: bool
+    """Whether it returns actions beyond ±1 where it requests more torque than the motors have."""
+    stochastic: bool
+    """Whether equal observations may give different actions."""
+    measurement: str
+    """Kind of measurement that it reads."""
 
 
-class PolicyFactory:
-    """A policy that makes one instance for each episode of a batch, for controllers that keep their own state.
-
-    ``PolicyFactory(MyController)`` calls ``MyController()`` for every episode. An instance gets the observations of
-    its episode alone, so the result does not depend on the other episodes.
-
-    Args:
-        factory: function without arguments that returns a policy or a callable ``observation -> action``. It is called
-            once at the construction to read the declarations of the policy.
-    """
-
-    def __init__(self, factory: Callable[[], Any]) -> None:
-        self._factory = factory
-        self.name = name_of(factory)
-        if isinstance(factory, type) and (missing := required(factory)):
-            raise TypeError(
-                f"PolicyFactory calls {self.name}(), which needs {', '.join(missing)}: "
-                f"PolicyFactory(lambda: {self.name}({', '.join(missing)}))"
-            )
-        made = self._made()
-        self.unsaturated_actions, self.stochastic = declarations(made)
-        self.measurement = measured_kind(made)
-        self._instances: list[Policy] = []
-
-    def _made(self) -> Policy:
-        return as_policy(self._factory())
-
-    def reset(self, tasks: Sequence[Task]) -> None:
-        """Makes an instance for each task and resets it."""
-        self._instances = [self._made() for _ in tasks]
-        for instance, task in zip(self._instances, tasks, strict=True):
-            reset_policy(instance, self.name, partial(tuple, [task]))
-
-    def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Array | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
-        """Action of each episode's instance; the state is the list of the states of the instances.
-
-        Raises:
-            BatchItemError: if an instance raises, or if the actions are not numbers of one shape.
-        """
-        rows = np.atleast_2d(observation)
-        if len(rows) != len(self._instances):
-            self._instances = [self._made() for _ in rows]
-        states = [None] * len(rows) if state is None else list(state)
-        starts = np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
-
-        def act(index: int, item: Array) -> Any:
-            start = starts[index : index + 1]
-            actions, states[index] = self._instances[index].predict(item[None], states[index], start, deterministic)
-            return np.asarray(actions)[0]
-
-        actions = _stacked(rows, act)
-        return actions if observation.ndim > 1 else actions[0], states
-
-
-def required(factory: type) -> list[str]:
-    """Names of the arguments that a class needs."""
-    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    parameters = inspect.signature(factory).parameters.values()
-    return [one.name for one in parameters if one.kind in positional and one.default is one.empty]
-
-
-def declarations(policy: Any) -> tuple[bool, bool]:
-    """Whether a policy declares ``unsaturated_actions``, and whether it declares ``stochastic``."""
-    return bool(getattr(policy, "unsaturated_actions", False)), bool(getattr(policy, "stochastic", False))
-
-
-def measured_kind(policy: Any) -> str:
-    """Kind of measurement that a policy reads: ``pose``, unless it declares another one."""
-    return str(getattr(policy, "measurement", POSE.kind))
-
-
-def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
-    """Actions of a function of index and observation, (N, m).
-
-    Raises:
-        BatchItemError: if the function raises, or if its results are not numbers of one shape.
-    """
-    actions: list[Array] = []
-    for index, item in enumerate(observation):
-        try:
-            actions.append(to_floats(act(index, item)))
-        except KeyboardInterrupt:
-            raise
-        except BatchItemError as error:
-            raise BatchItemError(index, str(error)) from error.__cause__
-        except BaseException as error:
-            raise BatchItemError(index, raised(error, "it failed with")) from error
-        if actions[index].shape != actions[0].shape:
-            raise BatchItemError(index, f"it returned shape {actions[index].shape} after {actions[0].shape}")
-    return np.stack(actions)
-
-
-class OpenLoop:
-    """A policy that returns given actions one after the other.
-
-    Args:
-        actions: action of every control step, (steps, m).
-    """
-
-    def __init__(self, actions: Array) -> None:
-        self._actions = actions
-
-    def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Array | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
-        """The next action for each observation; the state is the number of past steps."""
-        step = state or 0
-        action = self._actions[step]
-        return np.broadcast_to(action, (*observation.shape[:-1], len(action))), step + 1
-
-
-def as_policy(policy: Any) -> Policy:
-    """Returns a policy unchanged, and wraps a callable as a policy.
-
-    Raises:
-        TypeError: if the object is neither a policy nor a callable.
-    """
-    if isinstance(policy, type):
-        raise TypeError(f"a policy must be an object, not the class {policy.__name__}: pass {policy.__name__}(…)")
-    if isinstance(policy, Policy):
-        return policy
-    if callable(policy):
-        return CallablePolicy(policy)
-    raise TypeError(
-        f"a policy must have predict() or be a callable observation -> action; {type(policy).__name__} is neither"
+def declarations(policy: Any) -> Declarations:
+    """The declarations of a policy, with the defaults for those that it does not make."""
+    return Declarations(
+        unsaturated_actions=bool(getattr(policy, "unsaturated_actions", False)),
+        stochastic=bool(getattr(policy, "stochastic", False)),
+        measurement=str(getattr(policy, "measurement", POSE.kind)),
     )
 
 
-def checked_actions(
-    policy: Policy,
-    name: str,
-    observation: Array,
-    state: Any,
-    start: NDArray[np.bool_],
-    *,
-    cables: int,
-    payloads: Array,
-    time: float,
-    ignored: NDArray[np.bool_] | None = None,
-) -> tuple[Array, Any]:
-    """Calls a policy for a batch of observations and checks its actions.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadedPolicy:
+    """A policy that is ready for evaluations, as :func:`cablebot_gym.policies.spec.load` makes it."""
 
-    Args:
-        policy: the policy, called with ``deterministic=True``.
-        name: name of the policy, for messages.
-        observation: observations, (N, size).
-        state: state that the previous call returned; None at the first call.
-        start: True at the first step of an episode, (N,).
-        cables: number of cables m.
-        payloads: true payload of each episode, (N,) [kg], for messages.
-        time: time of the control instant [s], for messages.
-        ignored: True for episodes whose actions no longer matter, (N,). Their actions are set to 0.
+    policy: Policy
+    """The policy, behind its wrappers and estimators."""
+    name: str
+    """Name in results and messages."""
+    declarations: Declarations
+    """What the policy declares about itself."""
+    held: bool = False
+    """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``."""
+    wrappers: tuple[str, ...] = ()
+    """Names of the wrappers of the training, the innermost first."""
+    notes: tuple[str, ...] = ()
+    """Sentences for the user, about wrappers that were added without being named."""
 
-    Returns:
-        Actions (N, m) and the next state of the policy.
+    @property
+    def fallbacks(self) -> float | None:
+        """Number of fallbacks that the policy has counted; None if it does not count them."""
+        count = getattr(self.policy, "fallbacks", None)
+        return None if count is None else float(count)
 
-    Raises:
-        PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are not numbers of shape
-            (N, m) that the environment accepts.
-    """
-    from cablebot_gym.envs.outcome import LARGEST  # slow to import; the environment has imported it
+    def reset(self, tasks: Callable[[], tuple[Task, ...]]) -> None:
+        """Resets the policy, see :func:`reset_policy`."""
+        reset_policy(self.policy, self.name, tasks)
 
-    def failure(cause: str, of: Array = payloads) -> PolicyError:
-        least, largest = f"{of.min():g}", f"{of.max():g}"
-        loads = f"a payload of {least} kg" if least == largest else f"payloads of {least} to {largest} kg"
-        return PolicyError(f"policy {name!r}, at t = {time:.3f} s with {loads}: {cause}")
+    def act(
+        self,
+        observation: Array,
+        state: Any,
+        start: NDArray[np.bool_],
+        *,
+        cables: int,
+        payloads: Array,
+        time: float,
+        ignored: NDArray[np.bool_] | None = None,
+    ) -> tuple[Array, Any]:
+        """Calls the policy for a batch of observations, with ``deterministic=True``, and checks its actions.
 
-    try:
-        action, state = predicted(policy, observation.copy(), state, start.copy(), cables)
-    except PolicyError as error:
-        of = payloads if error.index is None or not 0 <= error.index < len(payloads) else payloads[[error.index]]
-        raise failure(error.cause, of) from error.__cause__
-    if ignored is not None:
-        action[ignored] = 0.0
-    if (wrong := ~np.isfinite(action).all(axis=1)).any():
-        raise failure("it returned NaN or infinity", payloads[wrong].min(keepdims=True))
-    if (wrong := np.abs(action).max(axis=1) >= LARGEST).any():
-        largest = f"the action {action.flat[np.abs(action).argmax()]:g}; actions must be within ± {LARGEST:g}"
-        raise failure(f"it returned {largest}", payloads[wrong].min(keepdims=True))
-    return action, state
+        Args:
+            observation: observations, (N, size).
+            state: state that the previous call returned; None at the first call.
+            start: True at the first step of an episode, (N,).
+            cables: number of cables m.
+            payloads: true payload of each episode, (N,) [kg], for messages.
+            time: time of the control instant [s], for messages.
+            ignored: True for episodes whose actions no longer matter, (N,). Their actions are set to 0.
+
+        Returns:
+            Actions (N, m) and the next state of the policy.
+
+        Raises:
+            PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are not numbers of
+                shape (N, m) that the environment accepts.
+        """
+        from cablebot_gym.envs.outcome import LARGEST  # slow to import; the environment has imported it
+
+        def failure(cause: str, affected: Array) -> PolicyError:
+            lightest, heaviest = f"{affected.min():g}", f"{affected.max():g}"
+            text = f"payloads of {lightest} to {heaviest} kg"
+            if lightest == heaviest:
+                text = f"a payload of {lightest} kg"
+            return PolicyError(f"policy {self.name!r}, at t = {time:.3f} s with {text}: {cause}")
+
+        try:
+            action, state = predicted(self.policy, observation.copy(), state, start.copy(), cables)
+        except PolicyError as error:
+            affected = payloads
+            if error.index is not None and 0 <= error.index < len(payloads):
+                affected = payloads[[error.index]]
+            raise failure(error.cause, affected) from error.__cause__
+        if ignored is not None:
+            action[ignored] = 0.0
+        infinite = ~np.isfinite(action).all(axis=1)
+        if infinite.any():
+            raise failure("it returned NaN or infinity", payloads[infinite].min(keepdims=True))
+        excessive = np.abs(action).max(axis=1) >= LARGEST
+        if excessive.any():
+            largest = action.flat[np.abs(action).argmax()]
+            cause = f"it returned the action {largest:g}; actions must be within ± {LARGEST:g}"
+            raise failure(cause, payloads[excessive].min(keepdims=True))
+        return action, state
 
 
 def predicted(policy: Policy, observation: Array, state: Any, start: Array, cables: int) -> tuple[Array, Any]:
@@ -343,7 +226,8 @@ def predicted(policy: Policy, observation: Array, state: Any, start: Array, cabl
         action = to_floats(raw)
     except ValueError as error:
         raise PolicyError(f"it returned {error}") from error
-    if action.shape != (expected := (len(observation), cables)):
+    expected = (len(observation), cables)
+    if action.shape != expected:
         raise PolicyError(f"it returned shape {action.shape}; expected {expected}")
     return action, state
 
@@ -359,9 +243,10 @@ def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]
     Raises:
         PolicyError: if ``reset`` raises anything but a KeyboardInterrupt.
     """
-    if (method := getattr(policy, "reset", None)) is None:
+    method = getattr(policy, "reset", None)
+    if method is None:
         return
-    arguments = [tasks()] if _takes_tasks(method) else []
+    arguments = (tasks(),) if _takes_tasks(method) else ()
     try:
         method(*arguments)
     except (KeyboardInterrupt, PolicyError):
@@ -372,11 +257,17 @@ def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]
 
 def _takes_tasks(method: Callable[..., Any]) -> bool:
     """Whether a method has a parameter ``tasks`` or a required positional one."""
+    return "tasks" in inspect.signature(method).parameters or bool(required_arguments(method))
+
+
+def required_arguments(function: Callable[..., Any]) -> list[str]:
+    """Names of the positional arguments that a function or a class needs."""
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    return any(
-        parameter.name == "tasks" or (parameter.default is parameter.empty and parameter.kind in positional)
-        for parameter in inspect.signature(method).parameters.values()
-    )
+    return [
+        parameter.name
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.kind in positional and parameter.default is parameter.empty
+    ]
 
 
 def to_floats(returned: Any) -> Array:
@@ -402,3 +293,9 @@ def name_of(policy: Any) -> str:
     if isinstance(policy, str):
         return policy
     return str(getattr(policy, "name", None) or getattr(policy, "__name__", None) or type(policy).__name__)
+
+
+@cache
+def say(note: str) -> None:
+    """Logs a note once in a process; without a handler it goes to standard error."""
+    logging.getLogger("cablebot_gym").warning("note: %s", note)

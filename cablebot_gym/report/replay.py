@@ -18,10 +18,10 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
+from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.kinematics import Array, turned
-from cablebot_gym.policies import IsolatedPolicy, Policy, load_policy
-from cablebot_gym.policies.entry import is_entry
-from cablebot_gym.policies.protocol import OpenLoop
+from cablebot_gym.policies import LoadedPolicy, PolicySpec, load
+from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
@@ -109,8 +109,8 @@ def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Repla
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an invalid action.
     """
     first = cells[0][0]
-    load = IsolatedPolicy if is_entry(first.policy) else load_policy
-    policy: Policy = load(first.policy, first.robot)
+    isolated = PolicySpec.parse(first.policy).kind == "entry"
+    policy = load(IsolatedPolicy(first.policy, first.robot) if isolated else first.policy, first.robot)
     episodes = [(cell, payload) for cell, dlcc in cells for payload in _payloads(dlcc)]
     env = gym.make_vec(
         first.env_id,
@@ -133,7 +133,9 @@ def _payloads(dlcc: float | None) -> list[float]:
     return [0.0] if dlcc is None else [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
 
 
-def _rollouts(env: CableBotVectorEnv, policy: Policy, episodes: Sequence[tuple[PolicyCell, float]]) -> list[Rollout]:
+def _rollouts(
+    env: CableBotVectorEnv, policy: LoadedPolicy, episodes: Sequence[tuple[PolicyCell, float]]
+) -> list[Rollout]:
     """Records one episode of each environment, with the conditions of its cell and its payload."""
     cells, payloads = [cell for cell, _ in episodes], np.array([payload for _, payload in episodes])
     seeds = [draw_seeds(cell.seed, cell.draws)[0] for cell in cells]
@@ -156,7 +158,7 @@ def _rollouts(env: CableBotVectorEnv, policy: Policy, episodes: Sequence[tuple[P
     recorder = Recorder(range(env.num_envs), _RECORDED)
     recorder.start(env, observation, info)
     run: dict[str, Any] = {"observer": recorder, "full_motion": True}
-    run_episodes(env, policy, cells[0].policy, observation, judge, **run)
+    run_episodes(env, policy, observation, judge, **run)
     return recorder.rollouts([judge.verdict(index) for index in range(env.num_envs)])
 
 

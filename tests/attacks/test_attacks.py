@@ -22,8 +22,8 @@ from attacks.suite import (
 )
 
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+from cablebot_gym.isolation.sandbox import sandbox_problem
 from cablebot_gym.policies import PolicyError
-from cablebot_gym.policies.sandbox import sandbox_problem
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies use signals and fork")
 

@@ -363,7 +363,7 @@ def test_hash_of_an_installed_policy_has_its_files(module, monkeypatch):
     files = (path.parent / "own.bin",)
     entry = PolicyEntry(name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files)
     point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
-    monkeypatch.setattr(policy_sources, "policy_points", lambda name: [point])
+    monkeypatch.setattr("cablebot_gym.policies.spec.entry_points", lambda group, name: [point])
     monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
     changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
     hashes = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])

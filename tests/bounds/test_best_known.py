@@ -19,7 +19,7 @@ from cablebot_gym.evaluation import Verdict, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.planning import Infeasible, MotionProgram
 from cablebot_gym.planning.motion import RIGID_DEGREE
-from cablebot_gym.policies.protocol import OpenLoop
+from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Motors
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory

@@ -13,7 +13,7 @@ from cablebot_gym.benchmark import suites
 from cablebot_gym.benchmark.cells import PolicyCell, compute
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.cli import app as cli
-from cablebot_gym.policies import IsolatedPolicy
+from cablebot_gym.isolation import IsolatedPolicy
 
 PLANAR = "CableBot-Planar-v0"
 CHANGES = {"payload_max": 4.0}

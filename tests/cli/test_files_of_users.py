@@ -13,8 +13,8 @@ from cablebot_gym.benchmark.entries import CLAIMS, read_claims
 from cablebot_gym.cli.benchmark import read_results
 from cablebot_gym.importers import import_robot
 from cablebot_gym.measurement import find_measurement
+from cablebot_gym.policies import load_policy
 from cablebot_gym.policies.entry import read_entry
-from cablebot_gym.policies.loading import load_policy
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import find_uncertainty

@@ -15,8 +15,8 @@ from cli.conftest import names
 from cablebot_gym.benchmark import suites
 from cablebot_gym.benchmark.entries import make_entry
 from cablebot_gym.benchmark.suites import Block, Suite
-from cablebot_gym.policies import sandbox
-from cablebot_gym.policies.isolated import public_entry
+from cablebot_gym.isolation import sandbox
+from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.utils.code_hash import module_file
 
 PLANAR = "CableBot-Planar-v0"

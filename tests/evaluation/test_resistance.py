@@ -14,7 +14,7 @@ from cablebot_gym.evaluation.batch import ALONE, RISK, Batch
 from cablebot_gym.evaluation.evaluator import FINER, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
-from cablebot_gym.policies import PolicyFactory, RealTime, real_time
+from cablebot_gym.policies import PolicyFactory, RealTime, adapters
 from cablebot_gym.robots import SPATIAL
 
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -219,7 +219,7 @@ class Slow(Law):
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(real_time, "time", clock)
+    monkeypatch.setattr(adapters, "time", clock)
     return clock
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import zipfile
@@ -13,7 +12,6 @@ from types import SimpleNamespace
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.spaces import Box, MultiBinary
 
 from cablebot_baselines.classical import FL, FeedbackLinearization
 from cablebot_gym import ENV_IDS
@@ -26,15 +24,15 @@ from cablebot_gym.policies import (
     PolicyEntry,
     PolicyError,
     PolicyFactory,
+    PolicySpec,
     as_policy,
-    holds_unsaturated_actions,
+    load,
     load_policy,
-    loading,
     policy_entries,
-    policy_entry,
+    spec,
 )
-from cablebot_gym.policies.protocol import BatchItemError, CallablePolicy, checked_actions, reset_policy
-from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
+from cablebot_gym.policies.adapters import CallablePolicy
+from cablebot_gym.policies.protocol import BatchItemError, reset_policy
 from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
 from cablebot_gym.task import Task
 
@@ -63,13 +61,13 @@ class Point:
 @pytest.fixture
 def points(monkeypatch):
     """Entry points of other packages by group, in addition to the installed ones of policies."""
-    installed, added = loading.entry_points, {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
+    installed, added = spec.entry_points, {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
 
     def entry_points(*, group, name=None):
-        own = [*installed(group=group)] if group == ENTRY_POINT_GROUP else []
-        return [point for point in (*added[group], *own) if name in (None, point.name)]
+        own = [] if group == FILE_ENTRY_POINT_GROUP else [*installed(group=group)]
+        return [point for point in (*added.get(group, ()), *own) if name in (None, point.name)]
 
-    monkeypatch.setattr(loading, "entry_points", entry_points)
+    monkeypatch.setattr(spec, "entry_points", entry_points)
     return added
 
 
@@ -106,8 +104,6 @@ def test_policies_of_other_packages_are_found_by_name(points):
     policy = load_policy("constant", SPATIAL)
     assert isinstance(policy, Constant)
     assert policy.robot is SPATIAL
-    with pytest.raises(ValueError, match=r"unknown policy 'lqr'; choose one of .*constant, .*zzz"):
-        load_policy("lqr", PLANAR)
 
 
 # --- package.module:factory -------------------------------------------------------------------------------------------
@@ -165,7 +161,7 @@ def test_robot_may_be_named_or_be_that_of_an_environment():
 
 def test_class_is_made_for_the_robot_of_the_evaluation():
     batch = Batch(Constant, PLANAR_ID)
-    assert (batch.name, batch.policy.robot.name) == ("Constant", "planar")
+    assert (batch.policy.name, batch.policy.policy.robot.name) == ("Constant", "planar")
     with pytest.raises(
         TypeError, match=r"calls Constant\(\), which needs robot: PolicyFactory\(lambda: Constant\(robot"
     ):
@@ -173,24 +169,49 @@ def test_class_is_made_for_the_robot_of_the_evaluation():
 
 
 @pytest.mark.parametrize(
-    ("attribute", "message"),
+    ("name", "message"),
     [
-        ("nothing", r"the factory must return a policy; .*; NoneType is neither"),
-        ("raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
-        ("Many", r"it takes \(robot, gains\), but is called with the robot: def make\(robot\): return Many\(…\)"),
-        ("missing", "has no attribute 'missing'; it has "),
+        ("lqr", r"unknown policy 'lqr'; choose one of .*adaptive, .*fl, "),
+        ("missing.zip", "policy file 'missing.zip' does not exist"),
+        ("toy_policy_module:nothing", r"the factory must return a policy; .*; NoneType is neither"),
+        ("toy_policy_module:raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
+        (
+            "toy_policy_module:Many",
+            r"it takes \(robot, gains\), but is called with the robot: def make\(robot\): return Many\(…\)",
+        ),
+        ("toy_policy_module:missing", "has no attribute 'missing'; it has "),
+        ("no_such_module:make", r"cannot import it \(No module named 'no_such_module'\)"),
     ],
 )
-def test_attribute_that_makes_no_policy_is_rejected(module, attribute, message):
+def test_name_that_loads_no_policy_is_explained(module, name, message):
+    module(SOURCE)
     with pytest.raises(ValueError, match=message) as caught:
-        load_policy(f"{module(SOURCE)}:{attribute}", PLANAR)
-    assert str(caught.value).startswith(f"policy 'toy_policy_module:{attribute}': ")
+        load_policy(name, PLANAR)
+    assert f"'{name}'" in str(caught.value)
 
 
-def test_module_that_cannot_be_imported_is_named_with_the_reason(module):
-    name = module("import no_such_dependency\ndef make(robot): ...\n")
-    with pytest.raises(ValueError, match=r"cannot import .*No module named 'no_such_dependency'"):
-        load_policy(f"{name}:make", PLANAR)
+def test_name_is_read_without_importing_anything(module):
+    name = module("raise SystemExit")
+    kinds = {text: PolicySpec.parse(text).kind for text in ("fl", "ekf+fl", "best.zip", f"{name}:make", "a.py", "lqr")}
+    assert list(kinds.values()) == ["installed", "installed", "file", "factory", "factory", "unknown"]
+    behind = PolicySpec.parse("ekf+fl")
+    assert ([point.name for point in behind.estimators], behind.target) == (["ekf"], "fl")
+    assert (behind.own, behind.held, PolicySpec.parse("fl").own) == (False, False, True)
+
+
+def test_policy_is_loaded_once():
+    """Excludes a loaded policy that a second entrance makes anew, or that loses its declarations there."""
+    loaded = load("fl", PLANAR)
+    again = load(loaded, SPATIAL, name="mine")
+    assert (again.policy, again.name, again.held) == (loaded.policy, "mine", True)
+    assert not load(loaded.policy, PLANAR).held
+    with pytest.raises(ValueError, match="is loaded already"):
+        load(loaded, PLANAR, wrappers=["mine.py:wrap"])
+
+
+def test_policy_behind_an_estimator_keeps_its_wrappers():
+    loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
+    assert (loaded.wrappers, loaded.declarations.measurement) == (("normalised_observation",), "winches")
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -221,12 +242,11 @@ def test_file_goes_to_the_loaders_of_other_packages_in_turn(points, archive, cap
     assert "policy files of kind 'other' are skipped" in caplog.text
 
 
-def test_damaged_or_missing_file_is_not_loaded(points, archive):
+def test_damaged_file_is_not_loaded(points, archive):
     points[FILE_ENTRY_POINT_GROUP].append(Point(lambda path, robot: pytest.fail("loaded")))
     archive.write_bytes(archive.read_bytes()[:-10])
-    for name, message in ((archive, "is not a zip file, or it is damaged"), ("missing.zip", "does not exist")):
-        with pytest.raises(ValueError, match=message):
-            load_policy(str(name), PLANAR)
+    with pytest.raises(ValueError, match="is not a zip file, or it is damaged"):
+        load_policy(str(archive), PLANAR)
 
 
 # --- SB3 files --------------------------------------------------------------------------------------------------------
@@ -239,114 +259,6 @@ def test_file_that_is_no_model_is_rejected(archive, monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(ValueError, match=r"pip install 'cablebot-gym\[sb3\]'"):
         load_policy(str(archive), PLANAR)
-
-
-class Spaces(gym.Env):
-    """An environment that has only spaces."""
-
-    def __init__(self, observation, action):
-        self.observation_space, self.action_space = observation, action
-
-    def reset(self, *, seed=None, options=None):
-        return self.observation_space.sample(), {}
-
-    def step(self, action):
-        return self.observation_space.sample(), 0.0, False, False, {}
-
-
-def spaces_of(env_id):
-    env = gym.make(env_id)
-    return env.observation_space, env.action_space
-
-
-def saved(path, observation, action, algorithm="PPO", package="stable_baselines3"):
-    """Saves an untrained model."""
-    on_policy = {"n_steps": 8, "batch_size": 8}
-    few = {"PPO": on_policy, "RecurrentPPO": on_policy, "TRPO": on_policy, "A2C": {}, "ARS": {"n_delta": 1}}
-    recurrent = algorithm == "RecurrentPPO"
-    model = getattr(pytest.importorskip(package), algorithm)(
-        "MlpLstmPolicy" if recurrent else "MlpPolicy",
-        Spaces(observation, action),
-        policy_kwargs={"net_arch": [4]} | ({"lstm_hidden_size": 4} if recurrent else {}),
-        seed=1,
-        **few.get(algorithm, {"buffer_size": 10}),
-    )
-    model.save(path)
-    return model
-
-
-CASES = [
-    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.slow)
-    for package, names in (("stable_baselines3", SB3_ALGORITHMS), ("sb3_contrib", CONTRIB_ALGORITHMS))
-    for name in names
-]
-
-
-@pytest.mark.parametrize(("package", "algorithm"), CASES)
-def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
-    path = tmp_path / "model.zip"
-    model = saved(path, *spaces_of(PLANAR_ID), algorithm, package)
-    loaded = load_policy(str(path), PLANAR)
-    if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):  # others' files look the same
-        assert type(loaded).__name__ == algorithm
-    observation, _ = gym.make(PLANAR_ID).reset(seed=0)
-    batch, state, expected_state = np.stack([observation, observation / 2]), None, None
-    for step in range(3):
-        start = np.array([step == 0, True])
-        action, state = loaded.predict(batch, state, start, deterministic=True)
-        expected, expected_state = model.predict(batch, expected_state, start, deterministic=True)
-        np.testing.assert_array_equal(action, expected)
-
-
-@pytest.mark.parametrize(
-    ("observation", "action", "message"),
-    [
-        (76, 6, "the model reads 76 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
-        (31, MultiBinary(3), r"the model reads 31 numbers and returns MultiBinary\(3\)"),
-        (Box(-10.0, 10.0, (31,)), 3, r"the model reads an observation that a wrapper rescaled to \[-10, 10\]"),
-        (31, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
-    ],
-)
-def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, message):
-    own, path = spaces_of(PLANAR_ID), tmp_path / "model.zip"
-    if isinstance(observation, int):
-        observation = own[0] if observation == 31 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
-    saved(path, observation, Box(-1.0, 1.0, (action,)) if isinstance(action, int) else action)
-    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}\. The robot has 31 observed numbers"
-    with pytest.raises(ValueError, match=match):
-        load_policy(str(path), PLANAR)
-
-
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_model_of_normalised_observations_reads_them_also_in_physical_units(tmp_path, dtype):
-    """Excludes a model that is silently fed with observations of another scale."""
-    env, path = gym.make(PLANAR_ID, normalised_observation=True, observation_dtype=dtype), tmp_path / "model.zip"
-    model, policy = saved(path, env.observation_space, env.action_space), load_policy(str(path), PLANAR)
-    raw, normalised = gym.make(PLANAR_ID).reset(seed=0)[0], env.reset(seed=0)[0]
-    action = policy.predict(raw, deterministic=True)[0]
-    np.testing.assert_array_equal(action, model.predict(normalised, deterministic=True)[0])
-    assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
-    batch = policy.predict(np.stack([raw, raw]), None, np.ones(2, bool), True)[0]
-    np.testing.assert_allclose(batch, [action, action], rtol=1e-6)
-    np.testing.assert_array_equal(Batch(model, PLANAR_ID).policy.predict(raw, deterministic=True)[0], action)
-    with pytest.raises(ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"):
-        Batch(model, "CableBot-Spatial-v0")
-
-
-def test_file_of_sbx_names_the_command_that_installs_it(tmp_path, monkeypatch):
-    pytest.importorskip("stable_baselines3")
-    monkeypatch.setitem(sys.modules, "sbx", None)
-    with zipfile.ZipFile(tmp_path / "model.zip", "w") as file:
-        file.writestr("data", json.dumps({"policy_class": {"__module__": "sbx.ppo.policies"}}))
-    with pytest.raises(ValueError, match=r"model.zip' was saved by SBX: pip install sbx-rl"):
-        load_policy(str(tmp_path / "model.zip"), PLANAR)
-
-
-def test_model_for_another_workspace_is_accepted(tmp_path):
-    env = gym.make(PLANAR_ID, robot=PLANAR.replace(name="wide", base_anchors=1.5 * PLANAR.base))
-    assert env.observation_space != spaces_of(PLANAR_ID)[0]
-    saved(tmp_path / "model.zip", env.observation_space, env.action_space)
-    assert load_policy(str(tmp_path / "model.zip"), PLANAR) is not None
 
 
 # --- as_policy --------------------------------------------------------------------------------------------------------
@@ -362,7 +274,7 @@ def test_only_policies_and_callables_are_accepted():
             as_policy(thing)
 
 
-def test_callable_gets_one_observation_at_a_time_and_keeps_its_declarations():
+def test_callable_gets_one_observation_at_a_time():
     class Function:
         unsaturated_actions = True
 
@@ -517,7 +429,8 @@ OBSERVATION = np.zeros((1, 21))
 
 def call(policy, observation=OBSERVATION):
     start, payloads = np.ones(len(observation), np.bool_), np.arange(len(observation), dtype=float)
-    return checked_actions(policy, "mine", observation, None, start, cables=3, payloads=payloads, time=0.0)
+    loaded = load(policy, PLANAR, name="mine")
+    return loaded.act(observation, None, start, cables=3, payloads=payloads, time=0.0)
 
 
 def test_policy_gets_a_copy_of_the_observation():
@@ -542,7 +455,7 @@ HELD = [
 
 
 @pytest.mark.parametrize(("name", "env_id"), HELD)
-def test_law_that_is_held_to_it_requests_more_torque_than_the_motors_have(name, env_id):
+def test_held_law_requests_more_torque_than_the_motors_have(name, env_id):
     """A law that saturates under the declaration scored 4.59 instead of 1.78 kg under the paper criterion."""
     env = gym.make(env_id).unwrapped
     robot = env.settings.robot
@@ -562,9 +475,9 @@ def test_law_that_is_held_to_it_requests_more_torque_than_the_motors_have(name, 
 
 
 def test_declarations_of_other_policies_are_not_held(points):
-    assert all(holds_unsaturated_actions(name) for name, _ in HELD)
+    assert all(PolicySpec.parse(name).held for name, _ in HELD)
     assert {name for name, entry in policy_entries().items() if entry.unsaturated_actions} == {name for name, _ in HELD}
     points[ENTRY_POINT_GROUP].append(Point(replace(FL, name="theirs")))
-    assert policy_entry("theirs").unsaturated_actions
+    assert PolicySpec.parse("theirs").entry().unsaturated_actions
     for name in ("trajopt", "apg-loops", "mine:make", "model.zip", "theirs"):
-        assert not holds_unsaturated_actions(name)
+        assert not PolicySpec.parse(name).held

@@ -95,7 +95,7 @@ class Estimated:
         self.policy = policy
         self.robot = robot
         self.estimator = estimator or ExtendedKalmanFilter(robot)
-        self.unsaturated_actions, self.stochastic = declarations(policy)
+        self.unsaturated_actions, self.stochastic, _ = declarations(policy)
         self._full = observation_layout(robot)
         self._measured: ObservationLayout | None = None
 

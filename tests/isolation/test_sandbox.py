@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import cablebot_gym
+from cablebot_gym.isolation import IsolatedPolicy, sandbox
 from cablebot_gym.physics.code_cache import code_folders
-from cablebot_gym.policies import IsolatedPolicy, sandbox
 from cablebot_gym.robots import PLANAR
 
 

@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 from clock import HANG, Clock, wait_until
 
-from cablebot_gym.policies import IsolatedPolicy, PolicyError, isolated
-from cablebot_gym.policies.process import ANSWER
+from cablebot_gym.isolation import IsolatedPolicy, isolated
+from cablebot_gym.isolation.deadlines import TOTAL
+from cablebot_gym.isolation.server import ANSWER, LOAD
+from cablebot_gym.policies import PolicyError
 from cablebot_gym.robots import SPATIAL
 
 MODULE = """
@@ -89,7 +91,7 @@ def alive(pid):
         return False
 
 
-def test_every_batch_gets_a_fresh_process_in_the_working_directory(spec, env):
+def test_every_batch_gets_a_fresh_process(spec, env):
     Path("weight.txt").write_text("0.5", encoding="ascii")
     observation = np.zeros((5, 3))
     with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
@@ -142,7 +144,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
-def test_processes_that_a_policy_starts_end_when_it_is_collected(spec):
+def test_processes_of_a_policy_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
     policy.predict(np.zeros((1, 3)))
     lines = [line.split() for line in Path("pids").read_text(encoding="ascii").splitlines()]
@@ -162,12 +164,12 @@ class Timed:
     def __init__(self, clock, times):
         self.clock, self.times = clock, times
 
-    def exchange(self, request, largest, seconds):
+    def exchange(self, kind, body, largest, seconds):
         needed = next(self.times)
         self.clock.sleep(min(needed, seconds))
         if needed > seconds:
             raise queue.Empty
-        return ANSWER, b"{}" if largest == isolated._TEXT else bytes(largest)
+        return ANSWER, b"{}" if kind == LOAD else bytes(largest)
 
     def end(self):
         pass
@@ -195,10 +197,10 @@ def test_late_answer_raises(monkeypatch, times, message):
     clock = Clock()
     needed = itertools.cycle([times.get(call, 0.0) for call in ("load", "reset", "first", "second")])
     monkeypatch.setattr(isolated, "time", clock)
-    monkeypatch.setattr(isolated, "_Process", lambda specs: Timed(clock, needed))
+    monkeypatch.setattr(isolated, "PolicyProcess", lambda names: Timed(clock, needed))
     with pytest.raises(PolicyError, match=re.escape(f"it did not answer within {message}")):
         ask_for_batches(100, deadline=1.0)
-    assert clock.now <= isolated.TOTAL
+    assert clock.now <= TOTAL
 
 
 @pytest.mark.slow
@@ -206,7 +208,7 @@ def test_late_answer_raises(monkeypatch, times, message):
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)
 def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
     code = "import sys; sys.path[:0] = ['']; import numpy as np\n" + (
-        "from cablebot_gym.policies import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
+        "from cablebot_gym.isolation import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
         "IsolatedPolicy('mine:hangs', SPATIAL).predict(np.zeros((1, 3)))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)

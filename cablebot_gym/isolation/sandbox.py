@@ -80,7 +80,7 @@ def opted_out() -> bool:
     return os.environ.get(_OPT_OUT) == "off"
 
 
-def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[str]:
+def sandboxed(command: list[str], names: Sequence[str], folder: Path) -> list[str]:
     """A command line that runs a command in the sandbox.
 
     The command has no network, sees no other process, and writes to no folder but ``folder`` and an empty home. It
@@ -88,7 +88,7 @@ def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[st
 
     Args:
         command: the command.
-        specs: names of the policy and of its wrappers, as on the command line.
+        names: names of the policy and of its wrappers, as on the command line.
         folder: folder for temporary files.
 
     Raises:
@@ -100,42 +100,51 @@ def sandboxed(command: list[str], specs: Sequence[str], folder: Path) -> list[st
     home, working = Path.home(), Path.cwd()
     (folder / "home").mkdir()
     prefixes = {Path(prefix).absolute() for prefix in (sys.prefix, sys.exec_prefix, sys.base_prefix)}
-    options = ["bwrap", *_NAMESPACES, "--proc", "/proc", "--dev", "/dev"]
     # The working directory may be below /usr, as in containers.
-    options += _readable(map(Path, _SYSTEM))
-    empty = {working: ["--tmpfs", str(working)], home: ["--bind", str(folder / "home"), str(home)]}
-    empty = {path: words for path, words in empty.items() if not any(Path(one).is_relative_to(path) for one in _SYSTEM)}
-    options += [word for path in sorted(empty) for word in empty[path]]  # a folder before those in it
-    options += _readable(path for path in sorted(prefixes) if not any(path.is_relative_to(one) for one in _SYSTEM))
-    options += _readable(_sources(specs, working, prefixes))
+    empty = {working: ("--tmpfs", str(working)), home: ("--bind", str(folder / "home"), str(home))}
+    options = ["bwrap", *_NAMESPACES, "--proc", "/proc", "--dev", "/dev", *_readable(map(Path, _SYSTEM))]
+    for path in sorted(empty):  # a folder before those in it
+        if not any(Path(system).is_relative_to(path) for system in _SYSTEM):
+            options += empty[path]
+    options += _readable(path for path in sorted(prefixes) if not any(map(path.is_relative_to, _SYSTEM)))
+    options += _readable(_sources(names, working, prefixes))
     options += _readable(code_folders())
     options += ["--bind", str(folder), str(folder), "--chdir", str(working)]
-    options += ["--remount-ro", str(working)] if working in empty and working != home else []
+    if "--tmpfs" in options:
+        options += ["--remount-ro", str(working)]
     return [*options, "--remount-ro", "/", "--", *command]
 
 
 def _readable(paths: Iterable[Path]) -> list[str]:
-    return [word for path in dict.fromkeys(paths) for word in ("--ro-bind-try", str(path), str(path))]
+    options = []
+    for path in dict.fromkeys(paths):
+        options += ["--ro-bind-try", str(path), str(path)]
+    return options
 
 
-def _sources(specs: Sequence[str], working: Path, prefixes: set[Path]) -> Iterator[Path]:
+def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterator[Path]:
     """Files and folders outside Python's own that the policy can read: those of modules, and its own."""
-    entry, folders = is_entry(specs[0]), []
-    for spec in specs:
-        path = Path(os.path.abspath(spec))
-        if is_entry(spec):
-            yield from (path / name for name in (CARD, POLICY, PACKAGES))
+    folders = []
+    for name in names:
+        path = Path(os.path.abspath(name))
+        if is_entry(name):
+            yield from (path / part for part in (CARD, POLICY, PACKAGES))
         elif path.suffix in (".zip", ".pkl"):
-            yield from (one for one in (path, statistics_beside(path)) if one is not None)
+            yield path
+            statistics = statistics_beside(path)
+            if statistics is not None:
+                yield statistics
         elif path.suffix.partition(":")[0] == ".py":
             folders.append(path.parent)
     for text in sys.path:
         folder = Path(os.path.abspath(text or working))
-        if not (entry and folder == working) and not any(folder.is_relative_to(prefix) for prefix in prefixes):
+        of_others = is_entry(names[0]) and folder == working
+        if not of_others and not any(map(folder.is_relative_to, prefixes)):
             folders.append(folder)
     for folder in folders:
         if not folder.is_dir() or any(folder.glob("*.dist-info")):  # a .zip of modules; a folder of pip
             yield folder
-        else:  # other subfolders may have results, and hidden files passwords
-            found = (one for one in sorted(folder.iterdir()) if one.is_file() or (one / "__init__.py").is_file())
-            yield from (one for one in found if not one.name.startswith("."))
+            continue
+        for path in sorted(folder.iterdir()):  # other subfolders may have results, and hidden files passwords
+            if not path.name.startswith(".") and (path.is_file() or (path / "__init__.py").is_file()):
+                yield path

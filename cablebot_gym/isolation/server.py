@@ -1,7 +1,7 @@
-"""The process of an isolated policy, which :mod:`cablebot_gym.policies.isolated` starts.
+"""The process of an isolated policy, which :mod:`cablebot_gym.isolation.process` starts.
 
-Requests are pickled by the parent process. Replies are frames: :data:`HEADER` and a body of bytes or JSON. The parent
-process checks them and never unpickles anything.
+Requests and replies are frames: :data:`HEADER` and a body. The judge pickles its requests. Replies are numbers or JSON,
+because the judge must never unpickle what a policy can have written.
 """
 
 from __future__ import annotations
@@ -19,35 +19,22 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import IO, Any
 
-import numpy as np
-
+from cablebot_gym.policies.adapters import PolicyFactory, RealTime
 from cablebot_gym.policies.entry import entry_spec
-from cablebot_gym.policies.loading import load_policy, policy_entry
-from cablebot_gym.policies.protocol import (
-    PolicyError,
-    PolicyFactory,
-    declarations,
-    measured_kind,
-    predicted,
-    reset_policy,
-)
-from cablebot_gym.policies.real_time import RealTime
+from cablebot_gym.policies.protocol import PolicyError, declarations, predicted, reset_policy
+from cablebot_gym.policies.spec import PolicySpec, load
 from cablebot_gym.utils.user_code import raised
 
-HEADER = struct.Struct("<4sBQ")
-"""Header of a reply: :data:`MAGIC`, kind, number of bytes of the body."""
-LENGTH = struct.Struct("<Q")
-"""Header of a request: number of bytes of the body."""
-FOLDER = "cablebot-policy-"
-"""Beginning of the name of the folder for temporary files."""
-MAGIC = b"CBG1"
-"""First bytes of every reply."""
-ANSWER, FAILURE, INVALID = range(3)
-"""Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be loaded."""
+HEADER = struct.Struct("<BQ")
+"""Header of a frame: kind, number of bytes of the body."""
 LOAD, RESET, PREDICT, DESCRIBE = range(4)
 """Kinds of requests."""
+ANSWER, FAILURE, INVALID = range(3)
+"""Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be loaded."""
+FOLDER = "cablebot-policy-"
+"""Beginning of the name of the folder for temporary files."""
 
 _MEMORY_FRACTION = 0.5
 """Fraction of the machine's memory that the process may allocate (Linux)."""
@@ -56,23 +43,59 @@ _WATCH_PERIOD = 1.0
 """Time between two checks whether the parent process is alive [s]."""
 
 
+def send_frame(pipe: IO[bytes], kind: int, body: bytes) -> None:
+    """Writes a frame.
+
+    Raises:
+        OSError: if the pipe is closed.
+    """
+    pipe.write(HEADER.pack(kind, len(body)) + body)
+    pipe.flush()
+
+
+def receive_frame(pipe: IO[bytes], largest: float = math.inf) -> tuple[int, bytes]:
+    """Kind and body of the next frame.
+
+    Args:
+        pipe: the pipe.
+        largest: largest length of the body [bytes].
+
+    Raises:
+        OSError: if the pipe is closed.
+        ValueError: if the body is longer.
+    """
+    header = pipe.read(HEADER.size)
+    if len(header) < HEADER.size:
+        raise OSError("the pipe is closed")
+    kind, size = HEADER.unpack(header)
+    if size > largest:
+        raise ValueError(f"a frame of {size} bytes")
+    body = pipe.read(size)
+    if len(body) < size:
+        raise OSError("the pipe is closed")
+    return kind, body
+
+
 class _Server:
     """A policy and its state."""
 
     def load(
-        self, spec: str, robot: Any, path: list[str], real_time: float | None = None, wrappers: tuple[str, ...] = ()
+        self, name: str, robot: Any, path: list[str], real_time: float | None = None, wrappers: tuple[str, ...] = ()
     ) -> bytes:
         """Loads the policy, for real time if there is a control period, and returns its declarations as JSON."""
         sys.path[:] = path
-        spec = entry_spec(spec)
-        self._policy, self._cables, self._state = load_policy(spec, robot, wrappers=wrappers), robot.cables, None
-        note, names = getattr(self._policy, "note", ""), getattr(self._policy, "wrappers", ())
+        target = PolicySpec.parse(name).target
+        name = name.removesuffix(target) + entry_spec(target)
+        loaded = load(name, robot, wrappers=wrappers)
+        self._policy, self._cables, self._state = loaded.policy, robot.cables, None
         if real_time is not None:
-            self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot, wrappers=wrappers), real_time))
-        unsaturated, stochastic = declarations(self._policy)
-        flags = {"unsaturated_actions": unsaturated, "stochastic": stochastic, "note": note, "wrappers": names}
-        flags["measurement"] = measured_kind(self._policy)
-        return json.dumps(flags | {"fallbacks": hasattr(self._policy, "fallbacks")}).encode()
+            self._policy = PolicyFactory(lambda: RealTime(load(name, robot, wrappers=wrappers).policy, real_time))
+        described = declarations(self._policy)._asdict() | {
+            "notes": loaded.notes,
+            "wrappers": loaded.wrappers,
+            "fallbacks": hasattr(self._policy, "fallbacks"),
+        }
+        return json.dumps(described).encode()
 
     def reset(self, tasks: Any) -> bytes:
         """Resets the policy."""
@@ -82,9 +105,8 @@ class _Server:
 
     def predict(self, observation: Any, start: Any, fresh: bool) -> bytes:
         """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does not count them."""
-        rows = np.atleast_2d(observation)
         state = None if fresh else self._state
-        actions, self._state = predicted(self._policy, rows, state, start, self._cables)
+        actions, self._state = predicted(self._policy, observation, state, start, self._cables)
         fallbacks = math.nan
         with suppress(Exception):
             fallbacks = float(getattr(self._policy, "fallbacks", math.nan))
@@ -93,60 +115,52 @@ class _Server:
     def describe(self, name: str, path: list[str]) -> bytes:
         """Data of the entry of an installed policy as JSON."""
         sys.path[:] = path
-        entry = policy_entry(name)
+        entry = PolicySpec.parse(name).entry()
         if entry is None:
             raise ValueError(f"its package cannot be imported, or its entry has another name than {name!r}")
         files = None if entry.files is None else [os.path.abspath(file) for file in entry.files]
         return json.dumps({"env_ids": list(entry.env_ids), "slow": entry.slow, "files": files}).encode()
 
 
-def serve(receive: Callable[[], bytes], send: Callable[[int, bytes], None]) -> None:
-    """Answers requests until ``receive`` returns nothing."""
+def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
+    """Answers requests.
+
+    Raises:
+        OSError: if a pipe is closed.
+    """
     server = _Server()
-    while request := receive():
-        kind, failure = -1, FAILURE
+    methods: dict[int, Callable[..., bytes]] = {
+        LOAD: server.load,
+        RESET: server.reset,
+        PREDICT: server.predict,
+        DESCRIBE: server.describe,
+    }
+    while True:
+        kind, request = receive_frame(requests)
         try:
-            kind, *content = pickle.loads(request)
-            body = (server.load, server.reset, server.predict, server.describe)[kind](*content)
+            body = methods[kind](*pickle.loads(request))
         except BaseException as error:
-            text, index = raised(error), None
+            failure, text, index = FAILURE, raised(error), None
             if isinstance(error, PolicyError):
                 text, index = error.cause, error.index
             elif kind == LOAD and isinstance(error, (ValueError, ImportError)):
-                text, failure = str(error), INVALID
-            send(failure, json.dumps({"error": text[:4000], "index": index}).encode())
+                failure, text = INVALID, str(error)
+            send_frame(replies, failure, json.dumps({"error": text[:4000], "index": index}).encode())
         else:
-            send(ANSWER, body)
+            send_frame(replies, ANSWER, body)
 
 
 def main() -> None:
     """Keeps the two pipes for itself and serves them. Output of the policy goes to the null device."""
-    requests, replies = os.dup(0), os.dup(1)
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 0)
     os.dup2(null, 1)
     _limit_resources()
     parent, folder = os.getppid(), tempfile.gettempdir()  # the policy may change the environment variables
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
-
-    def read(size: int) -> bytes:
-        parts = []
-        while size > 0 and (part := os.read(requests, min(size, 1 << 20))):
-            parts.append(part)
-            size -= len(part)
-        return b"".join(parts)
-
-    def receive() -> bytes:
-        header = read(LENGTH.size)
-        return read(*LENGTH.unpack(header)) if len(header) == LENGTH.size else b""
-
-    def send(kind: int, body: bytes) -> None:
-        view = memoryview(HEADER.pack(MAGIC, kind, len(body)) + body)
-        while view:
-            view = view[os.write(replies, view) :]
-
     with suppress(OSError):  # the parent process is gone, or the policy has closed the pipes
-        serve(receive, send)
+        serve(requests, replies)
     _remove(folder)
     os._exit(0)  # threads of the policy may still run
 
@@ -173,9 +187,11 @@ def memory_limit(number: int) -> int:
     """
     import resource
 
-    limit, hard = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), resource.getrlimit(resource.RLIMIT_DATA)[1]
-    limit = int(_MEMORY_FRACTION * limit)
-    return (limit if hard == resource.RLIM_INFINITY else min(limit, hard)) - number
+    limit = int(_MEMORY_FRACTION * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    if hard != resource.RLIM_INFINITY:
+        limit = min(limit, hard)
+    return limit - number
 
 
 def _end_with(parent: int, folder: str) -> None:

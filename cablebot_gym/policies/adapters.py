@@ -1,0 +1,280 @@
+"""Adapters: functions, factories, sequences of actions, and trained models as policies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from cablebot_gym.envs.observation import ObservationLayout
+from cablebot_gym.policies.protocol import (
+    Array,
+    BatchItemError,
+    Policy,
+    declarations,
+    name_of,
+    required_arguments,
+    reset_policy,
+    to_floats,
+)
+from cablebot_gym.policies.wrappers import Coroutine, Stack
+from cablebot_gym.task import Task
+from cablebot_gym.utils.user_code import raised
+
+WARM_UP = 10
+"""Number of first actions that are never late: libraries load and code is compiled there."""
+
+
+def as_policy(policy: Any) -> Policy:
+    """Returns a policy unchanged, and a callable ``observation -> action`` as a policy.
+
+    Raises:
+        TypeError: if the object is neither a policy nor a callable.
+    """
+    if isinstance(policy, type):
+        raise TypeError(f"a policy must be an object, not the class {policy.__name__}: pass {policy.__name__}(…)")
+    if isinstance(policy, Policy):
+        return policy
+    if callable(policy):
+        return CallablePolicy(policy)
+    raise TypeError(
+        f"a policy must have predict() or be a callable observation -> action; {type(policy).__name__} is neither"
+    )
+
+
+class CallablePolicy:
+    """A policy made from a function ``observation -> action``, which is called for one observation at a time.
+
+    All episodes of a batch share the function, so it must not remember anything from one call to the next. Use
+    :class:`PolicyFactory` for a callable with state.
+    """
+
+    def __init__(self, function: Callable[[Array], Any]) -> None:
+        self._function = function
+        self.unsaturated_actions, self.stochastic, self.measurement = declarations(function)
+        if hasattr(function, "reset"):
+            self.reset = function.reset
+
+    def predict(
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """Action of the function for each observation.
+
+        Raises:
+            BatchItemError: if the function raises, or if its results are not numbers of one shape.
+        """
+        if observation.ndim == 1:
+            return np.asarray(self._function(observation), float), state
+        return _stacked(observation, lambda _, row: self._function(row)), state
+
+
+class PolicyFactory:
+    """A policy that makes one instance for each episode of a batch, for controllers that keep their own state.
+
+    ``PolicyFactory(MyController)`` calls ``MyController()`` for every episode. An instance gets the observations of
+    its episode alone, so the result does not depend on the other episodes.
+
+    Args:
+        factory: function without arguments that returns a policy or a callable ``observation -> action``. It is called
+            once at the construction to read the declarations of the policy.
+    """
+
+    def __init__(self, factory: Callable[[], Any]) -> None:
+        self.name = name_of(factory)
+        missing = ", ".join(required_arguments(factory)) if isinstance(factory, type) else ""
+        if missing:
+            raise TypeError(
+                f"PolicyFactory calls {self.name}(), which needs {missing}: "
+                f"PolicyFactory(lambda: {self.name}({missing}))"
+            )
+        self._factory = factory
+        self.unsaturated_actions, self.stochastic, self.measurement = declarations(self._make())
+        self._instances: list[Policy] = []
+
+    def _make(self) -> Policy:
+        return as_policy(self._factory())
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Makes an instance for each task and resets it."""
+        self._instances = [self._make() for _ in tasks]
+        for instance, task in zip(self._instances, tasks, strict=True):
+            reset_policy(instance, self.name, partial(tuple, [task]))
+
+    def predict(
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """Action of each episode's instance; the state is the list of the states of the instances.
+
+        Raises:
+            BatchItemError: if an instance raises, or if the actions are not numbers of one shape.
+        """
+        rows = np.atleast_2d(observation)
+        if len(rows) != len(self._instances):
+            self._instances = [self._make() for _ in rows]
+        states = [None] * len(rows) if state is None else list(state)
+        starts = np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
+
+        def act(index: int, row: Array) -> Any:
+            start = starts[index : index + 1]
+            actions, states[index] = self._instances[index].predict(row[None], states[index], start, deterministic)
+            return np.asarray(actions)[0]
+
+        actions = _stacked(rows, act)
+        return (actions if observation.ndim > 1 else actions[0]), states
+
+
+def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
+    """Actions of a function of index and observation, (N, m).
+
+    Raises:
+        BatchItemError: if the function raises, or if its results are not numbers of one shape.
+    """
+    actions: list[Array] = []
+    for index, row in enumerate(observation):
+        try:
+            action = to_floats(act(index, row))
+        except KeyboardInterrupt:
+            raise
+        except BatchItemError as error:
+            raise BatchItemError(index, str(error)) from error.__cause__
+        except BaseException as error:
+            raise BatchItemError(index, raised(error, "it failed with")) from error
+        actions.append(action)
+        if action.shape != actions[0].shape:
+            raise BatchItemError(index, f"it returned shape {action.shape} after {actions[0].shape}")
+    return np.stack(actions)
+
+
+class OpenLoop:
+    """A policy that returns given actions one after the other.
+
+    Args:
+        actions: action of every control step, (steps, m).
+    """
+
+    def __init__(self, actions: Array) -> None:
+        self._actions = actions
+
+    def predict(
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """The next action for each observation; the state is the number of past steps."""
+        step = state or 0
+        action = self._actions[step]
+        return np.broadcast_to(action, (*observation.shape[:-1], len(action))), step + 1
+
+
+class RealTime:
+    """A policy for one episode whose late actions are replaced by the last one, as a real-time controller would.
+
+    ``PolicyFactory(lambda: RealTime(make_policy(), period))`` times the actions of each episode one by one. The times
+    differ between runs, so the policy is stochastic. The clock is that of the policy's process, which can change it:
+    the times hold for honest policies only.
+
+    Args:
+        policy: a policy or a callable ``observation -> action``.
+        period: control period [s]; infinite if no action is late.
+    """
+
+    def __init__(self, policy: Any, period: float) -> None:
+        self._policy, self._period = as_policy(policy), period
+        self.name = name_of(policy)
+        self.unsaturated_actions, _, self.measurement = declarations(self._policy)
+        self.stochastic = True
+        self.times: list[float] = []
+        """Times of the actions of the present episode [s]."""
+        self.reset_time = 0.0
+        """Time of the last reset [s]."""
+        self._last_action: Array = np.zeros(0)
+
+    def reset(self, tasks: tuple[Task, ...]) -> None:
+        """Resets the policy."""
+        self.times = []
+        start = time.perf_counter()
+        reset_policy(self._policy, self.name, lambda: tasks)
+        self.reset_time = time.perf_counter() - start
+
+    def predict(
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """Action of the policy, or its last one if it is late. The first :data:`WARM_UP` actions are never late."""
+        start = time.perf_counter()
+        action, state = self._policy.predict(observation, state, episode_start, deterministic)
+        self.times.append(time.perf_counter() - start)
+        if len(self.times) <= WARM_UP or self.times[-1] <= self._period:
+            self._last_action = action
+        return self._last_action, state
+
+
+class NormalisedPolicy:
+    """A model that reads normalised observations, as a policy that reads observations in physical units.
+
+    Args:
+        model: object with Stable-Baselines3's ``predict``.
+        layout: layout of the robot's observation.
+    """
+
+    def __init__(self, model: Any, layout: ObservationLayout) -> None:
+        self._model, self._layout = model, layout
+
+    def predict(
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """Actions and the state to pass next time.
+
+        Raises:
+            ValueError: if the observation is not that of the layout.
+        """
+        actions, state = self._model.predict(self._layout.normalise(observation), state, episode_start, deterministic)
+        return actions, state
+
+
+class WrappedPolicy:
+    """A policy behind the wrappers of its training, which get a stand-in and never the judge's environment.
+
+    The wrappers are made anew for each batch of episodes, at the first call with ``state=None``, and wrap an
+    environment without physics. The state that ``predict`` returns holds them, so it has to be passed to the next call.
+
+    Args:
+        policy: the policy, which gets wrapped observations and returns the actions that the wrappers expect.
+        stack: the wrappers.
+        note: a sentence about wrappers that the user did not give; may be empty.
+    """
+
+    def __init__(self, policy: Policy, stack: Stack, note: str = "") -> None:
+        self.policy, self.note, self.wrappers = policy, note, stack.names
+        self.unsaturated_actions, self.stochastic, _ = declarations(policy)
+        self._stack = stack
+        self._tasks: tuple[Task, ...] | None = None
+
+    @property
+    def fallbacks(self) -> Any:
+        """The fallbacks of the policy.
+
+        Raises:
+            AttributeError: if it does not count them.
+        """
+        return self.policy.fallbacks  # type: ignore[attr-defined]
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Resets the policy. The stand-in of the next batch has these tasks."""
+        self._tasks = tuple(tasks)
+        reset_policy(self.policy, "", lambda: tuple(tasks))
+
+    def predict(
+        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
+        """Actions (N, m) or (m,) of the robot, and the state of the wrappers and of the policy.
+
+        Raises:
+            Exception: whatever a wrapper raises.
+        """
+        rows = np.atleast_2d(observation)
+        starts = np.full(len(rows), state is None) if episode_start is None else np.atleast_1d(episode_start)
+        if state is None:
+            state = Coroutine(partial(self._stack.run, self.policy, self._tasks))
+        actions = state.send(rows, starts, deterministic)
+        return (actions if np.ndim(observation) > 1 else actions[0]), state

@@ -1,0 +1,342 @@
+"""A policy's name becomes one :class:`~cablebot_gym.policies.protocol.LoadedPolicy`, once."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from cablebot_gym.envs import ENV_ROBOTS
+from cablebot_gym.policies.adapters import as_policy
+from cablebot_gym.policies.entry import CARD
+from cablebot_gym.policies.protocol import (
+    LoadedPolicy,
+    Policy,
+    PolicyEntry,
+    PolicyError,
+    declarations,
+    name_of,
+    say,
+)
+from cablebot_gym.policies.sb3 import behind_wrappers, load_model, statistics_beside
+from cablebot_gym.policies.wrappers import Wrapper
+from cablebot_gym.robots import Robot, find_robot, robot_names
+from cablebot_gym.utils.checks import unknown_name_error
+from cablebot_gym.utils.files import check_not_a_file
+from cablebot_gym.utils.imports import import_object
+from cablebot_gym.utils.user_code import raised
+
+_LOGGER = logging.getLogger("cablebot_gym")
+
+_NAME = attrgetter("name")
+
+ENTRY_POINT_GROUP = "cablebot_gym.policies"
+"""Entry point group of policies. A package adds a policy by an entry point that names a :class:`PolicyEntry`. The entry
+point has the name of the policy."""
+
+FILE_ENTRY_POINT_GROUP = "cablebot_gym.policy_files"
+"""Entry point group of file loaders. A package adds a kind of policy file by an entry point that names a
+:data:`FileLoader`."""
+
+ESTIMATOR_ENTRY_POINT_GROUP = "cablebot_gym.estimators"
+"""Entry point group of estimators, which run any policy with the sensors of winches: ``ekf+fl`` names the policy ``fl``
+behind the estimator ``ekf``. An entry point names a function of the nominal robot and the policy that returns a
+policy."""
+
+FileLoader = Callable[[Path, Robot], Policy | None]
+"""Makes a policy from a ``.zip`` file and a nominal robot. It returns None if the file is of another kind. It raises a
+ValueError with an explanation if the file is of its kind, but is damaged or made for another robot."""
+
+
+Kind = Literal["entry", "installed", "file", "factory", "unknown"]
+"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip`` file;
+``package.module:factory`` or ``file.py:factory``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySpec:
+    """A policy's name, read without importing or running any code."""
+
+    text: str
+    """The name as on the command line."""
+    estimators: tuple[EntryPoint, ...]
+    """Installed estimators in front of the policy, the outermost first: ``ekf`` of ``ekf+fl``."""
+    target: str
+    """The name without the estimators."""
+    kind: Kind
+    """Kind of the target."""
+    points: tuple[EntryPoint, ...]
+    """Entry points of the installed policy. Those of this project come first."""
+
+    @classmethod
+    def parse(cls, text: str) -> PolicySpec:
+        """The parts of a policy's name."""
+        estimators: list[EntryPoint] = []
+        target = text
+        while "+" in target:
+            name, _, policy = target.partition("+")
+            candidates = list(entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP, name=name))
+            if not policy or not candidates:
+                break
+            estimators.append(candidates[0])
+            target = policy
+        points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=target))
+        kind: Kind = "unknown"
+        if Path(target, CARD).is_file():
+            kind = "entry"
+        elif points:
+            kind = "installed"
+        elif target.endswith(".zip"):
+            kind = "file"
+        elif ":" in target or target.endswith(".py"):
+            kind = "factory"
+        return cls(text=text, estimators=tuple(estimators), target=target, kind=kind, points=points)
+
+    @property
+    def installed(self) -> bool:
+        """Whether it is the name of an installed policy alone."""
+        return self.kind == "installed" and not self.estimators
+
+    @property
+    def own(self) -> bool:
+        """Whether it is the name of a policy of this project alone, and not of another installed package."""
+        return self.installed and is_own(self.points[0])
+
+    @property
+    def held(self) -> bool:
+        """Whether this project holds the policy to its declaration ``unsaturated_actions``.
+
+        False stands for every other policy, also of other packages, whose declaration is taken on trust.
+        """
+        return self.own and bool(self.points[0].load().unsaturated_actions)
+
+    def entry(self) -> PolicyEntry | None:
+        """The entry of the installed policy, imported; None if there is none.
+
+        An entry that cannot be imported, or has another name than its entry point, is skipped with a warning.
+        """
+        return _first_entry(self.points)
+
+
+def is_own(point: EntryPoint) -> bool:
+    """Whether an entry point is one of this project, and not of another installed package."""
+    return point.dist is not None and point.dist.name == "cablebot-gym"
+
+
+def policy_names() -> list[str]:
+    """Names of all installed policies, sorted."""
+    return sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)})
+
+
+def policy_entries() -> dict[str, PolicyEntry]:
+    """All installed policies by name, sorted. A policy whose package cannot be imported is skipped with a warning."""
+    entries = {}
+    for name, points in groupby(sorted(entry_points(group=ENTRY_POINT_GROUP), key=_NAME), key=_NAME):
+        entry = _first_entry(_own_first(points))
+        if entry is not None:
+            entries[name] = entry
+    return entries
+
+
+def _own_first(points: Iterable[EntryPoint]) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(points, key=is_own, reverse=True))
+
+
+def _first_entry(points: Iterable[EntryPoint]) -> PolicyEntry | None:
+    for point in points:
+        try:
+            entry: PolicyEntry = point.load()
+        except Exception as error:
+            _LOGGER.warning("policy %r is skipped: %s raised %s", point.name, point.value, error)
+            continue
+        if entry.name == point.name:
+            return entry
+        _LOGGER.warning("policy %r is skipped: its entry has the name %r", point.name, entry.name)
+    return None
+
+
+def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
+    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``; ``ekf+…`` behind an estimator.
+
+    A factory, a function or a class, is called with the nominal robot, or with nothing if it needs nothing. A file is
+    passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of them return None, the file is loaded as a
+    Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG. If sb3-contrib is installed, models of TQC, CrossQ,
+    RecurrentPPO, TRPO and ARS are loaded as well, and if SBX is installed, its models.
+
+    Args:
+        name: the name.
+        robot: nominal robot, its name, or an environment id.
+        wrappers: wrappers of the training, the innermost first, see
+            :data:`~cablebot_gym.policies.wrappers.Wrapper`. The statistics of a ``VecNormalize`` beside a
+            Stable-Baselines3 file are used without being named, and a note on standard error says so.
+
+    Raises:
+        ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the robot. The message
+            lists the valid names.
+        PolicyError: if the code of the policy tries to end the process.
+    """
+    return load(name, as_robot(robot), wrappers=wrappers).policy
+
+
+def load(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequence[Wrapper] = ()) -> LoadedPolicy:
+    """Loads a policy, and says its notes. A policy that is loaded already is returned.
+
+    Args:
+        policy: a name as for :func:`load_policy`, a policy object, a callable, a class that makes a policy, or a loaded
+            policy, such as an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`.
+        robot: nominal robot.
+        name: name of the policy in results and messages; None for its own name.
+        wrappers: as for :func:`load_policy`.
+
+    Raises:
+        TypeError: if the object is neither a policy nor a callable.
+        ValueError: if the policy cannot be made, or does not fit the robot, or if a loaded policy gets wrappers.
+        PolicyError: if the code of the policy tries to end the process.
+    """
+    loaded = getattr(policy, "loaded", policy)
+    if isinstance(loaded, LoadedPolicy):
+        if wrappers:
+            raise ValueError(f"policy {loaded.name!r} is loaded already: give the wrappers where it is loaded")
+        return replace(loaded, name=name or loaded.name)
+    if isinstance(policy, str):
+        spec = PolicySpec.parse(policy)
+        target, subject, beside = _make(spec, robot)
+        estimators, held = spec.estimators, spec.held and not wrappers
+    else:
+        subject, beside, estimators, held = f"policy {name or name_of(policy)!r}", None, (), False
+        target = _call(policy, robot, subject) if isinstance(policy, type) else as_policy(policy)
+    made = target = behind_wrappers(target, robot, subject, wrappers, beside)
+    for estimator in reversed(estimators):
+        made = estimator.load()(robot, made)
+    note = getattr(target, "note", "")
+    if note:
+        say(note)
+    return LoadedPolicy(
+        policy=made,
+        name=name or name_of(policy),
+        declarations=declarations(made),
+        held=held,
+        wrappers=tuple(getattr(target, "wrappers", ())),
+        notes=(note,) if note else (),
+    )
+
+
+def as_robot(robot: Robot | str) -> Robot:
+    """The robot of an environment id; otherwise as :func:`~cablebot_gym.robots.find_robot`.
+
+    Raises:
+        ValueError: if the name is unknown.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    names = [*ENV_ROBOTS, *robot_names()]
+    if robot not in names and not Path(robot).suffix and not Path(robot).exists():
+        raise unknown_name_error("environment or robot", robot, names, ", a robot file, or pass a Robot")
+    return find_robot(ENV_ROBOTS.get(robot, robot))
+
+
+def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
+    """The target of a name without wrappers, the subject of messages, and a file of statistics beside it."""
+    name, subject = spec.target, f"policy {spec.target!r}"
+    if spec.kind == "entry":
+        raise ValueError(f"entry {name!r} runs in a process of its own only: `cablebot dlcc --isolate` does it")
+    entry = spec.entry()
+    if entry is not None:
+        return entry.factory(robot), subject, None
+    if spec.kind == "file":
+        path = Path(name)
+        return _load_file(path, robot), f"policy file {name!r}", statistics_beside(path)
+    if spec.kind == "factory":
+        factory = _import_factory(name, subject)
+        return _call(factory, robot, subject), subject, None
+    forms = "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
+    check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
+    raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
+
+
+def _import_factory(name: str, subject: str) -> Callable[..., Any]:
+    try:
+        factory = import_object(name)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        reason = error if isinstance(error, Exception) else raised(error)
+        raise _failure(error, subject, f"cannot import it ({reason})") from error
+    if isinstance(factory, PolicyEntry):
+        return factory.factory
+    if isinstance(factory, Policy) and not isinstance(factory, type):
+        return lambda: factory
+    if not callable(factory):
+        raise ValueError(f"{subject}: it must be a function that takes a robot and returns a policy")
+    return cast(Callable[..., Any], factory)
+
+
+def _call(factory: Callable[..., Any], robot: Robot, subject: str) -> Policy:
+    """The policy of a factory, which is called with the robot, or with nothing if it takes nothing."""
+    try:
+        created = factory(*_arguments(factory, robot))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise _failure(error, subject, raised(error, "the factory raised")) from error
+    try:
+        return as_policy(created)
+    except TypeError as error:
+        raise ValueError(f"{subject}: the factory must return a policy; {error}") from None
+
+
+def _arguments(factory: Callable[..., Any], robot: Robot) -> list[Robot]:
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:  # some callables of C have none
+        return [robot]
+    candidates: list[list[Robot]] = [[robot], []]
+    if isinstance(factory, type) and "robot" not in signature.parameters:
+        candidates.reverse()  # its first argument may be anything
+    for arguments in candidates:
+        with suppress(TypeError):
+            signature.bind(*arguments)
+            return arguments
+    remedy = f"def make(robot): return {name_of(factory)}(…)"
+    raise TypeError(f"it takes {signature}, but is called with the robot: {remedy}")
+
+
+def _failure(error: BaseException, subject: str, cause: str) -> ValueError | PolicyError:
+    """A PolicyError for an attempt to end the process, such as SystemExit, and a ValueError for other errors."""
+    text = f"{subject}: {cause}"
+    return ValueError(text) if isinstance(error, Exception) else PolicyError(text, cause=cause)
+
+
+def _load_file(path: Path, robot: Robot) -> Policy:
+    subject = f"policy file {str(path)!r}"
+    if not path.is_file():
+        raise ValueError(f"{subject} does not exist")
+    damaged: Any = True
+    with suppress(Exception), zipfile.ZipFile(path) as file:
+        damaged = file.testzip()
+    if damaged is not None:
+        raise ValueError(f"{subject} is not a zip file, or it is damaged: save or copy it again")
+    for point in entry_points(group=FILE_ENTRY_POINT_GROUP):
+        try:
+            loader: FileLoader = point.load()
+        except Exception as error:
+            _LOGGER.warning("policy files of kind %r are skipped: %s raised %s", point.name, point.value, error)
+            continue
+        try:
+            policy = loader(path, robot)
+        except ValueError:
+            raise
+        except Exception as error:
+            reason = f"{point.value} raised {type(error).__name__}: {error}"
+            raise ValueError(f"{subject} cannot be loaded: {reason}") from error
+        if policy is not None:
+            return policy
+    return cast(Policy, load_model(path))

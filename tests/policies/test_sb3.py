@@ -1,0 +1,246 @@
+"""Policy files: bundles of other packages, and models of Stable-Baselines3 behind the wrappers of their training."""
+
+from __future__ import annotations
+
+import functools
+import json
+import pickle
+import sys
+import zipfile
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import wrappers as single
+from gymnasium.spaces import Box, MultiBinary
+
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.policies import load, load_policy
+from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
+from cablebot_gym.policies.wrappers import statistics
+from cablebot_gym.robots import PLANAR, SPATIAL
+
+PLANAR_ID = "CableBot-Planar-v0"
+LAYOUT = observation_layout(PLANAR)
+HALF = np.full(3, 0.5, np.float32)
+
+
+class Spaces(gym.Env):
+    """An environment that has only spaces."""
+
+    def __init__(self, observation, action):
+        self.observation_space, self.action_space = observation, action
+
+    def reset(self, *, seed=None, options=None):
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, False, False, {}
+
+
+def spaces_of(env_id):
+    env = gym.make(env_id)
+    return env.observation_space, env.action_space
+
+
+def saved(path, observation, action, algorithm="PPO", package="stable_baselines3"):
+    """Saves an untrained model."""
+    on_policy = {"n_steps": 8, "batch_size": 8}
+    few = {"PPO": on_policy, "RecurrentPPO": on_policy, "TRPO": on_policy, "A2C": {}, "ARS": {"n_delta": 1}}
+    recurrent = algorithm == "RecurrentPPO"
+    model = getattr(pytest.importorskip(package), algorithm)(
+        "MlpLstmPolicy" if recurrent else "MlpPolicy",
+        Spaces(observation, action),
+        policy_kwargs={"net_arch": [4]} | ({"lstm_hidden_size": 4} if recurrent else {}),
+        seed=1,
+        **few.get(algorithm, {"buffer_size": 10}),
+    )
+    model.save(path)
+    return model
+
+
+CASES = [
+    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.slow)
+    for package, names in (("stable_baselines3", SB3_ALGORITHMS), ("sb3_contrib", CONTRIB_ALGORITHMS))
+    for name in names
+]
+
+
+@pytest.mark.parametrize(("package", "algorithm"), CASES)
+def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
+    path = tmp_path / "model.zip"
+    model = saved(path, *spaces_of(PLANAR_ID), algorithm, package)
+    loaded = load_policy(str(path), PLANAR)
+    if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):  # others' files look the same
+        assert type(loaded).__name__ == algorithm
+    observation, _ = gym.make(PLANAR_ID).reset(seed=0)
+    batch, state, expected_state = np.stack([observation, observation / 2]), None, None
+    for step in range(3):
+        start = np.array([step == 0, True])
+        action, state = loaded.predict(batch, state, start, deterministic=True)
+        expected, expected_state = model.predict(batch, expected_state, start, deterministic=True)
+        np.testing.assert_array_equal(action, expected)
+
+
+@pytest.mark.parametrize(
+    ("observation", "action", "message"),
+    [
+        (76, 6, "the model reads 76 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
+        (31, MultiBinary(3), r"the model reads 31 numbers and returns MultiBinary\(3\)"),
+        (Box(-10.0, 10.0, (31,)), 3, r"the model reads an observation that a wrapper rescaled to \[-10, 10\]"),
+        (31, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
+    ],
+)
+def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, message):
+    own, path = spaces_of(PLANAR_ID), tmp_path / "model.zip"
+    if isinstance(observation, int):
+        observation = own[0] if observation == 31 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
+    saved(path, observation, Box(-1.0, 1.0, (action,)) if isinstance(action, int) else action)
+    match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}\. The robot has 31 observed numbers"
+    with pytest.raises(ValueError, match=match):
+        load_policy(str(path), PLANAR)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_model_of_normalised_observations_gets_them(tmp_path, dtype):
+    """Excludes a model that is silently fed with observations of another scale."""
+    env, path = gym.make(PLANAR_ID, normalised_observation=True, observation_dtype=dtype), tmp_path / "model.zip"
+    model, policy = saved(path, env.observation_space, env.action_space), load_policy(str(path), PLANAR)
+    raw, normalised = gym.make(PLANAR_ID).reset(seed=0)[0], env.reset(seed=0)[0]
+    action = policy.predict(raw, deterministic=True)[0]
+    np.testing.assert_array_equal(action, model.predict(normalised, deterministic=True)[0])
+    assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
+    batch = policy.predict(np.stack([raw, raw]), None, np.ones(2, bool), True)[0]
+    np.testing.assert_allclose(batch, [action, action], rtol=1e-6)
+    np.testing.assert_array_equal(load(model, PLANAR).policy.predict(raw, deterministic=True)[0], action)
+    with pytest.raises(ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"):
+        load(model, SPATIAL)
+
+
+def test_file_of_sbx_names_the_command_that_installs_it(tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.setitem(sys.modules, "sbx", None)
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as file:
+        file.writestr("data", json.dumps({"policy_class": {"__module__": "sbx.ppo.policies"}}))
+    with pytest.raises(ValueError, match=r"model.zip' was saved by SBX: pip install sbx-rl"):
+        load_policy(str(tmp_path / "model.zip"), PLANAR)
+
+
+def test_model_for_another_workspace_is_accepted(tmp_path):
+    env = gym.make(PLANAR_ID, robot=PLANAR.replace(name="wide", base_anchors=1.5 * PLANAR.base))
+    assert env.observation_space != spaces_of(PLANAR_ID)[0]
+    saved(tmp_path / "model.zip", env.observation_space, env.action_space)
+    assert load_policy(str(tmp_path / "model.zip"), PLANAR) is not None
+
+
+# --- wrappers of the training -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trained(tmp_path):
+    """Makes an untrained PPO model and the ``VecNormalize`` of its training environment."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
+
+    def make(wrap=lambda env: env, *, frames=1, **keywords):
+        venv = DummyVecEnv([lambda: wrap(gym.make(PLANAR_ID, **keywords))])
+        normalize = VecNormalize(venv)
+        venv = VecFrameStack(normalize, frames) if frames > 1 else normalize
+        model = sb3.PPO("MlpPolicy", venv, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs={"net_arch": []}, seed=0)
+        return model, normalize
+
+    return make
+
+
+def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog):
+    """A model of normalised observations was judged on raw ones, silently."""
+    model, normalize = trained(normalised_observation=True)
+    normalize.obs_rms.mean, normalize.obs_rms.var = np.linspace(-1, 1, 31), np.linspace(0.5, 2, 31)
+    layouts = {
+        "plain": ("best.zip", "vecnormalize.pkl"),
+        "zoo": ("ppo/ID_1/ID.zip", "ppo/ID_1/ID/vecnormalize.pkl"),
+        "best": ("zoo/ID_1/best_model.zip", "zoo/ID_1/ID/vecnormalize.pkl"),
+        "checkpoint": ("rl_model_800_steps.zip", "rl_model_vecnormalize_800_steps.pkl"),
+    }
+    raw_observation = gym.make(PLANAR_ID).reset(seed=0)[0]
+    seen = normalize.normalize_obs(LAYOUT.normalise(raw_observation))
+    for folder, (zip_name, pkl_name) in layouts.items():
+        file, pkl = tmp_path / folder / zip_name, tmp_path / folder / pkl_name
+        pkl.parent.mkdir(parents=True, exist_ok=True)
+        model.save(file)
+        normalize.save(pkl)
+        policy = load_policy(str(file), PLANAR)
+        assert policy.wrappers == ("normalised_observation", str(pkl))
+        assert f"note: policy file {str(file)!r} gets observations normalised by {str(pkl)!r}" in caplog.text
+        np.testing.assert_allclose(policy.predict(raw_observation)[0], model.predict(seen, deterministic=True)[0])
+    Path(pkl).unlink()
+    assert not hasattr(load_policy(str(file), PLANAR), "wrappers")
+    np.testing.assert_array_equal(
+        load_policy(str(file), PLANAR, wrappers=[tmp_path / "plain" / "vecnormalize.pkl"]).predict(raw_observation)[0],
+        policy.predict(raw_observation)[0],
+    )
+
+
+def test_statistics_of_another_robot_are_refused(trained, tmp_path):
+    model, normalize = trained()
+    model.save(tmp_path / "best.zip")
+    normalize.obs_rms.mean = np.zeros(3)
+    normalize.observation_space = gym.spaces.Box(-1, 1, (76,))
+    normalize.save(tmp_path / "vecnormalize.pkl")
+    with pytest.raises(ValueError, match=r"its statistics are those of 76 numbers, but the environment has 31"):
+        load_policy(str(tmp_path / "best.zip"), PLANAR)
+    (tmp_path / "vecnormalize.pkl").write_bytes(b"no pickle")
+    with pytest.raises(ValueError, match=r"vecnormalize.pkl': it is no pickle of VecNormalize"):
+        load_policy(str(tmp_path / "best.zip"), PLANAR)
+
+
+def test_model_without_its_statistics_is_refused(trained, tmp_path):
+    """The zip does not say that there was a VecNormalize, but it has the last observation of the training."""
+    model, _ = trained(normalised_observation=True)
+    model.learn(64)
+    model.save(tmp_path / "best.zip")
+    with pytest.raises(ValueError, match=r"was trained behind VecNormalize or a wrapper like it.*--normalize FILE"):
+        load_policy(str(tmp_path / "best.zip"), PLANAR)
+    assert "normalised_observation" in load(model, PLANAR).wrappers
+
+
+def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
+    """Excludes a model that is judged behind fewer or other wrappers than it was trained behind."""
+    stack, half = (
+        (lambda env: single.FrameStackObservation(env, 2)),
+        (lambda env: single.RescaleAction(env, -HALF, HALF)),
+    )
+    model, normalize = trained(lambda env: single.FlattenObservation(stack(half(env))))
+    model.save(tmp_path / "best.zip")
+    normalize.save(tmp_path / "vecnormalize.pkl")
+    wrappers = [half, stack, single.FlattenObservation, tmp_path / "vecnormalize.pkl"]
+    policy = load_policy(str(tmp_path / "best.zip"), PLANAR, wrappers=wrappers)
+    assert policy.predict(np.zeros((2, 31)))[0].shape == (2, 3)
+    (tmp_path / "vecnormalize.pkl").rename(tmp_path / "statistics.pkl")
+    for fewer, message in (
+        ([], r"the model reads 62 numbers and returns 3 numbers. .*--wrapper file.py:name and --normalize FILE"),
+        (
+            wrappers[1:3],
+            r"returns rescaled actions within \[-0.5, 0.5\].*Behind <lambda>, FlattenObservation it has 62",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            load_policy(str(tmp_path / "best.zip"), PLANAR, wrappers=fewer)
+
+
+def test_frames_are_stacked_as_stable_baselines_does(trained):
+    from stable_baselines3.common.vec_env import VecFrameStack
+
+    model, normalize = trained(frames=2)
+    normalize.obs_rms.mean = np.linspace(-1, 1, 31)
+    env = model.get_env()
+    first = env.reset()
+    action = model.predict(first, deterministic=True)[0]
+    second = env.step(action)[0]
+    frozen = statistics("VecNormalize", pickle.dumps(normalize))
+    policy = load(model, PLANAR, wrappers=[frozen, functools.partial(VecFrameStack, n_stack=2)]).policy
+    given, state = policy.predict(normalize.unnormalize_obs(first[:, 31:]))
+    np.testing.assert_allclose(given, action, atol=1e-5)
+    given, _ = policy.predict(normalize.unnormalize_obs(second[:, 31:]), state)
+    np.testing.assert_allclose(given, model.predict(second, deterministic=True)[0], atol=1e-5)

@@ -1,0 +1,251 @@
+"""Policies behind the wrappers of their training: judged like the policy that needs no wrappers."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import weakref
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import wrappers as single
+from gymnasium.wrappers import vector
+
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
+from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.isolation import IsolatedPolicy
+from cablebot_gym.policies import PolicyError, load, load_policy
+from cablebot_gym.policies.wrappers import StandIn
+from cablebot_gym.robots import PLANAR
+
+PLANAR_ID = "CableBot-Planar-v0"
+LAYOUT = observation_layout(PLANAR)
+FEW = {"payload_max": 3.0, "resolution": 0.2}
+"""A coarse search."""
+
+
+class Inner:
+    """The policy ``fl`` for observations and actions that wrappers change."""
+
+    def __init__(self, read=lambda observation: observation, scale=1.0):
+        self.law, self.read, self.scale = load_policy("fl", PLANAR_ID), read, scale
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return self.scale * self.law.predict(self.read(observation))[0], state
+
+
+# --- wrappers ---------------------------------------------------------------------------------------------------------
+
+HALF = np.full(3, 0.5, np.float32)
+
+
+class Repeats(gym.Wrapper):
+    """Sends each action twice, like a policy of half the control frequency."""
+
+    def step(self, action):
+        self.env.step(action)
+        return self.env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("policy", "wrapper"),
+    [
+        (Inner(scale=0.5), lambda env: vector.RescaleAction(env, -HALF, HALF)),
+        (Inner(scale=0.5), lambda env: single.RescaleAction(env, -0.5, 0.5)),
+        (Inner(read=lambda stack: stack[:, -1]), lambda env: single.FrameStackObservation(env, 3)),
+        (Inner(read=lambda both: both[:, :-1]), lambda env: single.TimeAwareObservation(single.TimeLimit(env, 900))),
+    ],
+    ids=["vector action", "single action", "frame stack", "time"],
+)
+def test_policy_behind_wrappers_acts_as_it_does_alone(policy, wrapper):
+    alone, behind = (
+        record_rollout(each, PLANAR_ID, payload=1.5, wrappers=wrappers)
+        for each, wrappers in (("fl", []), (policy, [wrapper]))
+    )
+    np.testing.assert_allclose(behind.arrays["pose"], alone.arrays["pose"], atol=1e-6)
+    assert len(alone) > 500
+
+
+def test_wrapper_that_repeats_actions_steps_the_robot_twice():
+    actions = record_rollout(Inner(), PLANAR_ID, wrappers=[Repeats]).arrays["commanded_action"]
+    np.testing.assert_array_equal(actions[0:20:2], actions[1:21:2])
+    assert (actions[2:20:2] != actions[1:19:2]).any()
+
+
+class Uneven(gym.Wrapper):
+    """Sends the action twice while the first coordinate is positive."""
+
+    def step(self, action):
+        result = self.env.step(action)
+        return self.env.step(action) if result[0][LAYOUT.slices()["reference_pose"]][0] > 0.03 else result
+
+
+def test_rows_that_act_at_different_times_are_refused():
+    policy = load_policy("fl", PLANAR_ID, wrappers=[Uneven])
+    rows = np.tile(gym.make(PLANAR_ID).reset(seed=0)[0], (2, 1))
+    _, state = policy.predict(rows)
+    rows[:, LAYOUT.slices()["reference_pose"]] = [[0.1], [0.0]]
+    with pytest.raises(RuntimeError, match=r"different numbers of times: pass a wrapper of the vector environment"):
+        policy.predict(rows, state)
+
+
+def test_episodes_of_a_batch_keep_their_own_wrappers():
+    """Excludes a state that is shared by rows, or that lasts from one batch to the next."""
+
+    class Counts(gym.ActionWrapper):
+        calls = 0
+
+        def action(self, action):
+            self.calls += 1
+            return np.full(3, self.calls)
+
+    policy = load_policy("fl", PLANAR_ID, wrappers=[Counts])
+    for size in (40, 3):
+        rows, state = np.zeros((size, LAYOUT.size)), None
+        for call in (1, 2, 3):
+            actions, state = policy.predict(rows, state)
+            np.testing.assert_array_equal(actions, np.full((size, 3), call))
+
+
+def test_paused_wrappers_are_freed_with_their_state():
+    """Excludes wrappers of every batch that stay until the end of an evaluation: they wait inside a step."""
+    wrappers = weakref.WeakSet()
+
+    class Tracked(gym.Wrapper):
+        def __init__(self, env):
+            super().__init__(env)
+            wrappers.add(self)
+
+    policy = load_policy("fl", PLANAR_ID, wrappers=[Tracked])
+    gc.collect()
+    state = policy.predict(np.zeros((2, LAYOUT.size)))[1]
+    assert len(wrappers) == 2
+    del state
+    gc.collect()
+    assert not wrappers
+
+
+def test_comparison_has_wrappers_for_each_policy():
+    wrapper = [lambda env: vector.RescaleAction(env, -HALF, HALF)]
+    pair = {"payload": 1.0, "names": ["fl", "half"]}
+    result = compare_policies(["fl", Inner(scale=0.5)], PLANAR_ID, wrappers=[[], wrapper], **pair)
+    assert result.metrics[0].mean_error == pytest.approx(result.metrics[1].mean_error, rel=1e-4)
+    with pytest.raises(ValueError, match="one list for each of the 2 policies"):
+        compare_policies(["fl", Inner()], PLANAR_ID, wrappers=[wrapper], **pair)
+
+
+# --- errors -----------------------------------------------------------------------------------------------------------
+
+
+class Fails(gym.ObservationWrapper):
+    def observation(self, observation):
+        if observation[LAYOUT.slices()["time_to_go"]][0] < 1.2:
+            raise KeyError("mass")
+        return observation
+
+
+class Reads(gym.Wrapper):
+    def step(self, action):
+        observation, *_, info = self.env.step(action)
+        return observation, info["payload"], False, False, info
+
+
+@pytest.mark.parametrize(("wrapper", "key"), [(Fails, "mass"), (Reads, "payload")])
+def test_error_in_a_wrapper_names_its_line_and_payload(wrapper, key):
+    cause = rf"a wrapper raised KeyError: '{key}' \(test_wrappers.py, line \d+\)"
+    with pytest.raises(PolicyError, match=rf"^policy 'fl', at t = \d\.\d\d\d s with a payload of 1 kg: {cause}$"):
+        record_rollout("fl", PLANAR_ID, payload=1.0, wrappers=[wrapper])
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "message"),
+    [
+        ([single.NormalizeObservation], r"NormalizeObservation goes on learning .* obs_rms, .*update_running_mean = F"),
+        ([vector.NormalizeObservation], r"NormalizeObservation goes on learning"),
+        ([lambda env: None], r"around a vector environment it raised TypeError: it returned NoneType; around a single"),
+        ([3], "wrapper 'int' must be a function or class that takes an environment"),
+        (["no_such_module:name"], r"wrapper 'no_such_module:name': cannot import it \(No module named"),
+        (["none.pkl"], "cannot read wrapper 'none.pkl': No such file"),
+        ("mine.py:wrap", r"wrappers must be a list, such as \['mine.py:wrap'\]"),
+    ],
+)
+def test_invalid_wrapper_is_refused_before_the_first_episode(wrappers, message):
+    with pytest.raises(ValueError, match=message):
+        load_policy("fl", PLANAR_ID, wrappers=wrappers)
+
+
+def test_frozen_statistics_of_gymnasium_are_applied():
+    mean, var = np.linspace(0, 1, LAYOUT.size), np.full(LAYOUT.size, 4.0)
+
+    def normalize(env):
+        env = vector.NormalizeObservation(env)
+        env.obs_rms.mean, env.obs_rms.var, env.update_running_mean = mean, var, False
+        return env
+
+    seen = []
+    policy = Inner(read=lambda observation: seen.append(observation) or observation)
+    load(policy, PLANAR, wrappers=[normalize]).policy.predict(np.ones((2, LAYOUT.size)))
+    np.testing.assert_allclose(seen[0], np.tile((1 - mean) / 2, (2, 1)), rtol=1e-5)
+
+
+# --- nothing but the stand-in -----------------------------------------------------------------------------------------
+
+
+def test_wrapper_finds_only_the_stand_in():
+    envs, tasks = [], []
+
+    class Looks(vector.TransformAction):
+        def __init__(self, env):
+            super().__init__(env, lambda action: action)
+
+        def reset(self, **keywords):
+            envs.append(self.unwrapped)
+            tasks.append(self.unwrapped.tasks[0])
+            return super().reset(**keywords)
+
+    record_rollout("fl", PLANAR_ID, payload=1.375, payload_known=False, wrappers=[Looks])
+    assert type(envs[0]) is StandIn
+    assert not {"simulation", "settings", "truth", "payload", "seeds", "streams"} & set(vars(envs[0]))
+    assert 1.375 not in [value for value in vars(tasks[0]).values() if isinstance(value, float)]
+
+
+MODULE = """
+import gc
+import gymnasium as gym
+
+class Half(gym.ActionWrapper):
+    def action(self, action):
+        return action / 2
+
+class Spies(gym.Wrapper):
+    def reset(self, **keywords):
+        kinds = {type(each).__name__ for each in gc.get_objects()}
+        assert not kinds & {"CableBotVectorEnv", "CableBotEnv", "Simulation"}, kinds
+        return self.env.reset(**keywords)
+"""
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delitem(sys.modules, "toy_wrappers", raising=False)
+    path = tmp_path / "toy_wrappers.py"
+    path.write_text(MODULE, encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_isolated_wrappers_give_the_same_payload(module):
+    names = [f"{module}:Spies", f"{module}:Half"]
+    with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:
+        isolated = evaluate_dlcc(policy, PLANAR_ID, **FEW)
+        assert isolated.wrappers == tuple(names)
+        with pytest.raises(ValueError, match="is loaded already: give the wrappers where it is loaded"):
+            evaluate_dlcc(policy, PLANAR_ID, wrappers=names)
+    alone, behind = (evaluate_dlcc("fl", PLANAR_ID, wrappers=inline, **FEW) for inline in ([], names[1:]))
+    assert isolated.payload == behind.payload != alone.payload
+    assert isolated.to_dict()["wrappers"] == names
+    with pytest.raises(ValueError, match="takes the names of its wrappers"):
+        IsolatedPolicy("fl", PLANAR_ID, wrappers=[Fails])
