@@ -15,7 +15,7 @@ For example, the least tensions of eight cables on six coordinates, each at leas
 All arrays broadcast: structure (..., m, n), load (..., n), values of cables (..., m) or one number. Bounds may be
 infinite. With ``m == n`` the tensions are the unique solution.
 
-The compiled solutions are in :mod:`cablebot_gym.physics.tension_problems`.
+The compiled solutions are in ``tension_problems``.
 """
 
 from __future__ import annotations
@@ -27,24 +27,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.nearest_point import HELD, INFEASIBLE, SINGULAR
+from cablebot_gym.physics import nearest_point
 from cablebot_gym.physics.tension_problems import solve_feasible, solve_interval, solve_least_largest, solve_least_norm
 from cablebot_gym.utils.checks import all_finite
 
-__all__ = [
-    "HELD",
-    "INFEASIBLE",
-    "SINGULAR",
-    "SMOOTHING",
-    "Distribution",
-    "Feasibility",
-    "ScaleInterval",
-    "feasible",
-    "largest_scale",
-    "least_largest_action",
-    "least_norm",
-    "unchecked_least_largest_action",
-]
+HELD, INFEASIBLE, SINGULAR = nearest_point.HELD, nearest_point.INFEASIBLE, nearest_point.SINGULAR
+"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n."""
 
 SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
