@@ -22,6 +22,7 @@ from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is_temporary
 from cablebot_gym.physics.forward import forward_kinematics
+from cablebot_gym.physics.inlining import FEW_ITEMS
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import allocated_minimum, holding_torque, normalised_action, static_torque
 from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, PolicyEntry
@@ -186,7 +187,8 @@ def _use_all(env_id: str) -> str:
         env.close()
     robot = find_robot(env_robot(env_id))
     home, rest = np.array(robot.home), np.zeros(robot.coordinates)
-    inverse_dynamics(robot, robot.mass, home, rest, rest)
+    enough = np.tile(home, (FEW_ITEMS + 1, 1))  # the first items are computed without compilation
+    inverse_dynamics(robot, robot.mass, enough, rest, rest)
     forward_kinematics(robot, cable_lengths(robot.base, robot.platform, home, robot.swivel), home)
     return f"in {code_folders()[-1]}"
 

@@ -140,7 +140,9 @@ def test_unknown_id_to_compile_is_refused(cablebot):
 
 
 @pytest.mark.slow
-def test_compiled_id_needs_no_compilation_afterwards(tmp_path):
+@pytest.mark.parametrize("env_id", [PLANAR, "CableBot-Point-v0"])
+def test_compiled_id_needs_no_compilation_afterwards(tmp_path, env_id):
+    """Excludes code that only laws of redundant cables use, which would be compiled at each start of a container."""
     env = os.environ | {
         "NUMBA_CACHE_DIR": str(tmp_path / "compiled"),
         "CABLEBOT_CACHE": str(tmp_path / "plans"),
@@ -150,9 +152,9 @@ def test_compiled_id_needs_no_compilation_afterwards(tmp_path):
     def run(*arguments):
         return subprocess.run([*command, *arguments], env=env, capture_output=True, text=True, check=True)
 
-    run("doctor", "--compile", PLANAR)
+    run("doctor", "--compile", env_id)
     before = sorted((tmp_path / "compiled" / "cablebot_gym").iterdir())
-    ended = run("dlcc", PLANAR, "--policy", "fl", "--resolution", "0.5", "--payload-max", "3")
+    ended = run("dlcc", env_id, "--policy", "fl", "--resolution", "0.5", "--payload-max", "3")
     assert "compiling" not in ended.stderr
     assert sorted((tmp_path / "compiled" / "cablebot_gym").iterdir()) == before
 
