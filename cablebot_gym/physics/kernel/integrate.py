@@ -9,9 +9,7 @@ from cablebot_gym.physics.kernel.motors import (
     drive_motors,
     pulley_row,
     request_torques,
-    stretch_cables,
     subtract_friction,
-    twist_springs,
 )
 from cablebot_gym.physics.kernel.rows import (
     CABLE_RECORDS,
@@ -90,18 +88,7 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
 
 
 @inline
-def _rk4(
-    form,
-    lags,
-    rubs,
-    period_starts,
-    unilateral,
-    h,
-    p,
-    w,
-    record,
-    lanes,
-):
+def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
     """One physics step of a tile; START becomes the new state."""
     for stage in range(4):
         stage_kinematics(form, form.flexible, p, w, lanes)
@@ -117,10 +104,6 @@ def _rk4(
                     ]
         if rubs:
             subtract_friction(form, p, w, lanes)
-        if form.elastic:
-            stretch_cables(form, unilateral, p, w, lanes)
-        elif form.jointed:
-            twist_springs(form, unilateral, p, w, lanes)
         stage_dynamics(form, unilateral, p, w, lanes)
         if stage == 0:
             _note_tensions(form, period_starts, unilateral, w, record, lanes)
@@ -215,18 +198,7 @@ def advance_tiles(form, lanes, unilateral, lags, rubs, parameters, record, w, pa
                 for at in range(lanes):
                     w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at] = 1.0
         for substep in range(steps):
-            _rk4(
-                form,
-                lags,
-                rubs,
-                substep == 0,
-                unilateral,
-                h,
-                p,
-                w,
-                r,
-                lanes,
-            )
+            _rk4(form, lags, rubs, substep == 0, unilateral, h, p, w, r, lanes)
             for at in range(lanes):
                 lane = tile * lanes + at
                 line = min(step[lane] * steps + substep + 1, ends[path[lane]])
@@ -267,10 +239,6 @@ def evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration)
                 w[(row + TAUT) * lanes + at] = 1.0
         stage_kinematics(form, form.flexible, p, w, lanes)
         subtract_friction(form, p, w, lanes)
-        if form.elastic:
-            stretch_cables(form, unilateral, p, w, lanes)
-        elif form.jointed:
-            twist_springs(form, unilateral, p, w, lanes)
         stage_dynamics(form, unilateral, p, w, lanes)
         _note_tensions(form, True, unilateral, w, r, lanes)
         for j in range(form.coordinates):

@@ -45,7 +45,7 @@ from cablebot_gym.physics.kernel.rows import (
     WINDINGS,
 )
 from cablebot_gym.physics.kernel.space import inertia_tensor, spatial_y
-from cablebot_gym.physics.kernel.stage import stage_kinematics
+from cablebot_gym.physics.kernel.stage import copy_parameters, stage_kinematics
 from cablebot_gym.physics.kernel.taut import add_pull, add_row, length_acceleration
 
 
@@ -237,9 +237,7 @@ def _tile_of_motion(form, lanes, first, p, w, mass, motion):
 def required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results):
     """Inverse dynamics of all lanes in tiles."""
     count = mass.shape[0]
-    for row in range(parameters.shape[0]):
-        for at in range(lanes):
-            p[row * lanes + at] = parameters[row]
+    copy_parameters(parameters, p, lanes)
     for first in range(0, count, lanes):
         _tile_of_motion(form, lanes, first, p, w, mass, motion)
         _wrench(form, p, w, lanes)
@@ -268,9 +266,7 @@ def required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results
 def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, results):
     """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
-    for row in range(parameters.shape[0]):
-        for at in range(lanes):
-            p[row * lanes + at] = parameters[row]
+    copy_parameters(parameters, p, lanes)
     for first in range(0, count, lanes):
         _tile_of_motion(form, lanes, first, p, w, mass, motion)
         _wrench(form, p, w, lanes)

@@ -19,7 +19,7 @@ from cablebot_gym.physics.kernel.rows import (
     TAUT,
     TRIAL,
 )
-from cablebot_gym.physics.kernel.stage import acceleration_row, stage_accelerations, stage_kinematics
+from cablebot_gym.physics.kernel.stage import acceleration_row, copy_parameters, stage_accelerations, stage_kinematics
 from cablebot_gym.physics.kernel.taut import solve_lane
 
 
@@ -32,9 +32,7 @@ def locate_tiles(form, lanes, parameters, iterations, tolerance, p, w, lengths, 
     A lane ends after a step below the tolerance.
     """
     count = lengths.shape[0]
-    for row in range(parameters.shape[0]):
-        for at in range(lanes):
-            p[row * lanes + at] = parameters[row]
+    copy_parameters(parameters, p, lanes)
     for first in range(0, count, lanes):
         for at in range(lanes):
             lane = min(first + at, count - 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.kernel.motors import stretch_cables, twist_springs
 from cablebot_gym.physics.kernel.plane import planar_cable, plane_acceleration, plane_cable, plane_platform
 from cablebot_gym.physics.kernel.rows import RATE, UNKNOWNS
 from cablebot_gym.physics.kernel.space import (
@@ -13,6 +14,14 @@ from cablebot_gym.physics.kernel.space import (
     spatial_platform,
 )
 from cablebot_gym.physics.kernel.taut import pulled_lane, taut_sets
+
+
+@inline
+def copy_parameters(parameters, p, lanes):
+    """Copies the parameters of one robot to all lanes of a tile."""
+    for row in range(parameters.shape[0]):
+        for at in range(lanes):
+            p[row * lanes + at] = parameters[row]
 
 
 @inline
@@ -41,11 +50,14 @@ def stage_kinematics(form, lengths, p, w, lanes):
 
 @inline
 def stage_dynamics(form, unilateral, p, w, lanes):
-    """Accelerations of the stage, with the taut sets of all lanes."""
+    """Spring torques and accelerations of the stage, with the taut sets of all lanes."""
     if form.elastic:
+        stretch_cables(form, unilateral, p, w, lanes)
         for at in range(lanes):
             pulled_lane(form, p, w, at, lanes)
     else:
+        if form.jointed:
+            twist_springs(form, unilateral, p, w, lanes)
         taut_sets(form, unilateral, p, w, lanes)
     stage_accelerations(form, p, w, lanes)
 
