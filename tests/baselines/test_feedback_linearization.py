@@ -73,7 +73,7 @@ def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
 
 
 @each_kind
-def test_law_has_no_state_and_unsaturated_actions(kind):
+def test_law_is_stateless_and_declares_unsaturated_actions(kind):
     observation = random_observations(kind, 4, 3, model_payload=100.0)
     state = object()
     fl = FeedbackLinearization(ROBOTS[kind])

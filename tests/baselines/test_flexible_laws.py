@@ -105,7 +105,7 @@ def test_fourth_order_error_decays_with_the_given_poles() -> None:
     np.testing.assert_allclose(remaining / error, expected, atol=0.01)
 
 
-def test_motor_pd_tracks_a_smooth_motion_without_correction() -> None:
+def test_motor_pd_tracks_a_smooth_motion_closely() -> None:
     motion = {"name": "smooth-circle-spatial", "dwell": 0}
     env = gym.make(FLEX_SPATIAL_ID, trajectory=motion, initial_error=0, control_frequency=2000.0)
     observation, _ = env.reset(seed=0)

@@ -99,7 +99,7 @@ def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
         observation, *_ = env.step(action)
 
 
-def test_new_episode_starts_without_a_plan(policies):
+def test_new_episode_discards_the_plan(policies):
     """An environment that starts acts like a new policy, and does not disturb the other one."""
     policy = policies[PLANAR_ID]
     env = vector(PLANAR_ID, 2, payload=2.0)
@@ -229,7 +229,7 @@ def failing(monkeypatch):
     return make
 
 
-def test_policy_without_plans_tracks_the_reference(failing, caplog):
+def test_fallback_tracks_the_reference_when_all_plans_fail(failing, caplog):
     policy = failing(0)
     with caplog.at_level(logging.WARNING, logger="cablebot_gym"):
         is_within, *_ = rollout(policy, vector(PLANAR_ID, 2, payload=1.0))

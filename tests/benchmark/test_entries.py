@@ -188,7 +188,7 @@ def test_claim_above_the_rerun_is_refuted(entry):
 
 
 @pytest.mark.parametrize(("payload", "exact", "count"), [(None, None, 0), (float("nan"), 1.0, 2)])
-def test_claim_without_payload_is_refuted_only_if_it_is_no_number(entry, payload, exact, count):
+def test_claim_of_nan_is_refuted_and_of_no_payload_confirmed(entry, payload, exact, count):
     claims = read_claims(entry)
     records = [replace(claim, result={"payload": payload}) for claim in claims.records]
     assert len(refuted(replace(claims, records=records), reruns(entry, exact, exact))) == count
@@ -217,7 +217,7 @@ def test_table_gives_authors_licence_and_status(entry):
     assert "`, unverified" not in markdown(again)
 
 
-def test_policy_of_this_project_is_no_entry(entry):
+def test_policy_of_this_project_is_refused_as_an_entry(entry):
     with pytest.raises(ValueError, match="belongs to this project"):
         make_entry(entry.parent / "fl", "fl", [ENV_ID], TEXTS)
     with pytest.raises(ValueError, match="has another entry"):

@@ -96,7 +96,7 @@ def test_only_certain_payloads_have_a_score():
 
 
 @pytest.mark.parametrize("outcome", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
-def test_without_best_known_payload_there_is_no_score(outcome):
+def test_score_needs_a_best_known_payload(outcome):
     failed = record(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), **outcome)
     assert score_values([failed, carries("fl", 1.0)]) == [None]
 
@@ -302,6 +302,6 @@ def test_page_and_terminal_have_the_numbers_of_the_json(capsys):
     assert "some processor" in printed
 
 
-def test_lost_computation_stays_without_score_in_json():
+def test_lost_computation_has_a_null_score_in_json():
     lost = Results(suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)])
     assert scores(Results.from_json(lost.to_json()).records)[0].score is None
