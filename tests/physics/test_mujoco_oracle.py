@@ -13,13 +13,18 @@ from oracles.plants import (
     QUAD,
     UNEQUAL,
     State,
+    advance,
     drive_speed,
     each_of,
     evaluated,
     every_kind,
+    free_motors,
+    holding_state,
     loaded_plant,
+    off_centre,
     random_states,
     slowly,
+    state_of,
     textbook_rates,
     with_transmission,
     worst_relative_error,
@@ -130,3 +135,27 @@ def test_model_has_the_lengths_and_returns_the_state(robot):
             rtol=0,
             atol=1e-13,
         )
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@each_of(QUAD, FLEX_UNEQUAL)
+def test_trajectory_is_that_of_mujoco(robot, count):
+    """100 RK4 steps of both, each a control period of the plant; MuJoCo integrates a quaternion."""
+    timestep = 5e-4
+    pose, velocity = off_centre(robot)
+    state, torques = holding_state(robot, pose, velocity)
+    torques = 0.7 * torques[0] + 0.02
+    peer = MujocoRobot(robot, timestep=timestep)
+    load_state(peer, state, 0)
+    peer.step(torques, 100)
+    plant = loaded_plant(free_motors(robot), state[np.zeros(count, int)])
+    for _ in range(100):
+        advance(plant, torques, timestep, 1)
+    ends = [*peer.state()]
+    if robot.flexible:
+        ends += peer.motors()
+    values = list(vars(state_of(plant)).values())[: len(ends)]
+    for value, expected in zip(values, ends, strict=True):
+        size = max(1.0, np.abs(expected).max())
+        assert_allclose(value / size, np.tile(expected / size, (count, 1)), rtol=0, atol=1e-11)
+    assert np.abs(values[0] - pose).max() > 1e-3

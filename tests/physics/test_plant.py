@@ -432,3 +432,57 @@ def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
         assert np.all(np.isfinite(record[sick, kernel.POSE : kernel.POSE + robot.coordinates]))
     else:
         assert not np.any(np.isfinite(record[sick, kernel.POSITION_PEAK]))
+
+
+# --- resets and limits --------------------------------------------------------------------------------------------
+
+
+@rigid_robots
+def test_remembered_slack_cables_do_not_change_the_result(robot):
+    """Which cables were slack a moment ago only speeds the search up."""
+    state, actions = random_states(robot, 40, seed=4)
+    ends = []
+    for remembered in (0.0, 1.0):
+        plant = loaded_plant(robot, state, "unilateral")
+        tiles = plant.record.reshape(plant.record.shape[0], -1, plant.lanes)
+        tiles[:, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS] = remembered
+        plant.set_action(actions)
+        plant.advance(*no_reference(robot), substeps=5, step=2e-3)
+        ends.append(record_of(plant))
+    assert_array_equal(ends[0], ends[1])
+
+
+@rigid_robots
+def test_reset_leaves_nothing_of_the_earlier_run(robot):
+    state, actions = random_states(robot, 5)
+    references = np.random.default_rng(2).uniform(*robot.pose_bounds, (1, 30, robot.coordinates))
+    plant = loaded_plant(robot, state, "unilateral")
+
+    def records():
+        for step in range(4):
+            plant.set_action(actions * (1 - 0.3 * step))
+            plant.advance(references, np.array([29]), substeps=4, step=2e-3)
+        return record_of(plant)
+
+    fresh = record_of(plant)
+    first_run = records()
+    plant.set_state(np.arange(5), state.pose, state.velocity)
+    assert_array_equal(record_of(plant), fresh)
+    assert_array_equal(records(), first_run)
+
+
+@each_of(QUAD, FLEX_UNEQUAL)
+def test_torques_end_at_the_torque_speed_lines(robot):
+    """Actions beyond ± 1 give exactly U⁺ and U⁻, those between exactly the request; the raw action is recorded."""
+    state, _ = random_states(robot, 40, seed=9)
+    choices = [-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5]
+    actions = np.random.default_rng(1).choice(choices, (40, robot.cables))
+    plant = loaded_plant(robot, state, "unilateral")
+    plant.set_action(actions)
+    plant.advance(*no_reference(robot), substeps=2, step=1e-4)
+    speed = plant.per_cable(kernel.SPEED)
+    assert_allclose(speed, drive_speed(robot, state), rtol=1e-12, atol=1e-12)
+    drop = robot.speed_slope * speed
+    assert np.abs(drop).max() > 0.3
+    assert_array_equal(plant.per_cable(kernel.TORQUE), robot.stall_torque * np.clip(actions, -1, 1) - drop)
+    assert_array_equal(plant.per_cable(kernel.DEMAND), actions)

@@ -1,0 +1,177 @@
+"""The plant against what no equation of it states: energy and power, and the order of convergence of its steps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from oracles.elastic import elastic_state_of, holding_torques, plant_at, states
+from oracles.plants import (
+    FLEX_QUAD,
+    FLEX_UNEQUAL,
+    QUAD,
+    UNEQUAL,
+    State,
+    advance,
+    both_cables,
+    differentiated,
+    drive_speed,
+    each_of,
+    energies,
+    evaluated,
+    every_kind,
+    free_motors,
+    loaded_plant,
+    no_reference,
+    off_centre,
+    random_states,
+    rigid_robots,
+    state_of,
+    take_up_torques,
+    textbook_rates,
+    with_transmission,
+)
+from oracles.platforms import HANGING
+from scipy.linalg import block_diag, eigh
+
+from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL
+
+
+def assert_order_four(end, coarsest, finest):
+    """Errors fall with the fourth power of the step; ``end`` gives the state after some number of steps."""
+    fine = end(finest)
+    errors = [np.abs(end(coarsest * doubled) - fine).max() for doubled in (1, 2, 4)]
+    assert errors[-1] > 1e-13
+    for coarse, halved in pairwise(errors):
+        assert 3.7 < np.log2(coarse / halved) < 4.5
+
+
+def flat(state):
+    return np.concatenate([value.ravel() for value in vars(state).values()])
+
+
+@each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
+def test_integrator_has_order_four_while_motors_are_saturated(robot):
+    """Motors follow their torque-speed lines; limits once per step would give order one."""
+    pose, velocity = (value[None] for value in off_centre(robot))
+    angle = textbook.pulley_angle(robot, pose)
+    state = State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
+
+    def end(substeps):
+        plant = loaded_plant(robot, state)
+        plant.set_action(np.ones((1, robot.cables)))
+        plant.advance(*no_reference(robot), substeps=substeps, step=0.01 / substeps)
+        saturated = drive_speed(robot, state_of(plant)) > drive_speed(robot, state) + 1
+        assert np.mean(saturated) >= 0.5
+        return flat(state_of(plant))
+
+    assert_order_four(end, 8 if robot.flexible else 2, 2048)
+
+
+def test_order_is_four_while_elastic_cables_are_taut():
+    robot = with_transmission(free_motors(HANGING), axial_stiffness=2e4, damping=0.0)
+    state = states(robot, 2, spread=0.1)
+    torques = holding_torques(robot, state)
+    duration = 2.0 / textbook.highest_frequency(robot)
+
+    def end(steps):
+        plant = plant_at(robot, state)
+        advance(plant, torques, duration, 8 * steps)
+        assert not plant.per_cable(kernel.SLACK).any()
+        return flat(elastic_state_of(plant))
+
+    assert_order_four(end, 2, 128)
+
+
+@both_cables
+@every_kind
+def test_power_is_balanced_also_with_slack_cables(robot, cable):
+    """d/dt E = Σ τ β̇′ + Σ u β̇ − Σ c β̇² − Σ c′ β̇′² − Σ τ_c |β̇′|, u from complementarity; rigid: β′ = β, c′ = 0.
+
+    At low speeds |β̇′| is smooth.
+    """
+    damping = np.linspace(0.01, 0.05, robot.cables)
+    robot = with_transmission(robot, damping=tuple(damping.tolist()))
+    if robot.flexible:
+        robot = with_transmission(robot, motor_damping=tuple(damping[::-1].tolist()))
+    state, action = random_states(robot, 200, seed=10)
+    torques = action * robot.stall_torque
+    mass = 1.2 * robot.mass
+    platform, tension = evaluated(loaded_plant(robot, state, cable, mass), torques)
+    rate, _ = textbook_rates(robot, state, torques, cable, mass)
+    take_up = take_up_torques(robot, state, torques, platform, tension, cable)
+    pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
+    motor = drive_speed(robot, state)
+    spent = np.sum(robot.damping * pulley**2, axis=1) + np.sum(textbook.coulomb_torque(robot, motor) * motor, axis=1)
+    if robot.flexible:
+        spent += np.sum(robot.motor_damping * state.speed**2, axis=1)
+    supplied = np.sum(np.where(tension == 0, take_up, 0.0) * pulley, axis=1)
+    if cable == "unilateral":
+        assert_allclose(take_up[tension > 0], 0, atol=1e-10)
+        assert np.mean(np.abs(supplied)) > 1  # without it the balance is off by watts
+    else:
+        assert_allclose(take_up, 0, atol=1e-10)
+    power = np.sum(torques * motor, axis=1) + supplied - spent
+
+    def energy(time):
+        half_way = State(
+            state.velocity + time / 2 * platform, platform, state.speed + time / 2 * rate.speed, rate.speed
+        )
+        return sum(energies(robot, state.moved(half_way, time), cable, mass))
+
+    change = differentiated(energy, 4e-5 if robot.flexible else 2e-4)
+    size = 1 + np.sum(np.abs(torques * motor), axis=1)
+    assert_allclose(change / size, power / size, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@rigid_robots
+def test_work_of_a_constant_force_becomes_energy(robot, count):
+    """The undriven, undamped plant gains F·Δp: the force neither turns nor pauses. Reached: 1e-11 J of 24 J."""
+    robot = with_transmission(free_motors(robot), damping=0.0)
+    mass = 1.3 * robot.mass
+    space = robot.dimensions
+    force = np.array([25.0, -40.0, 30.0])[:space]
+    pose = robot.home + 0.05
+    if not robot.planar:
+        pose[2] += 0.25
+    motors = np.zeros((count, robot.cables))
+    start = State(np.tile(pose, (count, 1)), np.full((count, robot.coordinates), 0.4), motors, motors)
+    plant = loaded_plant(robot, start, mass=mass)
+    plant.set_wrench(np.arange(count), np.tile(force, (count, 1)))
+    advance(plant, np.zeros(robot.cables), 0.3, 300)
+    work = (plant.pose - pose)[:, :space] @ force
+    assert np.abs(work).min() > 0.5
+    gained = sum(energies(robot, state_of(plant), mass=mass)) - sum(energies(robot, start, mass=mass))
+    assert_allclose(gained, work, rtol=0, atol=1e-9)
+
+
+@each_of(FLEX_PLANAR, FLEX_SPATIAL)
+def test_default_step_keeps_the_energy_of_the_fastest_mode(robot):
+    """The robot swings in its fastest mode alone, undriven: the worst case of RK4."""
+    robot = free_motors(robot)
+    if not robot.planar:
+        robot = robot.replace(gravity=1e-9)  # otherwise it falls
+    turning = textbook.jacobian(robot, robot.home) / robot.pulley_radius[:, None]
+    platform = textbook.mass_matrix(robot, robot.mass, robot.home) + turning.T * robot.pulley_inertia @ turning
+    twist = np.concatenate([turning, np.eye(robot.cables)], axis=1)
+    inertia = block_diag(platform, np.diag(robot.motor_inertia))
+    values, modes = eigh(twist.T * robot.stiffness @ twist, inertia)
+    assert values[-1] ** 0.5 == pytest.approx(textbook.highest_frequency(robot))
+    pose, angle = np.split(1e-3 / np.abs(modes[:, -1]).max() * modes[:, -1], [robot.coordinates])
+    motors = np.zeros((1, robot.cables))
+    start = State((robot.home + pose)[None], np.zeros((1, robot.coordinates)), angle[None], motors)
+    plant = loaded_plant(robot, start)
+    step = make_settings(robot=robot, count=1).physics_step
+    history = []
+    for _ in range(round(1 / step) + 1):
+        history.append(energies(robot, state_of(plant)))
+        advance(plant, motors, step, 1)
+    kinetic = np.array(history)[:, 0, 0]
+    total = np.sum(history, axis=1)[:, 0]
+    largest_loss = 1e-6 if robot.planar else 1e-5
+    assert np.abs(total - total[0]).max() < largest_loss * kinetic.max()

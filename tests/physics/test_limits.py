@@ -1,0 +1,103 @@
+"""Limits of stiff springs and stiff cables: the flexible plant approaches the rigid one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from oracles.elastic import ElasticState, plant_at
+from oracles.plants import advance, each_of, free_motors, off_centre, slowly, with_transmission
+from oracles.platforms import CRANE, HANGING
+
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+
+
+def slope_of_error(stiffnesses, error):
+    """Slope of an error over a stiffness, in logarithms."""
+    errors = [error(stiffness) for stiffness in stiffnesses]
+    return np.polyfit(np.log(stiffnesses), np.log(errors), 1)[0]
+
+
+def start(robot, rigid, pose, velocity, torques):
+    """A state in which springs and cables are wound by torques, (1, m)."""
+    still = 0 * torques
+    speed = textbook.pulley_speed(rigid, pose, velocity)
+    if robot.elastic:
+        motor, pulley = textbook.rest_angles(robot, torques / robot.pulley_radius, pose)
+        return ElasticState(pose, velocity, motor, speed, pulley, speed)
+    motor = still
+    if robot.jointed:
+        motor = textbook.pulley_angle(robot, pose) + torques / robot.stiffness
+    return ElasticState(pose, velocity, motor, speed, still, still)
+
+
+def distance(robot, rigid, holding, torques, duration, *, pose, velocity):
+    """Largest difference of the poses of two robots under the same torques, which ``holding`` torques precede."""
+    plants = []
+    for each in (free_motors(robot), free_motors(rigid)):
+        plants.append(plant_at(each, start(each, rigid, pose, velocity, holding)))
+    step = min(1e-4, 0.2 / textbook.highest_frequency(free_motors(robot)))
+    period = 5e-3
+    largest = 0.0
+    for _ in range(round(duration / period)):
+        for plant in plants:
+            advance(plant, torques, period, math.ceil(period / step))
+            assert not plant.per_cable(kernel.SLACK).any()
+        largest = max(largest, np.abs(plants[0].pose - plants[1].pose).max())
+    assert np.abs(plants[1].pose - pose).max() > 1e-3
+    return largest
+
+
+def held_at(robot, pose, minimum):
+    """Torques (1, m) that hold a rigid robot at a pose."""
+    return textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.01])
+@pytest.mark.parametrize(("flexible", "rigid"), [(FLEX_PLANAR, PLANAR), (FLEX_SPATIAL, SPATIAL)])
+def test_stiff_springs_approach_the_rigid_plant(flexible, rigid, damping):
+    """The error against J + J′ and the same c falls as 1/K."""
+    rigid = with_transmission(rigid, damping=damping)
+    pose, velocity = off_centre(rigid)
+    holding = held_at(rigid, pose[None], 30.0)
+    torques = holding * np.linspace(0.93, 1.07, rigid.cables)
+
+    def error(stiffness):
+        robot = with_transmission(flexible, damping=damping, stiffness=stiffness)
+        return distance(robot, rigid, torques, torques, 0.3, pose=pose[None], velocity=0.3 * velocity[None])
+
+    assert -1.03 < slope_of_error((30.0, 300.0, 3000.0), error) < -0.97
+
+
+def error_at_home(robot, rigid):
+    """Error of a robot at rest at its home pose, whose torques change by a tenth."""
+    pose = rigid.home[None]
+    holding = held_at(rigid, pose, 60.0)
+    torques = holding * np.linspace(0.9, 1.1, rigid.cables)
+    return distance(robot, rigid, holding, torques, 0.1, pose=pose, velocity=0 * pose)
+
+
+@each_of(HANGING, *slowly(CRANE))
+def test_stiff_cables_approach_the_rigid_robot(robot):
+    """The error falls as 1/EA. Damped cables, as the rigid robot has no waves."""
+
+    def error(stiffness):
+        return error_at_home(with_transmission(robot, axial_stiffness=stiffness), robot)
+
+    assert -1.1 < slope_of_error((1e5, 1e6, 1e7), error) < -0.9
+
+
+def test_stiff_joints_approach_the_robot_with_rigid_joints():
+    """Motor and pulley turn together: their inertias add."""
+    single = with_transmission(HANGING, axial_stiffness=2e4)
+    pose = HANGING.home[None]
+    holding = held_at(HANGING, pose, 60.0)
+    torques = holding * np.linspace(0.9, 1.1, HANGING.cables)
+
+    def error(stiffness):
+        double = with_transmission(single, stiffness=stiffness, pulley_inertia=1e-3, motor_inertia=3e-3)
+        return distance(double, single, holding, torques, 0.1, pose=pose, velocity=0 * pose)
+
+    assert -1.1 < slope_of_error((1e4, 1e5, 1e6), error) < -0.9
