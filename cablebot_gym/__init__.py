@@ -1,35 +1,142 @@
 """Gymnasium environments and a payload benchmark for cable-suspended robots.
 
-Importing the package registers the ids in :data:`ENV_IDS`. Heavy modules are imported on first use.
+Importing the package registers the ids in :data:`ENV_IDS`. The names for policies and evaluations can be imported from
+here; their modules are loaded on first use.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from cablebot_gym.envs import ENV_IDS, register_envs
 
-__version__ = "0.1.0"
-__all__ = ["ENV_IDS", "INTERNAL", "__version__"]
+if TYPE_CHECKING:
+    from cablebot_gym.envs.observation import observation_layout
+    from cablebot_gym.evaluation.comparison import compare_policies
+    from cablebot_gym.evaluation.constraints import DLCCMonitor
+    from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+    from cablebot_gym.evaluation.rollout import record_rollout
+    from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+    from cablebot_gym.policies.adapters import PolicyFactory
+    from cablebot_gym.policies.protocol import Policy
+    from cablebot_gym.policies.spec import load_policy
+    from cablebot_gym.robots import Robot, find_robot
+    from cablebot_gym.task import ErrorBounds
+    from cablebot_gym.trajectories import find_trajectory
+    from cablebot_gym.uncertainty import Uncertainty
 
-INTERNAL = (
-    "cablebot_gym.benchmark.policy_source",
-    "cablebot_gym.benchmark.tables",
-    "cablebot_gym.cli",
-    "cablebot_gym.envs.disturbances",
-    "cablebot_gym.envs.outcome",
-    "cablebot_gym.envs.pictures",
-    "cablebot_gym.envs.references",
-    "cablebot_gym.envs.sensors",
-    "cablebot_gym.envs.simulation",
-    "cablebot_gym.importers",
-    "cablebot_gym.isolation.server",
-    "cablebot_gym.physics.code_cache",
-    "cablebot_gym.physics.compiling",
-    "cablebot_gym.physics.inlining",
-    "cablebot_gym.physics.kernel",
-    "cablebot_gym.physics.nearest_point",
-    "cablebot_gym.physics.tension_problems",
-    "cablebot_gym.planning.signals",
-    "cablebot_gym.policies.sb3",
-    "cablebot_gym.report",
+__version__ = "0.1.0"
+__all__ = [
+    "ENV_IDS",
+    "DLCCMonitor",
+    "ErrorBounds",
+    "Policy",
+    "PolicyFactory",
+    "Robot",
+    "Uncertainty",
+    "__version__",
+    "compare_policies",
+    "evaluate_dlcc",
+    "find_robot",
+    "find_trajectory",
+    "inverse_dynamics",
+    "load_policy",
+    "normalised_action",
+    "observation_layout",
+    "record_rollout",
+]
+
+_HOMES = {
+    "DLCCMonitor": "cablebot_gym.evaluation.constraints",
+    "ErrorBounds": "cablebot_gym.task",
+    "Policy": "cablebot_gym.policies.protocol",
+    "PolicyFactory": "cablebot_gym.policies.adapters",
+    "Robot": "cablebot_gym.robots",
+    "Uncertainty": "cablebot_gym.uncertainty",
+    "compare_policies": "cablebot_gym.evaluation.comparison",
+    "evaluate_dlcc": "cablebot_gym.evaluation.evaluator",
+    "find_robot": "cablebot_gym.robots",
+    "find_trajectory": "cablebot_gym.trajectories",
+    "inverse_dynamics": "cablebot_gym.physics.textbook",
+    "load_policy": "cablebot_gym.policies.spec",
+    "normalised_action": "cablebot_gym.physics.textbook",
+    "observation_layout": "cablebot_gym.envs.observation",
+    "record_rollout": "cablebot_gym.evaluation.rollout",
+}
+"""Module of each name that is loaded on first use: an evaluation needs SciPy, an environment does not."""
+
+PUBLIC_MODULES = (
+    "cablebot_gym.benchmark.cells",
+    "cablebot_gym.benchmark.engine",
+    "cablebot_gym.benchmark.entries",
+    "cablebot_gym.benchmark.leaderboard",
+    "cablebot_gym.benchmark.ray_backend",
+    "cablebot_gym.benchmark.scores",
+    "cablebot_gym.bounds",
+    "cablebot_gym.bounds.certificate",
+    "cablebot_gym.bounds.closed_form",
+    "cablebot_gym.bounds.robot_check",
+    "cablebot_gym.datasets",
+    "cablebot_gym.envs",
+    "cablebot_gym.envs.observation",
+    "cablebot_gym.envs.settings",
+    "cablebot_gym.envs.single",
+    "cablebot_gym.envs.streams",
+    "cablebot_gym.envs.vector",
+    "cablebot_gym.evaluation",
+    "cablebot_gym.evaluation.batch",
+    "cablebot_gym.evaluation.comparison",
+    "cablebot_gym.evaluation.constraints",
+    "cablebot_gym.evaluation.evaluator",
+    "cablebot_gym.evaluation.result",
+    "cablebot_gym.evaluation.rollout",
+    "cablebot_gym.evaluation.timing",
+    "cablebot_gym.isolation.deadlines",
+    "cablebot_gym.isolation.isolated",
+    "cablebot_gym.kinematics",
+    "cablebot_gym.measurement",
+    "cablebot_gym.physics.distribution",
+    "cablebot_gym.physics.forward",
+    "cablebot_gym.physics.inverse",
+    "cablebot_gym.physics.plant",
+    "cablebot_gym.physics.textbook",
+    "cablebot_gym.planning",
+    "cablebot_gym.planning.following",
+    "cablebot_gym.planning.library",
+    "cablebot_gym.planning.motion",
+    "cablebot_gym.planning.program",
+    "cablebot_gym.planning.stage_functions",
+    "cablebot_gym.plotting",
+    "cablebot_gym.plotting.comparison",
+    "cablebot_gym.plotting.figures",
+    "cablebot_gym.plotting.robots",
+    "cablebot_gym.policies",
+    "cablebot_gym.policies.adapters",
+    "cablebot_gym.policies.protocol",
+    "cablebot_gym.policies.spec",
+    "cablebot_gym.policies.wrappers",
+    "cablebot_gym.robots",
+    "cablebot_gym.task",
+    "cablebot_gym.trajectories",
+    "cablebot_gym.uncertainty",
+    "cablebot_gym.utils.checks",
+    "cablebot_gym.utils.code_hash",
+    "cablebot_gym.utils.console",
+    "cablebot_gym.utils.files",
+    "cablebot_gym.utils.palette",
+    "cablebot_gym.utils.workers",
+    "cablebot_gym.video.recording",
 )
-"""Internal modules and packages. The names without a leading underscore in all other modules form the public API."""
+"""Modules with further public names, for packages that add controllers. All others are internal."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})
+
 
 register_envs()

@@ -11,9 +11,29 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
-from cablebot_gym import INTERNAL
+from cablebot_gym import PUBLIC_MODULES
 
 sys.path.insert(0, str(Path(__file__).parent))
+
+ROOT = Path(__file__).parents[1]
+
+
+def internal_modules() -> dict[str, str]:
+    """The modules of cablebot_gym without a page, and the path of each, relative to this folder.
+
+    A package has a page if a module in it has one.
+    """
+    public = [f"{module}." for module in PUBLIC_MODULES]
+    internal = {}
+    for path in sorted((ROOT / "cablebot_gym").rglob("*.py")):
+        file = path.relative_to(ROOT)
+        module = ".".join(file.with_suffix("").parts).removesuffix(".__init__")
+        if not any(name.startswith(f"{module}.") for name in public):
+            internal[module] = f"../{file}"
+    return internal
+
+
+INTERNAL = internal_modules()
 
 project = "cablebot_gym"
 author = "The cablebot_gym authors"
@@ -32,8 +52,8 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"),
     (r"py:.*", r"(.*\.)?(_.*|AnyCell)"),
-    (r"py:class", r"cablebot_gym\.physics\.kernel\..*"),  # no public module
-    (r"py:obj", r"cablebot_gym\.(commands|INTERNAL)"),  # a group of entry points; a list without a page
+    (r"py:.*", rf"({'|'.join(INTERNAL)})(\..*)?"),  # docstrings of public modules may mention them
+    (r"py:obj", r"cablebot_gym\.commands"),  # a group of entry points
 ]
 
 # A page for each public module. The extension "generate" empties the folder first.
@@ -44,7 +64,7 @@ apidoc_modules = [
     {
         "path": "../cablebot_gym",
         "destination": "generated/api/gym",
-        "exclude_patterns": [f"../{name.replace('.', '/')}*" for name in INTERNAL],
+        "exclude_patterns": list(INTERNAL.values()),
     },
     {
         "path": "../baselines/cablebot_baselines",

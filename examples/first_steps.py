@@ -5,9 +5,7 @@ Run it: python examples/first_steps.py
 
 import gymnasium as gym
 
-import cablebot_gym  # noqa: F401 - registers the environments
-from cablebot_gym.evaluation import DLCCMonitor
-from cablebot_gym.policies import load_policy
+from cablebot_gym import DLCCMonitor, load_policy
 from cablebot_gym.robots import SPATIAL
 
 env = DLCCMonitor(gym.make("CableBot-Spatial-v0"))

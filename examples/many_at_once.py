@@ -6,8 +6,7 @@ Run it: python examples/many_at_once.py
 import gymnasium as gym
 import numpy as np
 
-import cablebot_gym  # noqa: F401 - registers the environments
-from cablebot_gym.policies import load_policy
+from cablebot_gym import load_policy
 from cablebot_gym.robots import SPATIAL
 
 COUNT = 1024

@@ -18,8 +18,8 @@ import minari
 import numpy as np
 
 import cablebot_gym
+from cablebot_gym import load_policy
 from cablebot_gym.datasets import describe_dataset
-from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import SPATIAL
 
 ENV_ID, NAME = "CableBot-Spatial-v0", "cablebot-spatial/apg-circle-v0"

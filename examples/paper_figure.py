@@ -6,7 +6,7 @@ Run it: python examples/paper_figure.py [FILE.png]
 import sys
 from pathlib import Path
 
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 from cablebot_gym.plotting import draw_result
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ Requires the extra "render". Run it: python examples/record_a_video.py [FILE.gif
 import sys
 from pathlib import Path
 
-from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym import record_rollout
 from cablebot_gym.video.recording import write_video
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 import gymnasium as gym
 
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 
 env = gym.make("CableBot-Spatial-v0", payload=2.0)
 observation, info = env.reset(seed=0)

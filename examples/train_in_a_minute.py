@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from cablebot_baselines.learned.gradient_run import train_gradient
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"
 

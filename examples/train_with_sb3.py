@@ -12,7 +12,7 @@ import torch
 from stable_baselines3 import PPO
 
 from cablebot_baselines.learned.recipe import make_training_envs, ppo_settings, trained_policy
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"
 

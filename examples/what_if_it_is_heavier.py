@@ -3,8 +3,7 @@
 Run it: python examples/what_if_it_is_heavier.py
 """
 
-from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.comparison import compare_policies
+from cablebot_gym import compare_policies, evaluate_dlcc
 
 UNCERTAINTY = {
     "parameters": {"platform_mass": {"low": 0.0, "high": 0.2}},

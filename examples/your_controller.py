@@ -3,9 +3,7 @@
 Run it: python examples/your_controller.py
 """
 
-from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+from cablebot_gym import evaluate_dlcc, inverse_dynamics, normalised_action, observation_layout
 from cablebot_gym.robots import SPATIAL
 
 

@@ -5,7 +5,7 @@ Run it: python examples/your_reward.py
 
 import gymnasium as gym
 
-from cablebot_gym.policies import load_policy
+from cablebot_gym import load_policy
 from cablebot_gym.robots import PLANAR
 
 

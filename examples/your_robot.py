@@ -3,7 +3,7 @@
 Run it: python examples/your_robot.py
 """
 
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 from cablebot_gym.robots import PLANAR, Motors
 
 if __name__ == "__main__":

@@ -8,8 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 import cablebot_gym
-from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+from cablebot_gym import inverse_dynamics, normalised_action, record_rollout
 from cablebot_gym.robots import PLANAR
 
 ENV_ID, FREQUENCY, AHEAD = cablebot_gym.ENV_IDS[0], 100, 10

@@ -11,7 +11,7 @@ os.environ["MINARI_DATASETS_PATH"] = os.path.abspath("datasets")
 import minari  # reads the path
 
 import cablebot_gym
-from cablebot_gym.policies import load_policy
+from cablebot_gym import load_policy
 from cablebot_gym.robots import PLANAR
 
 ENV_ID = cablebot_gym.ENV_IDS[0]

@@ -8,8 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 import cablebot_gym
-from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+from cablebot_gym import evaluate_dlcc, inverse_dynamics, normalised_action
 from cablebot_gym.robots import PLANAR
 
 ENV_ID = cablebot_gym.ENV_IDS[0]

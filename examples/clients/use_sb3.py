@@ -7,7 +7,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
 from cablebot_baselines.learned.vec_env import make_sb3_vec_env
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"
 

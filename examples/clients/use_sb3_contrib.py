@@ -7,7 +7,7 @@ import gymnasium as gym
 from sb3_contrib import TQC
 
 import cablebot_gym
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym import evaluate_dlcc
 
 ENV_ID = cablebot_gym.ENV_IDS[0]
 
