@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -182,99 +181,178 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
     * payload: the mass that the stall torque of a motor accelerates at v²/L by its cable;
     * time to go: 1 s; slack time: :data:`SLACK_SCALE`; actions: 1.
     """
-    n, m = robot.coordinates, robot.cables
+    sizes = _sizes(robot)
+    readings = _readings(robot, sizes)
+    blocks = [
+        *(readings[name] for name in measurement.sizes(robot)),
+        *_reference_blocks(robot, sizes),
+        *_controller_blocks(robot, sizes),
+    ]
+    start = 0
+    placed = []
+    for block in blocks:
+        placed.append(replace(block, start=start))
+        start += block.size
+    return ObservationLayout(robot_name=robot.name, blocks=tuple(placed))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sizes:
+    """Sizes of a robot's motion, from which the bounds and scales of its blocks follow."""
+
+    is_angle: Array
+    """Whether a coordinate is an angle, (n,)."""
+    units: tuple[str, ...]
+    """Units of the pose and of its first four derivatives."""
+    centre: Array
+    """Centre of the workspace, (n,)."""
+    bounds: tuple[tuple[Array, Array], ...]
+    """Bounds of the pose and of its first four derivatives, each (n,)."""
+    scales: tuple[Array, ...]
+    """Scales of the pose and of its first four derivatives, each (n,)."""
+    time: float
+    """Time L/v [s]."""
+    radius: float
+    """Mean radius of the pulleys [m]."""
+    free_speed: float
+    """Mean free speed of the motors [rad/s]."""
+    pull: float
+    """Cable tension of a stalled motor [N]."""
+
+
+_DERIVATIVE_BOUNDS = ((20.0, 100.0), (1e3, 1e4), (1e5, 1e6), (1e7, 1e8))
+"""Bounds of the first four derivatives: of positions in m and of angles in rad, per power of a second."""
+
+
+def _sizes(robot: Robot) -> _Sizes:
     low, high = robot.pose_bounds
-    centre, reach = (low + high) / 2, 0.75 * (high - low)
-    bounds: dict[int, tuple[Array, Array]] = {0: (centre - reach, centre + reach)}
-    angles = np.arange(n) >= robot.dimensions
-    for order, length, angle in ((1, 20.0, 100.0), (2, 1e3, 1e4), (3, 1e5, 1e6), (4, 1e7, 1e8)):
-        bounds[order] = -np.where(angles, angle, length), np.where(angles, angle, length)
-    ahead_bounds = -np.where(angles, 4.0, 2.0), np.where(angles, 4.0, 2.0)
-    units = ("m", "m/s", "m/s²") if robot.point_mass else ("m, rad", "m/s, rad/s", "m/s², rad/s²")
-    third, fourth = (units[2].replace("²", power) for power in "³⁴")
+    centre, half = (low + high) / 2, (high - low) / 2
+    is_angle = np.arange(robot.coordinates) >= robot.dimensions
+    reach = 0.75 * (high - low)
+    bounds = [(centre - reach, centre + reach)]
+    for position, angle in _DERIVATIVE_BOUNDS:
+        bound = np.where(is_angle, angle, position)
+        bounds.append((-bound, bound))
 
-    half, radius = (high - low) / 2, float(np.mean(robot.pulley_radius))
-    length = np.where(angles, np.max(half[angles], initial=0.0), np.max(half[~angles]))
+    radius = float(np.mean(robot.pulley_radius))
     free_speed = float(np.mean(robot.per_motor(robot.motors.free_speed)))
+    length = np.where(is_angle, np.max(half[is_angle], initial=0.0), np.max(half[~is_angle]))
     time = length[0] / (radius * free_speed)
-    scales = {order: length / time**order for order in range(5)}
-    error = np.where(angles, ErrorBounds().rotation, ErrorBounds().position)
-    pull = float(np.mean(robot.stall_torque)) / radius
-    payload = pull / scales[2][0]
+    units = ["m", "m/s", "m/s²", "m/s³", "m/s⁴"]
+    if not robot.point_mass:
+        units = [f"{unit}, {unit.replace('m', 'rad')}" for unit in units]
+    return _Sizes(
+        is_angle=is_angle,
+        units=tuple(units),
+        centre=centre,
+        bounds=tuple(bounds),
+        scales=tuple(length / time**order for order in range(5)),
+        time=time,
+        radius=radius,
+        free_speed=free_speed,
+        pull=float(np.mean(robot.stall_torque)) / radius,
+    )
 
-    motor, last = (-1e3, 1e3), "over the last action period"
-    spring = "motor angle β′; β′ minus the pulley angle β is the spring deflection"
-    angle, rate = (float(np.max(scales[order], initial=0.0, where=angles)) or 1.0 for order in (0, 1))
-    readings: dict[str, tuple[Any, ArrayLike, str, str]] = {
-        "pose": (bounds[0], error, units[0], "measured pose X, exact without sensor noise"),
-        "velocity": (bounds[1], error / time, units[1], "measured velocity Ẋ, exact without sensor noise"),
-        "motor_angle": (motor, length[0] / radius, "rad", spring if robot.flexible else "motor angle β"),
-        "motor_speed": (motor, free_speed, "rad/s", "motor speed β̇′" if robot.flexible else "motor speed β̇"),
-        "tensions": (
-            (-1e6, 1e6),
-            pull,
-            "N",
-            f"tensions at the load cells at the start of {last.removeprefix('over ')}",
-        ),
-        "orientation": ((-10.0, 10.0), angle, "rad", "roll ψ, pitch θ and yaw φ of the IMU"),
-        "angular_rate": ((-100.0, 100.0), rate, "rad/s", "angular rate of the platform in its own frame"),
-        "specific_force": (
-            (-1e3, 1e3),
-            GRAVITY,
-            "m/s²",
-            f"mean acceleration minus gravity {last}, same frame",
-        ),
-    }
-    higher: list[_Row] = [
-        ("reference_jerk", bounds[3], scales[3], n, third, "third derivative of X_d"),
-        ("reference_snap", bounds[4], scales[4], n, fourth, "fourth derivative of X_d"),
-    ]
-    previews: list[_Row] = [
-        (preview_name(ahead), ahead_bounds, np.minimum(scales[1] * ahead, scales[0]), n, units[0], meaning)
-        for ahead, meaning in ((ahead, f"X_d in {ahead:g} s minus X_d now") for ahead in PREVIEWS)
-    ]
-    sent = f"the last {LAST_ACTIONS} actions, latest first, clipped to ±1; 0 before the first"
+
+def _readings(robot: Robot, sizes: _Sizes) -> dict[str, Block]:
+    """Blocks of all sensors by name; a measurement has some of them."""
+    n, m, axes = robot.coordinates, robot.cables, robot.dimensions
+    bounds, units = sizes.bounds, sizes.units
+    error = np.where(sizes.is_angle, ErrorBounds().rotation, ErrorBounds().position)
+    motor, motor_angle, motor_speed = (-1e3, 1e3), "motor angle β", "motor speed β̇"
+    if robot.flexible:
+        motor_angle = "motor angle β′; β′ minus the pulley angle β is the spring deflection"
+        motor_speed = "motor speed β̇′"
+    angle = rate = 1.0  # without angles there is no IMU
+    if sizes.is_angle.any():
+        angle, rate = (float(scale[-1]) for scale in sizes.scales[:2])
+    pose = "measured pose X, exact without sensor noise"
+    velocity = "measured velocity Ẋ, exact without sensor noise"
+    tensions = "tensions at the load cells at the start of the last action period"
+    angular_rate = "angular rate of the platform in its own frame"
+    force = "mean acceleration minus gravity over the last action period, same frame"
+    blocks = (
+        _block("pose", n, bounds[0], error, units[0], pose, relative_to="reference_pose"),
+        _block("velocity", n, bounds[1], error / sizes.time, units[1], velocity, relative_to="reference_velocity"),
+        _block("motor_angle", m, motor, sizes.scales[0][0] / sizes.radius, "rad", motor_angle),
+        _block("motor_speed", m, motor, sizes.free_speed, "rad/s", motor_speed),
+        _block("tensions", m, (-1e6, 1e6), sizes.pull, "N", tensions),
+        _block("orientation", n - axes, (-10.0, 10.0), angle, "rad", "roll ψ, pitch θ and yaw φ of the IMU"),
+        _block("angular_rate", n - axes, (-100.0, 100.0), rate, "rad/s", angular_rate),
+        _block("specific_force", axes, (-1e3, 1e3), GRAVITY, "m/s²", force),
+    )
+    return {block.name: block for block in blocks}
+
+
+_REFERENCES = (
+    ("reference_pose", "reference pose X_d at the present control instant"),
+    ("reference_velocity", "first derivative of X_d"),
+    ("reference_acceleration", "second derivative of X_d"),
+    ("reference_jerk", "third derivative of X_d"),
+    ("reference_snap", "fourth derivative of X_d"),
+)
+"""Names and meanings of the reference and its derivatives. Robots with springs have all of them, others three."""
+
+
+def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
+    """Blocks that :func:`observed_reference` fills, in the same order."""
+    n = robot.coordinates
+    blocks = [_block("time_to_go", 1, (0.0, 1e3), 1.0, "s", "time until the reference motion ends; 0 afterwards")]
+    for order, (name, meaning) in enumerate(_REFERENCES if robot.flexible else _REFERENCES[:3]):
+        centre = sizes.centre if order == 0 else 0.0
+        bounds, scale, unit = sizes.bounds[order], sizes.scales[order], sizes.units[order]
+        blocks.append(_block(name, n, bounds, scale, unit, meaning, centre=centre))
+    ahead_bound = np.where(sizes.is_angle, 4.0, 2.0)
+    for ahead in PREVIEWS:
+        scale = np.minimum(sizes.scales[1] * ahead, sizes.scales[0])
+        meaning = f"X_d in {ahead:g} s minus X_d now"
+        blocks.append(_block(preview_name(ahead), n, (-ahead_bound, ahead_bound), scale, sizes.units[0], meaning))
+    return blocks
+
+
+def _controller_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
+    """Blocks of the payload, the last actions and the slack cables."""
+    m = robot.cables
+    heaviest = max(1e3, m * sizes.pull / GRAVITY)
+    payload = sizes.pull / sizes.scales[2][0]
     model = "payload of the controller's model; 0 if the payload is unknown"
-    rows: list[_Row] = [
-        *((name, *readings[name][:2], size, *readings[name][2:]) for name, size in measurement.sizes(robot).items()),
-        ("time_to_go", (0.0, 1e3), 1.0, 1, "s", "time until the reference motion ends; 0 afterwards"),
-        ("reference_pose", bounds[0], scales[0], n, units[0], "reference pose X_d at the present control instant"),
-        ("reference_velocity", bounds[1], scales[1], n, units[1], "first derivative of X_d"),
-        ("reference_acceleration", bounds[2], scales[2], n, units[2], "second derivative of X_d"),
-        *(higher if robot.flexible else []),
-        *previews,
-        ("model_payload", (0.0, max(1e3, m * pull / GRAVITY)), payload, 1, "kg", model),
-        ("payload_known", (0.0, 1.0), 1.0, 1, "–", "1 if the payload is known, else 0"),
-        ("last_actions", (-1.0, 1.0), 1.0, LAST_ACTIONS * m, "–", sent),
-        ("slack_time", (0.0, 1e3), SLACK_SCALE, 1, "s", "time for which some cable has been slack without a pause"),
+    sent = f"the last {LAST_ACTIONS} actions, latest first, clipped to ±1; 0 before the first"
+    slack = "time for which some cable has been slack without a pause"
+    return [
+        _block("model_payload", 1, (0.0, heaviest), payload, "kg", model),
+        _block("payload_known", 1, (0.0, 1.0), 1.0, "–", "1 if the payload is known, else 0"),
+        _block("last_actions", LAST_ACTIONS * m, (-1.0, 1.0), 1.0, "–", sent),
+        _block("slack_time", 1, (0.0, 1e3), SLACK_SCALE, "s", slack),
     ]
-    blocks, start = [], 0
-    for name, (lowest, highest), scale, size, unit, meaning in rows:
-        block = Block(
-            name=name,
-            start=start,
-            size=size,
-            low=_filled(lowest, size),
-            high=_filled(highest, size),
-            unit=unit,
-            meaning=meaning,
-            scale=_filled(scale, size),
-            centre=_filled(centre if name == "reference_pose" else 0.0, size),
-            relative_to=_RELATIVE.get(name, ""),
-        )
-        blocks.append(block)
-        start += size
-    return ObservationLayout(robot_name=robot.name, blocks=tuple(blocks))
 
 
-_Row = tuple[str, tuple[ArrayLike, ArrayLike], ArrayLike, int, str, str]
-"""Name, bounds, scale, size, unit and meaning of a block."""
-
-_RELATIVE = {"pose": "reference_pose", "velocity": "reference_velocity"}
-
-
-def _filled(value: ArrayLike, size: int) -> tuple[float, ...]:
-    return tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist())
+def _block(
+    name: str,
+    size: int,
+    bounds: tuple[ArrayLike, ArrayLike],
+    scale: ArrayLike,
+    unit: str,
+    meaning: str,
+    *,
+    centre: ArrayLike = 0.0,
+    relative_to: str = "",
+) -> Block:
+    """A block that has no place yet. A single bound, scale or centre is that of each component."""
+    low, high, scales, centres = (
+        tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist()) for value in (*bounds, scale, centre)
+    )
+    return Block(
+        name=name,
+        start=0,
+        size=size,
+        low=low,
+        high=high,
+        unit=unit,
+        meaning=meaning,
+        scale=scales,
+        centre=centres,
+        relative_to=relative_to,
+    )
 
 
 def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -> dict[str, Array]:
