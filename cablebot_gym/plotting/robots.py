@@ -11,7 +11,8 @@ from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck
 from cablebot_gym.kinematics import Array, turned
 from cablebot_gym.physics.statics import holds
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
-from cablebot_gym.robots import KIND_TEXTS, Robot
+from cablebot_gym.rendering.camera import coinciding
+from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.utils.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NUMBER_AT = (0.18, 0.3, 0.42, 0.54, 0.66, 0.78)
-"""Tried places of a cable's number, as fractions of its length from the base anchor."""
+"""Tried positions of a cable's number, as fractions of its length from the base anchor."""
 
 _NUMBER_GAP = 0.06
 """Least distance of two numbers, as a fraction of the width of the view."""
@@ -35,66 +36,84 @@ def draw_robot(check: RobotCheck, motion: MotionCheck | None = None) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     robot = check.robot
-    views = [(0, 1)] if robot.planar else [(0, 1), (0, 2), (1, 2)]
-    figure = new_figure(4.6 if robot.planar else 3.4)
-    for axes, view in zip(np.ravel(figure.subplots(1, len(views))), views, strict=True):
+    if robot.planar:
+        views = [[0, 1]]
+        figure = new_figure(4.6)
+    else:
+        views = [[0, 1], [0, 2], [1, 2]]
+        figure = new_figure(3.4)
+    panels = figure.subplots(1, len(views), squeeze=False)[0]
+    for axes, view in zip(panels, views, strict=True):
         _draw_view(axes, check, motion, view)
     set_title(figure, f"{robot.name}: {KIND_TEXTS[robot.kind]}, {robot.cables} cables, payload {check.payload:g} kg")
     add_legend(figure, figure.axes[0])
     return figure
 
 
-def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: tuple[int, int]) -> None:
+def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: list[int]) -> None:
     """Draws the robot along two axes; the slice goes through the home pose."""
-    robot, (across, along) = check.robot, list(view)
+    robot = check.robot
     path = robot.home[None]
     if motion is not None:
-        path = motion.trajectory(np.linspace(0, motion.trajectory.duration, 201)).position
-    low, high = _extent(robot, path)
-    columns, rows = (np.linspace(low[axis], high[axis], _CELLS) for axis in view)
-    poses = np.tile(robot.home, (_CELLS, _CELLS, 1))
-    poses[..., across], poses[..., along] = columns, rows[:, None]
-    held = holds(robot, poses.reshape(-1, robot.coordinates), check.payload).reshape(_CELLS, _CELLS)
-    axes.contourf(columns, rows, held.astype(float), levels=[0.5, 1.5], colors=[SKY])
-    axes.fill([], [], color=SKY, label="holds the payload at rest")
-    workspace = robot.pose_bounds[:, list(view)]
-    box = np.array([[workspace[i, 0], workspace[j, 1]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))])
-    axes.plot(*box.T, "--", color=GREY, linewidth=1.0, label="workspace")
+        times = np.linspace(0, motion.trajectory.duration, 201)
+        path = motion.trajectory(times).position
+    base = robot.base[:, view]
     ends = robot.home[: robot.dimensions] + turned(robot.home, robot.platform)
-    for base, end in zip(robot.base, ends, strict=True):
-        axes.plot(*np.stack([base, end])[:, view].T, color=BLUE, linewidth=1.0)
-    _number_cables(axes, robot.base[:, view], ends[:, view])
+    ends = ends[:, view]
+    path = path[:, view]
+    workspace = robot.pose_bounds[:, view]
+
+    visible = np.concatenate([base, path, workspace])
+    _draw_held_positions(axes, check, view, visible.min(axis=0), visible.max(axis=0))
+    (low_x, low_y), (high_x, high_y) = workspace
+    box_x = [low_x, high_x, high_x, low_x, low_x]
+    box_y = [low_y, low_y, high_y, high_y, low_y]
+    axes.plot(box_x, box_y, "--", color=GREY, linewidth=1.0, label="workspace")
+    for start, end in zip(base, ends, strict=True):
+        axes.plot([start[0], end[0]], [start[1], end[1]], color=BLUE, linewidth=1.0)
+    _number_cables(axes, base, ends)
     axes.plot([], [], color=BLUE, linewidth=1.0, label="cables")
     if not robot.point_mass:
-        shown = ends[:, view]
-        outline = shown[ConvexHull(shown, qhull_options="QJ").vertices]  # joggled, for anchors on a line
-        axes.fill(*outline.T, facecolor="none", edgecolor=BLACK, linewidth=1.4)
-    axes.plot(*robot.base[:, view].T, "o", color=BLACK, markersize=3.5)
+        hull = ConvexHull(ends, qhull_options="QJ")  # joggled, for anchors on a line
+        outline = ends[hull.vertices]
+        axes.fill(outline[:, 0], outline[:, 1], facecolor="none", edgecolor=BLACK, linewidth=1.4)
+    axes.plot(base[:, 0], base[:, 1], "o", color=BLACK, markersize=3.5)
     if motion is not None:
-        axes.plot(*path[:, view].T, color=VERMILLION, linewidth=1.6, label="motion")
+        axes.plot(path[:, 0], path[:, 1], color=VERMILLION, linewidth=1.6, label="motion")
+    across, along = view
     axes.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[along]} [m]", aspect="equal")
     if robot.planar or along == 2:
         axes.invert_yaxis()  # y of a plane and z point down
 
 
+def _draw_held_positions(axes: Axes, check: RobotCheck, view: list[int], low: Array, high: Array) -> None:
+    """Colours where the robot holds the payload at rest, between the corners ``low`` and ``high`` of a view, (2,)."""
+    robot = check.robot
+    columns = np.linspace(low[0], high[0], _CELLS)
+    rows = np.linspace(low[1], high[1], _CELLS)
+    across, along = view
+    poses = np.tile(robot.home, (_CELLS, _CELLS, 1))
+    poses[..., across] = columns
+    poses[..., along] = rows[:, None]
+    held = holds(robot, poses.reshape(-1, robot.coordinates), check.payload)
+    axes.contourf(columns, rows, held.reshape(_CELLS, _CELLS).astype(float), levels=[0.5, 1.5], colors=[SKY])
+    axes.fill([], [], color=SKY, label="holds the payload at rest")
+
+
 def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
     """Writes the numbers of the cables; cables with one line in this view share a text, and no texts overlap."""
-    lines: dict[tuple[float, ...], list[int]] = {}
-    for index, (start, end) in enumerate(zip(starts, ends, strict=True)):
-        lines.setdefault(tuple(np.round([*start, *end], 6)), []).append(index)
-    width = float(np.ptp(np.concatenate([starts, ends]), axis=0).max())
-    places: list[Array] = []
-    for group in lines.values():
-        start, end = starts[group[0]], ends[group[0]]
-        along = [start + fraction * (end - start) for fraction in _NUMBER_AT]
-        gaps = [min((float(np.linalg.norm(place - other)) for other in places), default=width) for place in along]
-        free = [index for index, gap in enumerate(gaps) if gap > _NUMBER_GAP * width]
-        place = along[free[0] if free else int(np.argmax(gaps))]
-        places.append(place)
+    corners = np.concatenate([starts, ends])
+    width = float(np.ptp(corners, axis=0).max())
+    numbers = np.empty((0, 2))
+    for cables in coinciding(np.hstack([starts, ends])):
+        start = starts[cables[0]]
+        end = ends[cables[0]]
+        point = _number_point(start, end, numbers, width)
+        numbers = np.vstack([numbers, point])
         axes.text(
-            float(place[0]),
-            float(place[1]),
-            ", ".join(str(index + 1) for index in group),
+            float(point[0]),
+            float(point[1]),
+            ", ".join(str(cable + 1) for cable in cables),
             fontsize=8,
             ha="center",
             va="center",
@@ -102,8 +121,23 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
         )
 
 
-def _extent(robot: Robot, path: Array) -> tuple[Array, Array]:
-    """Lowest and highest drawn position, shape (d,)."""
-    d = robot.dimensions
-    points = np.concatenate([robot.base, path[:, :d], robot.pose_bounds[:, :d]])
-    return points.min(axis=0), points.max(axis=0)
+def _number_point(start: Array, end: Array, numbers: Array, width: float) -> Array:
+    """The point of a cable for its number: the nearest to its base that is free, or the farthest from all numbers.
+
+    Args:
+        start: base anchor in the view, (2,) [m].
+        end: platform anchor in the view, (2,) [m].
+        numbers: points of the numbers already written, (k, 2) [m].
+        width: width of the view [m].
+    """
+    widest_gap = -1.0
+    widest_point = start
+    for fraction in _NUMBER_AT:
+        point = start + fraction * (end - start)
+        gap = float(np.linalg.norm(numbers - point, axis=1).min(initial=width))
+        if gap > _NUMBER_GAP * width:
+            return point
+        if gap > widest_gap:
+            widest_gap = gap
+            widest_point = point
+    return widest_point

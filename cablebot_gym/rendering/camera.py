@@ -82,3 +82,16 @@ def fit_camera(
         else:
             near = middle
     return camera_at(far)[0]
+
+
+def coinciding(points: Array) -> list[list[int]]:
+    """Indices of points (m, …), grouped by position, in the order of the first index of each group."""
+    groups: list[list[int]] = []
+    for index, point in enumerate(points):
+        for group in groups:
+            if np.allclose(point, points[group[0]]):
+                group.append(index)
+                break
+        else:
+            groups.append([index])
+    return groups
