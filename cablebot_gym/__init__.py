@@ -18,6 +18,7 @@ INTERNAL = (
     "cablebot_gym.envs.references",
     "cablebot_gym.envs.sensors",
     "cablebot_gym.envs.simulation",
+    "cablebot_gym.evaluation.search",
     "cablebot_gym.importers",
     "cablebot_gym.isolation.server",
     "cablebot_gym.physics.code_cache",
