@@ -89,6 +89,7 @@ PUBLIC_MODULES = (
     "cablebot_gym.evaluation.evaluator",
     "cablebot_gym.evaluation.result",
     "cablebot_gym.evaluation.rollout",
+    "cablebot_gym.evaluation.search",
     "cablebot_gym.evaluation.timing",
     "cablebot_gym.isolation.deadlines",
     "cablebot_gym.isolation.isolated",

@@ -26,8 +26,8 @@ from cablebot_gym.evaluation import (
     evaluate_dlcc,
 )
 from cablebot_gym.evaluation.batch import noise_seed
-from cablebot_gym.evaluation.evaluator import SCAN_POINTS
 from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.evaluation.search import SCAN_POINTS
 from cablebot_gym.robots import PAPER_PAYLOAD_MAX, PLANAR, SPATIAL
 from cablebot_gym.trajectories import Dwell, find_trajectory
 

@@ -11,7 +11,7 @@ from evaluation.conftest import Dropping
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import PolicyError, evaluate_dlcc, time_actions
 from cablebot_gym.evaluation.batch import ALONE, RISK, Batch
-from cablebot_gym.evaluation.evaluator import FINER, SCAN_POINTS, SEARCH_DRAWS
+from cablebot_gym.evaluation.search import FINER, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.policies import PolicyFactory, RealTime, adapters

@@ -18,8 +18,8 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
 from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Batch, Trial, noise_seed
-from cablebot_gym.evaluation.evaluator import SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.evaluation.search import SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.robots import SPATIAL
 
