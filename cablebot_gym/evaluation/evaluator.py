@@ -50,15 +50,17 @@ def evaluate_dlcc(
 ) -> DLCCResult:
     """Evaluates the DLCC of a policy: the largest payload in the feasible interval that contains zero.
 
-    The scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads from 0 to ``payload_max`` in one batch. The gap below the first failed
-    payload is then subdivided until it is at most ``resolution`` wide. The episodes of the scan are repeated in another
-    order, random payloads below the result are tried, and payloads around the result are tried with finer physics
-    steps. Under a random ``uncertainty`` the scan has :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws; the payload is then confirmed with
-    ``draws`` other ones, which all payloads share.
+    The scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads from 0 to ``payload_max`` in one
+    batch. The gap below the first failed payload is then subdivided until it is at most ``resolution`` wide. The
+    episodes of the scan are repeated in another order, random payloads below the result are tried, and payloads around
+    the result are tried with finer physics steps. Under a random ``uncertainty`` the scan has
+    :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws; the payload is then confirmed with ``draws`` other ones,
+    which all payloads share.
 
-    ``search="bisection"`` is for policies that take seconds for an episode. It tries :data:`~cablebot_gym.evaluation.search.BISECTION_POINTS` payloads
-    and bisects the lowest gap below a failed one, without further checks except the repetition of the last two
-    episodes. It can miss a failure between two payloads, so its result is marked as unranked.
+    ``search="bisection"`` is for policies that take seconds for an episode. It tries
+    :data:`~cablebot_gym.evaluation.search.BISECTION_POINTS` payloads and bisects the lowest gap below a failed one,
+    without further checks except the repetition of the last two episodes. It can miss a failure between two payloads,
+    so its result is marked as unranked.
 
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a class that makes
