@@ -291,14 +291,21 @@ _REFERENCES = (
     ("reference_jerk", "third derivative of X_d"),
     ("reference_snap", "fourth derivative of X_d"),
 )
-"""Names and meanings of the reference and its derivatives. Robots with springs have all of them, others three."""
+"""Names and meanings of the reference and its derivatives."""
+
+
+def _references(*, to_snap: bool) -> tuple[tuple[str, str], ...]:
+    """The references that an observation has: all of robots with springs, three of others."""
+    if to_snap:
+        return _REFERENCES
+    return _REFERENCES[:3]
 
 
 def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
     """Blocks that :func:`observed_reference` fills, in the same order."""
     n = robot.coordinates
     blocks = [_block("time_to_go", 1, (0.0, 1e3), 1.0, "s", "time until the reference motion ends; 0 afterwards")]
-    for order, (name, meaning) in enumerate(_REFERENCES if robot.flexible else _REFERENCES[:3]):
+    for order, (name, meaning) in enumerate(_references(to_snap=robot.flexible)):
         centre = sizes.centre if order == 0 else 0.0
         bounds, scale, unit = sizes.bounds[order], sizes.scales[order], sizes.units[order]
         blocks.append(_block(name, n, bounds, scale, unit, meaning, centre=centre))
@@ -364,11 +371,10 @@ def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -
         to_snap: whether to include jerk and snap, which observations of flexible robots have.
     """
     now = trajectory(times)
-    derivatives = {"pose": now.position, "velocity": now.velocity, "acceleration": now.acceleration}
-    if to_snap:
-        derivatives |= {"jerk": now.jerk, "snap": now.snap}
+    values = (now.position, now.velocity, now.acceleration, now.jerk, now.snap)
+    names = [name for name, _ in _references(to_snap=to_snap)]
     return {
         "time_to_go": np.maximum(trajectory.duration - times, 0.0)[:, None],
-        **{f"reference_{name}": values for name, values in derivatives.items()},
+        **dict(zip(names, values, strict=False)),
         **{preview_name(ahead): trajectory(times + ahead).position - now.position for ahead in PREVIEWS},
     }

@@ -148,7 +148,7 @@ class Search:
         self._scan_order = secret_order(len(self._scan_rows))
         self._scan_verdicts = self._batch.run(self._scan_rows, count=self._count, order=self._scan_order)
         self._scan_trials = _trials(self._grid, self._scan_seeds, self._scan_verdicts)
-        if self._scan_seeds is self._batch.seeds:
+        if not (self._thorough and self._several):  # the scan has the draws of the confirmation
             self._trials = {trial.payload: trial for trial in self._scan_trials}
         self._dense_due = self._thorough
         self._repeated: list[int] = self._random.permutation(len(self._scan_rows))[:SCAN_POINTS].tolist()

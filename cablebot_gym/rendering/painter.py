@@ -111,9 +111,8 @@ class Painter:
         self._height = _OVERSAMPLING * self.size[1]
         self._canvas = self._pygame.Surface((self._width, self._height))
         self._glass = self._pygame.Surface((self._width, self._height), self._pygame.SRCALPHA)
-        self._panel = (
-            max(40 + _BAR_SPACING * task.robot.cables, 150) * self._unit
-        )  # width of the motor panel at the right
+        # Width of the motor panel at the right.
+        self._panel = max(40 + _BAR_SPACING * task.robot.cables, 150) * self._unit
         trajectory = task.trajectory
         path = np.array([trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)])
         self._path = self._points(path)
