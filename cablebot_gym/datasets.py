@@ -121,7 +121,8 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
     data: dict[str, Any] = dict(dataset.storage.metadata)
     if missing := [name for name in _REQUIRED if not data.get(name)]:
         raise ValueError(f"dataset {dataset.id!r} lacks {', '.join(missing)}: give them to create_dataset()")
-    author, email = ", ".join(data["author"]), ", ".join(data["author_email"])
+    author = ", ".join(data["author"])
+    email = ", ".join(data["author_email"])
     file = Path(dataset.spec.data_path) / "main_data.hdf5"
     facts = {
         "id": dataset.id,
@@ -150,7 +151,8 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
     env.close()
     texts = {"collection": _COLLECTION.format(**facts), "uses": _USES, "limitations": limitations(plain.task.robot)}
     texts = {name: " ".join(text.split()) for name, text in texts.items()}
-    sheet, croissant = file.parents[1] / "DATASHEET.md", file.parents[1] / "croissant.json"
+    sheet = file.parents[1] / "DATASHEET.md"
+    croissant = file.parents[1] / "croissant.json"
     atomic_write_text(sheet, _DATASHEET.format(**facts, **texts))
     described = _croissant(dataset, plain, facts, texts, file=file, published=published)
     atomic_write_text(croissant, json.dumps(described, indent=1, ensure_ascii=False) + "\n")
@@ -221,7 +223,8 @@ def _croissant(
             "source": {"fileObject": {"@id": file.name}, "extract": {"column": path}},
         }
 
-    observations, actions = str(dataset.observation_space.dtype), str(dataset.action_space.dtype)
+    observations = str(dataset.observation_space.dtype)
+    actions = str(dataset.action_space.dtype)
     size, motors = facts["components"], facts["motors"]
     arrays = [
         field(

@@ -167,7 +167,8 @@ def jacobian_and_rate(
     if d == 2:
         return _turning_in_plane(base, platform, pose, velocity)
     euler, rates = pose[..., 3:], velocity[..., 3:]
-    rotation, to_omega = rotation_matrix(euler), euler_rate_matrix(euler)
+    rotation = rotation_matrix(euler)
+    to_omega = euler_rate_matrix(euler)
     back = np.swapaxes(rotation, -1, -2)
     omega = (to_omega @ rates[..., None])[..., 0]
     arms = _skew(platform)  # arms @ x = b × x
@@ -176,7 +177,8 @@ def jacobian_and_rate(
     # d/dt (Rᵀu) = Rᵀu̇ − ω × Rᵀu, in the platform frame.
     in_frame = unit @ rotation
     in_frame_rate = unit_rate @ rotation - in_frame @ np.swapaxes(_skew(omega), -1, -2)
-    moment, moment_rate = (arms @ in_frame[..., None])[..., 0], (arms @ in_frame_rate[..., None])[..., 0]
+    moment = (arms @ in_frame[..., None])[..., 0]
+    moment_rate = (arms @ in_frame_rate[..., None])[..., 0]
     angular_rate = moment_rate @ to_omega + moment @ euler_rate_matrix_rate(euler, rates)
     jacobian = np.concatenate([unit, moment @ to_omega], axis=-1)
     return jacobian, np.concatenate([unit_rate, angular_rate], axis=-1)
@@ -208,7 +210,8 @@ class _Swivelled:
         self.side = np.where(swivel < 0, -1.0, 1.0)
         self.radius = radius = np.abs(swivel)
         self.reach = np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
-        self.height, self.across = self.side * vectors[..., 2], self.reach - radius
+        self.height = self.side * vectors[..., 2]
+        self.across = self.reach - radius
         self.square = self.across**2 + self.height**2
         self.free = np.sqrt(self.square - radius**2)
 

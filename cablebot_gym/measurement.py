@@ -56,7 +56,9 @@ class Measurement:
 
     def sizes(self, robot: Robot) -> dict[str, int]:
         """Number of components of each measured block, in the order of the observation."""
-        n, m, axes = robot.coordinates, robot.cables, robot.dimensions
+        n = robot.coordinates
+        m = robot.cables
+        axes = robot.dimensions
         motors = {"motor_angle": m, "motor_speed": m}
         if not self.winches:
             return {"pose": n, "velocity": n} | (motors if robot.flexible else {})

@@ -351,7 +351,8 @@ class Robot:
         low, high = self.base.min(axis=0), self.base.max(axis=0)
         if (not self.weightless or not self.planar) and self.home_pose[self.dimensions - 1] >= high[-1]:
             depth = float(np.linalg.norm((high - low)[:-1]))
-            low, high = np.append(low[:-1], high[-1]), np.append(high[:-1], high[-1] + depth)
+            low = np.append(low[:-1], high[-1])
+            high = np.append(high[:-1], high[-1] + depth)
         angles = np.ones(self.coordinates - self.dimensions)
         return _frozen([np.concatenate([low, -angles]), np.concatenate([high, angles])])
 
@@ -536,7 +537,8 @@ def _check_fields(robot: Robot) -> None:
 def _check_units(robot: Robot) -> None:
     """Checks that no length is in millimetres: the limits are far beyond every cable robot that was built."""
     size = float(np.max(np.ptp(robot.base, axis=0)))
-    radius, remedy = float(robot.pulley_radius.min()), "lengths are in metres: divide millimetres by 1000"
+    radius = float(robot.pulley_radius.min())
+    remedy = "lengths are in metres: divide millimetres by 1000"
     if size > LARGEST_SIZE * radius:
         raise ValueError(f"base_anchors are {size:g} m wide and pulley_radius is {radius:g} m; {remedy}")
     for name, pulleys in (("pulley_radius", robot.pulley_radius), ("swivel_radius", np.asarray(robot.swivel_radius))):
@@ -687,8 +689,12 @@ def _planar_paper() -> Robot:
 def _spatial_paper() -> Robot:
     a, b = 0.47, 0.148  # half sides of the base and platform triangles, Table 4
     root = math.sqrt(3)
-    a1, a2, a3 = (-a, -a / root, 0.0), (a, -a / root, 0.0), (0.0, 2 * a / root, 0.0)
-    p1, p2, p3 = (0.0, -2 * b / root, 0.0), (-b, b / root, 0.0), (b, b / root, 0.0)
+    a1 = (-a, -a / root, 0.0)
+    a2 = (a, -a / root, 0.0)
+    a3 = (0.0, 2 * a / root, 0.0)
+    p1 = (0.0, -2 * b / root, 0.0)
+    p2 = (-b, b / root, 0.0)
+    p3 = (b, b / root, 0.0)
     return Robot(
         name="spatial",
         base_anchors=(a1, a2, a2, a3, a3, a1),

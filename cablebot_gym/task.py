@@ -174,7 +174,8 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
         ValueError: if the motion leaves the workspace. The message gives the time, the coordinate and remedies.
     """
     times = np.linspace(0.0, trajectory.duration, 1 + math.ceil(200 * trajectory.duration))
-    poses, (low, high) = trajectory(times).position, robot.pose_bounds
+    poses = trajectory(times).position
+    (low, high) = robot.pose_bounds
     slack = np.zeros(robot.coordinates)
     if tolerance is not None:
         slack[: robot.dimensions], slack[robot.dimensions :] = tolerance.position, tolerance.rotation

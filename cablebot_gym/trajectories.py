@@ -451,7 +451,8 @@ class Chain:
             return
         if part.coordinates != before.coordinates:
             raise ValueError(f"{label} has {part.coordinates} coordinates and the part before it {before.coordinates}")
-        start, end = part(0.0).position, before(before.duration).position
+        start = part(0.0).position
+        end = before(before.duration).position
         if np.max(np.abs(start - end)) > MEETING_TOLERANCE:
             raise ValueError(
                 f"{label} starts at {start.tolist()}, but {before.name!r} before it ends at {end.tolist()}: change one "
@@ -727,8 +728,10 @@ def _motions_of(
     Lines run from ``center − (size, size/2) − out`` to the opposite pose. Loops take about as long as other motions.
     """
     across = np.array(out) + np.pad([size, size / 2], (0, len(out) - 2))
-    start, end = tuple((center - across).tolist()), tuple((center + across).tolist())
-    line, circle = {"start": start, "end": end, "duration": pace}, {"radius": size, "center": center, "duration": pace}
+    start = tuple((center - across).tolist())
+    end = tuple((center + across).tolist())
+    line = {"start": start, "end": end, "duration": pace}
+    circle = {"radius": size, "center": center, "duration": pace}
     acceleration = tuple(30.0 * value / pace**2 for value in reach)
     makers: dict[str, Any] = {
         "circle": (PaperCircle, circle),
@@ -944,7 +947,8 @@ def sampled(trajectory: Trajectory, times: Array, orders: tuple[str, ...] = ORDE
     Raises:
         ValueError: if the motion does not return a :class:`Reference`, or a shape is wrong, or a number is not finite.
     """
-    label, shape = f"trajectory {trajectory.name!r}", (len(times), trajectory.coordinates)
+    label = f"trajectory {trajectory.name!r}"
+    shape = (len(times), trajectory.coordinates)
     motion = trajectory(times)
     if not isinstance(motion, Reference):
         raise ValueError(f"{label} must return a Reference, not {type(motion).__name__}")

@@ -22,7 +22,8 @@ from cablebot_gym import load_policy
 from cablebot_gym.datasets import describe_dataset
 from cablebot_gym.robots import SPATIAL
 
-ENV_ID, NAME = "CableBot-Spatial-v0", "cablebot-spatial/apg-circle-v0"
+ENV_ID = "CableBot-Spatial-v0"
+NAME = "cablebot-spatial/apg-circle-v0"
 PAYLOADS = np.linspace(0, 7, 8)  # [kg]
 
 

@@ -21,8 +21,11 @@ class Frugal(gym.Wrapper):
 
 if __name__ == "__main__":
     for payload in (0.0, 1.0, 2.0):
-        env, total, ended = Frugal(gym.make("CableBot-Planar-v0", payload=payload)), 0.0, False
-        policy, (observation, _) = load_policy("fl", PLANAR), env.reset(seed=0)
+        env = Frugal(gym.make("CableBot-Planar-v0", payload=payload))
+        total = 0.0
+        ended = False
+        policy = load_policy("fl", PLANAR)
+        (observation, _) = env.reset(seed=0)
         while not ended:
             observation, reward, terminated, truncated, _ = env.step(policy.predict(observation)[0])
             total, ended = total + reward, terminated or truncated

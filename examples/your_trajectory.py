@@ -15,7 +15,9 @@ class Hop:
     """Rest-to-rest polynomial with five roots at either end: smooth up to snap, at rest afterwards."""
 
     def __init__(self, duration):
-        self.name, self.coordinates, self.duration = "hop", 2, duration
+        self.name = "hop"
+        self.coordinates = 2
+        self.duration = duration
 
     def __call__(self, times):
         fraction = np.clip(np.asarray(times, float) / self.duration, 0, 1)

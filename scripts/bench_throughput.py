@@ -97,7 +97,8 @@ def action_near_holding(robot: Robot) -> np.ndarray:
 
 def mujoco_turn(robot: Robot) -> Turn:
     """A turn of RK4 steps in MuJoCo without an environment."""
-    plant, torques = MujocoRobot(robot), action_near_holding(robot) * robot.stall_torque
+    plant = MujocoRobot(robot)
+    torques = action_near_holding(robot) * robot.stall_torque
 
     def turn() -> int:
         plant.set_state(robot.home, np.zeros(robot.coordinates))

@@ -60,7 +60,8 @@ def levels(graph: dict[str, set[str]]) -> dict[str, int]:
 
 def positions(graph: dict[str, set[str]]) -> dict[str, tuple[float, float]]:
     """Column and row of each part; a row is sorted by the mean column of the parts that it imports."""
-    level, place = levels(graph), dict[str, tuple[float, float]]()
+    level = levels(graph)
+    place = dict[str, tuple[float, float]]()
     for row in range(max(level.values()) + 1):
         parts = [part for part in graph if level[part] == row]
 

@@ -66,7 +66,8 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
 
 def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
     rows = {row["key"]: row for row in stored["rows"]}
-    planar, spatial = rows["5.2.1.payload"], rows["5.2.2.payload"]
+    planar = rows["5.2.1.payload"]
+    spatial = rows["5.2.2.payload"]
     return {
         **{f"{kind}s": tally([row for row in rows.values() if row["kind"] == kind]) for kind in ("result", "claim")},
         **{"planar_printed": planar["printed"], "planar_ours": planar["ours"]},

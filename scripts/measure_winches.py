@@ -68,7 +68,8 @@ DISTURBANCES = {
 
 def errors(robot: Robot, case: str) -> dict[str, Any]:
     """Uncertainty of a set of errors: encoder, servo drive, load cells of 1 % bias and 0.2 % noise, IMU MTi-300."""
-    degree, scale = math.pi / 180, float(robot.stall_torque.min() / robot.pulley_radius.max())
+    degree = math.pi / 180
+    scale = float(robot.stall_torque.min() / robot.pulley_radius.max())
     noise, bias = {"motor_angle": 1e-4, "motor_speed": 1e-2}, {}
     if case != "encoders":
         zero = UNCALIBRATED if case == "uncalibrated" else CALIBRATED
@@ -112,7 +113,8 @@ def cases(env_id: str) -> Iterator[dict[str, str]]:
 
 def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     """The result of a case: payload [kg], None if it fails unloaded, and the limiting violation."""
-    robot, disturbance = find_robot(env_robot(env_id)), case["disturbance"]
+    robot = find_robot(env_robot(env_id))
+    disturbance = case["disturbance"]
     policy = "+".join(filter(None, [case["estimator"], LAWS[env_id]]))
     options: dict[str, Any] = {"measurement": {"kind": "pose"}}
     if case["sensors"] != "pose":
@@ -148,7 +150,8 @@ def table(data: dict[str, Any]) -> str:
     rows: dict[tuple[str, ...], dict[str, str]] = {}
     for one in data["cases"]:
         key = (f"`{one['sensors']}`", f"`{one['estimator']}`" if one["estimator"] else "–", NAMES[one["errors"]])
-        own, full = one["payload"], exact[one["env_id"], one["disturbance"]]
+        own = one["payload"]
+        full = exact[one["env_id"], one["disturbance"]]
         text = "fails unloaded" if own is None else f"{own:.2f} kg"
         if one["estimator"] and None not in (own, full):
             text += f", {own / full:.0%}"

@@ -64,13 +64,19 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
             clip_each_step: whether to clip the torque at each RK4 step, see the class.
         """
         self._plant = MujocoRobot(robot, payload, timestep)
-        self._model, self._data = self._plant.model, self._plant.data
-        self._qpos, self._qvel, self._ctrl = self._data.qpos, self._data.qvel, self._data.ctrl
-        self._spatial, self._n, self._substeps = robot.kind == "spatial", robot.coordinates, substeps
+        self._model = self._plant.model
+        self._data = self._plant.data
+        self._qpos = self._data.qpos
+        self._qvel = self._data.qvel
+        self._ctrl = self._data.ctrl
+        self._spatial = robot.kind == "spatial"
+        self._n = robot.coordinates
+        self._substeps = substeps
         self._axes = robot.dimensions
         self._clip_each_step = clip_each_step
         self._period, self._payload = substeps * timestep, payload
-        self._stall, self._slope = robot.stall_torque.copy(), robot.speed_slope
+        self._stall = robot.stall_torque.copy()
+        self._slope = robot.speed_slope
         self._per_radius = 1 / robot.pulley_radius
         self._tendon_jacobian = self._data.ten_J.reshape(robot.cables, -1)  # a view; the model option makes it dense
         self._to_motor = -self._per_radius
@@ -78,7 +84,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         self._table = np.array(reference_table, dtype=float)
         self._goals = [tuple(row) for row in self._table[:, : self._axes].tolist()]
         self._last = len(self._table) - 1
-        self._after_state, self._after_table = 2 * self._n + 1, 2 * self._n + 1 + self._table.shape[1]
+        self._after_state = 2 * self._n + 1
+        self._after_table = 2 * self._n + 1 + self._table.shape[1]
         self._step_count = 0
         self._speeds = np.zeros(robot.cables)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (robot.cables,), np.float64)
@@ -152,10 +159,13 @@ def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
     """``(X, Ẋ)`` from a free joint's position and velocity, in floats, which are faster than small arrays."""
     x, y, z, w, i, j, k = qpos
     dx, dy, dz, p, q, r = qvel
-    along, across = w * w + i * i - j * j - k * k, 2 * (w * k + i * j)
-    sin_theta, cos_theta = 2 * (w * j - i * k), math.hypot(along, across)
+    along = w * w + i * i - j * j - k * k
+    across = 2 * (w * k + i * j)
+    sin_theta = 2 * (w * j - i * k)
+    cos_theta = math.hypot(along, across)
     psi = math.atan2(2 * (w * i + j * k), w * w - i * i - j * j + k * k)
-    theta, phi = math.atan2(sin_theta, cos_theta), math.atan2(across, along)
+    theta = math.atan2(sin_theta, cos_theta)
+    phi = math.atan2(across, along)
     cos_psi, sin_psi = math.cos(psi), math.sin(psi)
     phi_rate = (sin_psi * q + cos_psi * r) / cos_theta
     theta_rate = cos_psi * q - sin_psi * r

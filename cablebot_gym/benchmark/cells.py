@@ -291,7 +291,8 @@ def compute(cell: Cell) -> Record:
     try:
         result = json.loads(canonical(cell.compute()))
     except Exception as error:
-        result, final = {"error": _one_line(error)}, not isinstance(error, (ImportError, OSError, MemoryError))
+        result = {"error": _one_line(error)}
+        final = not isinstance(error, (ImportError, OSError, MemoryError))
     return Record(
         cell=cell,
         source=cell.source,

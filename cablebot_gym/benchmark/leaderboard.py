@@ -91,7 +91,8 @@ class Results:
 
     def to_json(self) -> str:
         """The results as JSON, one cell per line. Equal results give identical bytes."""
-        scored, versions = iter(scores(self.records)), _versions(self.records)
+        scored = iter(scores(self.records))
+        versions = _versions(self.records)
         lines = []
         for record in self.records:
             entry: dict[str, Any] = {

@@ -28,7 +28,9 @@ class Store:
     """
 
     def __init__(self, out: Path, *, say: Callable[[str], None], any_source: bool = False) -> None:
-        self._folder, self._say, self._any_source = out / FOLDER, say, any_source
+        self._folder = out / FOLDER
+        self._say = say
+        self._any_source = any_source
         self.foreign = 0
         """Number of requested cells that have only results of different code."""
 

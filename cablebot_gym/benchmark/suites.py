@@ -224,7 +224,8 @@ def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any
 
 def _own_task(name: str) -> dict[str, Any]:
     robot = find_robot(name)
-    own, bounds = default_trajectory(robot), find_error_bounds(None, robot)
+    own = default_trajectory(robot)
+    bounds = find_error_bounds(None, robot)
     motion = {"name": own} if isinstance(own, str) else to_jsonable(own)
     return {"robot_name": name, "trajectory": motion, "error_bounds": to_jsonable(bounds)}
 

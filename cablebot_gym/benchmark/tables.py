@@ -152,7 +152,8 @@ def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
             groups.setdefault((score.cell.robot.flexible, score.cell.robot_name), []).append(score)
     tables: dict[bool, list[list[str]]] = {}
     for (flexible, name), group in groups.items():
-        robot, best = group[0].cell.robot, max(group, key=lambda score: score.payload or 0.0)
+        robot = group[0].cell.robot
+        best = max(group, key=lambda score: score.payload or 0.0)
         exact = [] if flexible else [_digits(check_motion(robot).limit.largest)]
         head = ["robot", "platform", "cables", *([] if flexible else ["exact tracking [kg]"])]
         head += [*(f"{score.cell.policy} [kg]" for score in group), "limiting violation of the best"]

@@ -41,7 +41,9 @@ from cablebot_gym.utils.files import cache_folder, read_cached
 MESH_TOLERANCE = 0.005
 """Relative change of the payload below which the mesh refinement stops."""
 
-INTERVALS_PER_SECOND, MIN_INTERVALS, MAX_INTERVALS = 25.0, 20, 120
+INTERVALS_PER_SECOND = 25.0
+MIN_INTERVALS = 20
+MAX_INTERVALS = 120
 """Number of intervals in the first mesh: per second of motion, minimum and maximum."""
 
 _SMALL = 0.1
@@ -299,7 +301,8 @@ class _Case:
 
     def _refine(self, report: Progress) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
         """Number of intervals and motion of every mesh, and the program of the last mesh after its solution."""
-        intervals, best = math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration), None
+        intervals = math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration)
+        best = None
         intervals = min(max(MIN_INTERVALS, intervals), MAX_INTERVALS)
         for _ in range(_FIRST_MESHES):
             report(f"solving on {intervals} intervals from several starts")
@@ -310,7 +313,8 @@ class _Case:
             intervals *= 2
         if best is None or best.payload < 0 or best.payload > (1 - 1e-3) * HEAVIEST * self.robot.mass:
             raise ValueError(self._infeasibility(intervals, best))
-        meshes, finest = [(intervals, best)], MAX_MESH_FACTOR * intervals
+        meshes = [(intervals, best)]
+        finest = MAX_MESH_FACTOR * intervals
         while 2 * intervals <= finest:
             intervals *= 2
             report(f"solving on {intervals} intervals, {best.payload:.3f} kg so far")
@@ -321,7 +325,9 @@ class _Case:
                 report(f"no motion on {intervals} intervals, continuing with the coarser mesh")
                 break
             meshes.append((intervals, motion))
-            change, best, program = abs(motion.payload - best.payload), motion, finer
+            change = abs(motion.payload - best.payload)
+            best = motion
+            program = finer
             if change < MESH_TOLERANCE * max(best.payload, _SMALL * self.robot.mass):
                 break
         return meshes, program
@@ -347,7 +353,8 @@ class _Case:
 
     def _infeasibility(self, intervals: int, best: PlannedMotion | None) -> str:
         """Error message for a problem without a solution."""
-        name, remedy = self.trajectory.name, "Choose a slower motion, wider error bounds or a lighter platform"
+        name = self.trajectory.name
+        remedy = "Choose a slower motion, wider error bounds or a lighter platform"
         if best is None:
             return f"no motion along {name!r} within the limits was found; limiting: {self._cause(intervals)}. {remedy}"
         if best.payload < 0:
@@ -381,7 +388,8 @@ class _Case:
         A replay that violates a limit doubles the margin to this limit.
         """
         bounds = self.error_bounds
-        position, rotation = _SMALLEST_FRACTION * bounds.position, _SMALLEST_FRACTION * bounds.rotation
+        position = _SMALLEST_FRACTION * bounds.position
+        rotation = _SMALLEST_FRACTION * bounds.rotation
         margins = replace(_SMALLEST, position=position, rotation=rotation)
         for _ in range(_TRIALS):
             report("replaying inputs with margins of " + ", ".join(f"{k} {v:.3g}" for k, v in vars(margins).items()))
@@ -435,7 +443,9 @@ class _Case:
     def _actions(self, motion: PlannedMotion) -> Array:
         """Actions of a controller that tracks a motion, (steps, m)."""
         follower = Follower(robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY)
-        layout, period, steps = observation_layout(self.robot), 1 / self.control_frequency, itertools.count()
+        layout = observation_layout(self.robot)
+        period = 1 / self.control_frequency
+        steps = itertools.count()
 
         def track(observation: Array) -> Array:
             state = State.of(layout.split(observation), np.asarray(next(steps) * period))

@@ -180,7 +180,8 @@ def upper_bound(
     """
     if robot.kind == "planar" and robot.weightless and not robot.flexible:
         return planar_certificate(robot, trajectory, error_bounds)
-    trajectory, error_bounds = find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
+    trajectory = find_trajectory(trajectory, robot.kind)
+    error_bounds = find_error_bounds(error_bounds, robot)
     return Certificate(
         total_mass=robot.mass + hold_payload(robot, trajectory, error_bounds),
         platform_mass=robot.mass,
@@ -270,7 +271,10 @@ class _Tube:
     def __init__(
         self, robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, start: float, end: float, intervals: int
     ) -> None:
-        self.robot, self.start, self.end, self.intervals = robot, start, end, intervals
+        self.robot = robot
+        self.start = start
+        self.end = end
+        self.intervals = intervals
         self.width = (end - start) / intervals
         self.chord = self.width / REFINEMENT
         self.known_start = start == 0  # pose and velocity are known at t = 0
@@ -278,7 +282,8 @@ class _Tube:
         twice = trajectory(np.minimum(start + np.arange(2 * chords + 1) * (self.chord / 2), trajectory.duration))
         self.acceleration = ACCELERATION_FACTOR * float(np.linalg.norm(twice.acceleration, axis=-1).max())
         self.radius = error_bounds.position + self.acceleration * self.chord**2 / 8
-        self.position, self.first_velocity = twice.position[::2], twice.velocity[0]
+        self.position = twice.position[::2]
+        self.first_velocity = twice.velocity[0]
         self.speed = np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
 
         self.pull = (robot.stall_torque + robot.coulomb_friction) / robot.pulley_radius - robot.minimum_tension
@@ -293,9 +298,11 @@ class _Tube:
             raise ValueError(f"no certificate exists: {tube}. Choose a smaller position bound")
         self.arc = np.arcsin(self.radius / self.length)
         self.bulge = shortest - np.sqrt(shortest**2 - self.radius**2)  # κ
-        self.turning, self.bending = self.speed / shortest, _TURN * (self.speed / shortest) ** 2
+        self.turning = self.speed / shortest
+        self.bending = _TURN * (self.speed / shortest) ** 2
         nearest = shortest - self.radius
-        self.turning_in_tube, self.bending_in_tube = self.speed / nearest, _TURN * (self.speed / nearest) ** 2
+        self.turning_in_tube = self.speed / nearest
+        self.bending_in_tube = _TURN * (self.speed / nearest) ** 2
         self.sagging = self.speed**2 / shortest
         self.fanning = self.radius * np.sum(1 / nearest, axis=-1)  # |D(p) − D(p_d)|
 
@@ -326,10 +333,13 @@ class _Tube:
         ∫ w·D by the trapezoidal rule.
         """
         n, eta = self.intervals, self.chord
-        self.force, self.tension = np.zeros((n + 2, 2)), np.zeros((n + 2, self.robot.cables))
+        self.force = np.zeros((n + 2, 2))
+        self.tension = np.zeros((n + 2, self.robot.cables))
         self.rest = np.zeros((n + 2, 2))
         points = np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)
-        position, length, towards = self.position[points], self.length[points], -self.away[points].sum(axis=2)
+        position = self.position[points]
+        length = self.length[points]
+        towards = -self.away[points].sum(axis=2)
         trapezoid = eta * np.concatenate([[0.5], np.ones(REFINEMENT - 1), [0.5]])
         for j in range(3):
             value, rate, second = self.splines[:, j]
@@ -438,7 +448,10 @@ def _lifted(tube: _Tube, force: Array, tension: Array) -> Array:
 
 def _multipliers(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, passes: int) -> Iterator[Multiplier]:
     """Multipliers with decreasing bounds: first on the full motion, then on fine knots over the support of w."""
-    start, end, intervals, mass = 0.0, float(trajectory.duration), _COARSE, math.inf
+    start = 0.0
+    end = float(trajectory.duration)
+    intervals = _COARSE
+    mass = math.inf
     for _ in range(passes):
         tube = _Tube(robot, trajectory, error_bounds, start, end, intervals)
         before, mass, multiplier = mass, *_best(tube, mass)
@@ -499,7 +512,8 @@ class _LinearProgram:
             at = np.arange(n) * REFINEMENT + point
             towards, arc = -tube.away[at], tube.arc[at]
             left = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
-            cosine, sine = np.cos(arc)[..., None], np.sin(arc)[..., None]
+            cosine = np.cos(arc)[..., None]
+            sine = np.sin(arc)[..., None]
             # The hull of an arc of directions lies in the hull of its ends and the intersection of its tangents.
             for corner in (towards * cosine + left * sine, towards * cosine - left * sine, towards / cosine):
                 for i in range(m):
@@ -518,7 +532,9 @@ class _LinearProgram:
 
     def solve(self, mass: float) -> tuple[Array, Array] | None:
         """Coefficients of w and φ that approximately maximise h(M); None if the program is infeasible."""
-        tube, n, m = self.tube, self.tube.intervals, self.tube.robot.cables
+        tube = self.tube
+        n = self.tube.intervals
+        m = self.tube.robot.cables
         angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         rows = []
         for direction in np.stack([np.cos(angle), np.sin(angle)], axis=-1):

@@ -100,7 +100,8 @@ def exact_payload(
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
     minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
-    line_speed, grid = numbers("line_speed", line_speed), number("grid", grid, above=0, unit="Hz")
+    line_speed = numbers("line_speed", line_speed)
+    grid = number("grid", grid, above=0, unit="Hz")
     times, reference = (
         _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
     )
@@ -197,7 +198,9 @@ def _redundant(
     robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array, heaviest: float = 1e6
 ) -> ExactPayload:
     """Result with redundant cables."""
-    pose, velocity, acceleration = reference.position, reference.velocity, reference.acceleration
+    pose = reference.position
+    velocity = reference.velocity
+    acceleration = reference.acceleration
     lower, highest = tension_bounds(robot, reference, minimum, line_speed=line_speed)
     empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
     if np.any(np.isnan(lower)):
@@ -222,7 +225,8 @@ def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
 
     There is one interval per limit and piece between two nodes. A margin is affine there and beyond the last node.
     """
-    start, end = masses[:, :-1, None, None], masses[:, 1:, None, None]
+    start = masses[:, :-1, None, None]
+    end = masses[:, 1:, None, None]
     first, last = margins[:, :-1], margins[:, 1:].copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.where(np.abs(last - first) > 1e-12 * (np.abs(last) + np.abs(first)), last - first, 0.0)
@@ -248,7 +252,8 @@ def _result(robot: Robot, payload: float, lowest: float, times: Array, index: Ar
     if index is None:
         motor, time, kind, line = None, None, None, None
     else:
-        motor, time = int(index[1]) + 1, round(float(times[index[0]]), 7)
+        motor = int(index[1]) + 1
+        time = round(float(times[index[0]]), 7)
         kind, line = _LIMITS[index[2]]
     return ExactPayload(
         payload=payload, lowest=lowest, platform_mass=robot.mass, motor=motor, time=time, kind=kind, line=line

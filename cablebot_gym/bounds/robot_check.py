@@ -256,7 +256,8 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
     if len(failed):
         least, largest, index = math.inf, -math.inf, int(failed[0])
     else:
-        least, largest = float(payloads.least.max()), float(payloads.largest.min())
+        least = float(payloads.least.max())
+        largest = float(payloads.largest.min())
         if least < _ROUNDING * robot.mass:
             least = 0.0
         index = int(np.argmax(payloads.least) if payload < least else np.argmin(payloads.largest))
@@ -333,7 +334,8 @@ def _sag(
     found = least_norm(structure, required_load(robot, reference, payload), lower, upper)
     if np.any(found.status != HELD):
         return (), None, None
-    least, every = found.tensions.argmin(axis=0), np.arange(robot.cables)
+    least = found.tensions.argmin(axis=0)
+    every = np.arange(robot.cables)
     loose = sag(robot, reference.position, found.tensions)
     cables = tuple(
         CableSag(
@@ -345,7 +347,8 @@ def _sag(
         )
         for k, i in zip(least, every, strict=True)
     )
-    mass, rest = robot.mass + payload, np.zeros(robot.coordinates)
+    mass = robot.mass + payload
+    rest = np.zeros(robot.coordinates)
     home = least_norm(
         textbook.jacobian(robot, robot.home), textbook.bias(robot, mass, robot.home, rest), robot.minimum_tension
     )
@@ -382,9 +385,13 @@ def _close_cables(robot: Robot, times: Array, reference: Reference) -> Iterator[
 
 def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:
     """Distance of two segments, arrays (..., d), shape (...) [m]."""
-    first, second, between = end - start, other_end - other_start, start - other_start
+    first = end - start
+    second = other_end - other_start
+    between = start - other_start
     a, e = np.sum(first**2, axis=-1), np.sum(second**2, axis=-1)
-    b, c, f = np.sum(first * second, axis=-1), np.sum(first * between, axis=-1), np.sum(second * between, axis=-1)
+    b = np.sum(first * second, axis=-1)
+    c = np.sum(first * between, axis=-1)
+    f = np.sum(second * between, axis=-1)
     denominator = a * e - b * b
     parallel = denominator <= 1e-12 * a * e
     s = np.where(parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1))

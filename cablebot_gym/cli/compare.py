@@ -68,7 +68,8 @@ def compare(
     if payload is not None and payloads is not None:
         raise ValueError("--payload and --payloads exclude each other: give one of them")
     grid = None if payloads is None else payload_grid(payloads)
-    names, robot = options.split_names(policies), options.robot_of(env_id, episode)
+    names = options.split_names(policies)
+    robot = options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
     loaded = options.loaded_policies(names, robot, episode.pop("wrappers"))
     common: dict[str, Any] = {"draws": draws, "progress": True, **episode}

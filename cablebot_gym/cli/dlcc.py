@@ -95,7 +95,8 @@ def dlcc(
     folders = {name: out if out is None or len(names) == 1 else out / name for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    wrappers, robot = episode["wrappers"], options.robot_of(env_id, episode)
+    wrappers = episode["wrappers"]
+    robot = options.robot_of(env_id, episode)
     policies = [
         options.loaded_policy(name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers)
         for name in names
@@ -204,7 +205,8 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     rotations = [result.error_bounds["rotation"] for result in results if result.error_bounds["rotation"] is not None]
     notes = [f"{bounds}, rotation {1e3 * rotations[0]:g} mrad (task only)" if rotations else bounds]
     if (resolution := max(result.resolution for result in results)) > 0:
-        size, checked = float(f"{resolution * 1e3:.2g}"), "without" if first.discretisation is None else "with"
+        size = float(f"{resolution * 1e3:.2g}")
+        checked = "without" if first.discretisation is None else "with"
         notes.append(f"resolution {size:g} g, {checked} the discretisation error of the physics steps")
     if not first.ranked:
         notes.append("unranked: a bisection tries few payloads and can miss a failure between them")
@@ -230,7 +232,8 @@ def _unloaded(result: DLCCResult) -> str:
 
 
 def _margins_text(result: DLCCResult) -> str:
-    torque, position = result.margins["torque"], result.margins["position"]
+    torque = result.margins["torque"]
+    position = result.margins["position"]
     parts = [f"torque {torque:.1%}" if torque >= 0 else f"torque {-torque:.1%} beyond the limit"]
     parts += [f"position {position:.1%}"]
     if "rotation" in result.margins:

@@ -186,7 +186,8 @@ def _use_all(env_id: str) -> str:
         env.step(env.action_space.sample())
         env.close()
     robot = find_robot(env_robot(env_id))
-    home, rest = np.array(robot.home), np.zeros(robot.coordinates)
+    home = np.array(robot.home)
+    rest = np.zeros(robot.coordinates)
     enough = np.tile(home, (FEW_ITEMS + 1, 1))  # the first items are computed without compilation
     inverse_dynamics(robot, robot.mass, enough, rest, rest)
     forward_kinematics(robot, cable_lengths(robot.base, robot.platform, home, robot.swivel), home)

@@ -221,7 +221,8 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
             if "seed" in episode and episode["seed"] is None:
                 episode["seed"] = secrets.randbits(SEED_BITS) if values.get("isolate") else 0
             if "wrapper" in episode:
-                named, last = episode.pop("wrapper"), episode.pop("normalize")
+                named = episode.pop("wrapper")
+                last = episode.pop("normalize")
                 episode["wrappers"] = [*(named or []), *([last] if last else [])]
             bounds = {name: episode.pop(name) for name in BOUNDS if name in episode}
             episode["error_bounds"] = {

@@ -61,7 +61,8 @@ def submit(
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
     from cablebot_gym.utils.workers import check_workers
 
-    backend, say = local(check_workers(workers)), notes_console().print
+    backend = local(check_workers(workers))
+    say = notes_console().print
     env_ids = find_env_ids(find_suite(suite), split_names(ids))
     check_writable_dir(out)
     if problem := sandbox.sandbox_problem():

@@ -21,7 +21,9 @@ class Disturbances:
     def __init__(
         self, robot: Robot, measurement: Measurement, count: int, control_frequency: float, streams: Streams
     ) -> None:
-        self._robot, self._measurement, self._count = robot, measurement, count
+        self._robot = robot
+        self._measurement = measurement
+        self._count = count
         self._frequency, self._streams = control_frequency, streams
         self._all_indices = np.arange(count)
         self._wrench_interval = np.zeros(count, np.int64)  # [control steps], 0 without wrench
@@ -107,7 +109,8 @@ class Disturbances:
         """Draws a new wrench for the environments in which the correlation time has elapsed."""
         if self._wrench is None:
             return
-        step, interval = plant.step_index[: self._count], self._wrench_interval
+        step = plant.step_index[: self._count]
+        interval = self._wrench_interval
         due = np.flatnonzero((interval > 0) & (step % np.maximum(interval, 1) == 0))
         if due.size:
             normal = self._wrench.at(due, step[due] // interval[due])

@@ -256,10 +256,14 @@ def _sizes(robot: Robot) -> _Sizes:
 
 def _readings(robot: Robot, sizes: _Sizes) -> dict[str, Block]:
     """Blocks of all sensors by name; a measurement has some of them."""
-    n, m, axes = robot.coordinates, robot.cables, robot.dimensions
+    n = robot.coordinates
+    m = robot.cables
+    axes = robot.dimensions
     bounds, units = sizes.bounds, sizes.units
     error = np.where(sizes.is_angle, ErrorBounds().rotation, ErrorBounds().position)
-    motor, motor_angle, motor_speed = (-1e3, 1e3), "motor angle β", "motor speed β̇"
+    motor = (-1e3, 1e3)
+    motor_angle = "motor angle β"
+    motor_speed = "motor speed β̇"
     if robot.flexible:
         motor_angle = "motor angle β′; β′ minus the pulley angle β is the spring deflection"
         motor_speed = "motor speed β̇′"
@@ -307,7 +311,9 @@ def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
     blocks = [_block("time_to_go", 1, (0.0, 1e3), 1.0, "s", "time until the reference motion ends; 0 afterwards")]
     for order, (name, meaning) in enumerate(_references(to_snap=robot.flexible)):
         centre = sizes.centre if order == 0 else 0.0
-        bounds, scale, unit = sizes.bounds[order], sizes.scales[order], sizes.units[order]
+        bounds = sizes.bounds[order]
+        scale = sizes.scales[order]
+        unit = sizes.units[order]
         blocks.append(_block(name, n, bounds, scale, unit, meaning, centre=centre))
     ahead_bound = np.where(sizes.is_angle, 4.0, 2.0)
     for ahead in PREVIEWS:

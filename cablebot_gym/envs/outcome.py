@@ -39,8 +39,10 @@ INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torqu
 """Names of the quantities of info with one value per cable."""
 
 _TIME, _ACTION_TIME, _PAYLOAD = (INFO_SCALARS.index(name) for name in ("time", "action_time", "payload"))
-_POSITION, _ROTATION = INFO_SCALARS.index("tracking_error"), INFO_SCALARS.index("rotation_error")
-_POSITION_PEAK, _ROTATION_PEAK = INFO_SCALARS.index("tracking_error_peak"), INFO_SCALARS.index("rotation_error_peak")
+_POSITION = INFO_SCALARS.index("tracking_error")
+_ROTATION = INFO_SCALARS.index("rotation_error")
+_POSITION_PEAK = INFO_SCALARS.index("tracking_error_peak")
+_ROTATION_PEAK = INFO_SCALARS.index("rotation_error_peak")
 _FIRST_TERM, _VIOLATED, _COST = (INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost"))
 _TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(len(INFO_CABLES))
 _TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
@@ -162,11 +164,19 @@ def outcome(fresh, env_indices, constants, episodes, outputs):
 @inline
 def _judge(fresh, env_index, batch, now, out):
     """The outcome of one environment."""
-    at, lanes, record = env_index % batch.lanes, batch.lanes, now.record[env_index // batch.lanes]
-    step, trajectory, coordinates = now.step[env_index], now.trajectory_index[env_index], batch.workspace.shape[1]
-    reference, stall = now.references[trajectory, min(step, now.last_rows[trajectory])], now.stall[env_index]
-    settings, readings, info = now.settings[env_index], now.readings[env_index], out.info[env_index]
-    observation, cables = out.observation[env_index], out.cables[:, env_index]
+    at = env_index % batch.lanes
+    lanes = batch.lanes
+    record = now.record[env_index // batch.lanes]
+    step = now.step[env_index]
+    trajectory = now.trajectory_index[env_index]
+    coordinates = batch.workspace.shape[1]
+    reference = now.references[trajectory, min(step, now.last_rows[trajectory])]
+    stall = now.stall[env_index]
+    settings = now.settings[env_index]
+    readings = now.readings[env_index]
+    info = out.info[env_index]
+    observation = out.observation[env_index]
+    cables = out.cables[:, env_index]
     info[_TIME] = step * batch.period
     info[_ACTION_TIME] = max(step - 1, 0) * batch.period
     info[_PAYLOAD] = settings[PAYLOAD]
@@ -193,7 +203,8 @@ def _judge(fresh, env_index, batch, now, out):
     else:
         slack_for = now.slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
         now.slack_for[env_index] = slack_for
-        near, slack = info[_POSITION] <= batch.termination_radius, slack_for > batch.slack_time + 1e-9
+        near = info[_POSITION] <= batch.termination_radius
+        slack = slack_for > batch.slack_time + 1e-9
         reason = _terminate(finite, inside, near, slack)
         violates = reason > 0 or slack_cables > 0.0 or not taut
         if step == 1:  # a violation at the start counts in the first step
@@ -252,7 +263,8 @@ def _observe(fresh, record, at, lanes, flexible, readings, reference, settings, 
         block[j] = reference[j]
     observation[after_reference] = settings[MODEL_PAYLOAD]
     observation[after_reference + 1] = settings[KNOWN]
-    first_action, slack_column = after_reference + 2, observation.shape[0] - 1
+    first_action = after_reference + 2
+    slack_column = observation.shape[0] - 1
     if fresh:
         for j in range(first_action, slack_column):
             observation[j] = 0.0
@@ -364,7 +376,11 @@ def _normalise(first_reference, relative, centre, per_scale, observation):
 @inline
 def _reward(fresh, violated, penalty, excess, cables, turns, settings, weights, info):
     """Fills the reward terms and returns their sum."""
-    inside, position, rotation, saturation, violation = 0.0, 0.0, 0.0, 0.0, 0.0
+    inside = 0.0
+    position = 0.0
+    rotation = 0.0
+    saturation = 0.0
+    violation = 0.0
     if not fresh:
         inside = 0.0 if violated else weights[0]
         position = weights[1] / (1.0 + info[_POSITION] / settings[POSITION_BOUND])

@@ -109,7 +109,8 @@ class Pictures:
 
     def _content(self, env_index: int) -> tuple[Moment, deque[Array], str]:
         """Present state, trail and note of an environment."""
-        simulation, robot = self._simulation, self._simulation.settings.robot
+        simulation = self._simulation
+        robot = self._simulation.settings.robot
         info = info_dict(simulation.info[env_index], simulation.cables[:, env_index])
         moment = Moment.from_info(robot, simulation.stall_torque[env_index], simulation.pose[env_index], info)
         reason = TERMINATION_REASONS[int(simulation.reason[env_index])]

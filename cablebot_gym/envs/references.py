@@ -39,7 +39,9 @@ class ReferenceTables:
     """
 
     def __init__(self, control_frequency: float, substeps: int, *, to_snap: bool) -> None:
-        self._frequency, self._substeps, self._to_snap = control_frequency, substeps, to_snap
+        self._frequency = control_frequency
+        self._substeps = substeps
+        self._to_snap = to_snap
         self._tables: list[tuple[Trajectory, Array, Array]] = []
         self._followed: dict[int, Trajectory] = {}
         self.physics = self.control = np.zeros((0, 0, 0))
@@ -78,7 +80,8 @@ class ReferenceTables:
         trajectory_index[len(self._followed) :] = trajectory_index[len(self._followed) - 1]
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
-        label, duration = f"trajectory {trajectory.name!r}", trajectory.duration
+        label = f"trajectory {trajectory.name!r}"
+        duration = trajectory.duration
         if not 0 < duration <= LONGEST_MOTION:
             raise ValueError(f"{label} lasts {duration} s: its duration must be > 0 and at most {LONGEST_MOTION:g} s")
         steps = int(np.ceil(duration * self._frequency - 1e-9)) + 1

@@ -26,7 +26,9 @@ class Sensors:
     """
 
     def __init__(self, robot: Robot, measurement: Measurement, count: int, period: float) -> None:
-        self._robot, self._measurement, self._period = robot, measurement, period
+        self._robot = robot
+        self._measurement = measurement
+        self._period = period
         sizes = measurement.sizes(robot) if measurement.winches else {}
         self.readings = np.zeros((count, sum(sizes.values())))
         """Readings in the order of the observation, (N, components); (N, 0) if pose and velocity are measured."""
@@ -49,7 +51,8 @@ class Sensors:
             fresh: whether the environments have just been reset.
         """
         robot = self._robot
-        pose, velocity = plant.pose[env_indices], plant.velocity[env_indices]
+        pose = plant.pose[env_indices]
+        velocity = plant.velocity[env_indices]
         if robot.flexible:
             values = [plant.motor_angle[env_indices], plant.motor_speed[env_indices]]
         else:

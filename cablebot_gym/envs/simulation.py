@@ -158,7 +158,8 @@ class Simulation:
 
     def task(self, env_index: int) -> Task:
         """Task of one environment's episode."""
-        settings, row = self.settings, self._episode_settings[env_index]
+        settings = self.settings
+        row = self._episode_settings[env_index]
         return Task(
             robot=settings.robot,
             trajectory=self._trajectories[env_index],

@@ -419,7 +419,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         return observation, reward, self._terminated, bool(self._simulation.complete[0]), info
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
-        simulation, reason = self._simulation, int(self._simulation.reason[0])
+        simulation = self._simulation
+        reason = int(self._simulation.reason[0])
         info = info_dict(simulation.info[0], simulation.cables[:, 0])
         info["termination_reason"] = reason
         observation = simulation.observation[0].astype(self.settings.observation_dtype)

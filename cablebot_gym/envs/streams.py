@@ -96,9 +96,11 @@ class Streams:
     ) -> Array:
         numbers = np.empty((len(env_indices), *shape))
         first_rows: dict[tuple[int, int, int], int] = {}
-        counter, key = self._state["state"]["counter"], self._state["state"]["key"]
+        counter = self._state["state"]["counter"]
+        key = self._state["state"]["key"]
         draw = self._generator.standard_normal if normal else self._generator.random
-        episodes, block_list = self.episodes[env_indices].tolist(), blocks.tolist()
+        episodes = self.episodes[env_indices].tolist()
+        block_list = blocks.tolist()
         seeds = (self.noise_seeds if purpose in NOISE else self.seeds)[env_indices]
         for row, (seed, episode, block) in enumerate(zip(seeds, episodes, block_list, strict=True)):
             first = first_rows.setdefault((seed, episode, block), row)

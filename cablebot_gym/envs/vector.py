@@ -254,13 +254,16 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         """
         if not self._started:
             raise ResetNeeded("call reset() before step()")
-        simulation, ended, autoreset = self._simulation, self._done, self.autoreset_mode
+        simulation = self._simulation
+        ended = self._done
+        autoreset = self.autoreset_mode
         simulation.step(actions)
         if self._pictures is not None:
             self._pictures.on_step()
         if autoreset is AutoresetMode.NEXT_STEP and ended.any():
             self._reset(np.flatnonzero(ended))
-        reward, terminated = simulation.reward.copy(), simulation.reason > 0
+        reward = simulation.reward.copy()
+        terminated = simulation.reason > 0
         truncated = simulation.complete | (simulation.steps >= self._max_steps)
         self._done = terminated | truncated
         final = {}
@@ -334,7 +337,8 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Last observation and info of the episodes that have ended, in the form of Gymnasium's vector environments."""
-        observations, last = np.full(self.num_envs, None, dtype=object), self._observation()
+        observations = np.full(self.num_envs, None, dtype=object)
+        last = self._observation()
         for env_index in np.flatnonzero(mask):
             observations[env_index] = last[env_index]
         info = self._info()

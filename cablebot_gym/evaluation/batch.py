@@ -105,7 +105,8 @@ class Trial:
     @property
     def violation_draw(self) -> int | None:
         """Index of the draw in which :attr:`violation` occurred, from 0; None without a violation."""
-        kind, violations = next(iter(self.failures), None), [verdict.violation for verdict in self.verdicts]
+        kind = next(iter(self.failures), None)
+        violations = [verdict.violation for verdict in self.verdicts]
         times = [(one.time, draw) for draw, one in enumerate(violations) if one is not None and one.kind == kind]
         return min(times)[1] if times else None
 
@@ -229,7 +230,8 @@ class Batch:
         self.task.check_motion()
         self.policy: LoadedPolicy = load(policy, deepcopy(self._robot), name=name, wrappers=wrappers)
         """The policy."""
-        declared, kind = self.policy.declarations, self.settings.measurement.kind
+        declared = self.policy.declarations
+        kind = self.settings.measurement.kind
         if declared.measurement != kind:
             remedy = "use measurement='winches'"
             if kind != POSE.kind:
@@ -328,9 +330,11 @@ class Batch:
             order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
         for indices in [order] if observer is not None else np.array_split(order, -(-len(rows) // (2 * BATCH))):
             chosen = [rows[index] for index in indices.tolist()]
-            payloads, seeds = np.array([payload for payload, _ in chosen]), [seed for _, seed in chosen]
+            payloads = np.array([payload for payload, _ in chosen])
+            seeds = [seed for _, seed in chosen]
             changes = {} if refinement == 1 else {"substeps": refinement * self.settings.substeps}
-            env, self._last_rows = self._make(len(chosen), **changes), len(chosen)
+            env = self._make(len(chosen), **changes)
+            self._last_rows = len(chosen)
             noise = [noise_seed(seed, payload) for payload, seed in chosen]
             observation, info = env.reset(seed=seeds, options={"payload": payloads, "noise_seed": noise})
             judge = Judge(self.criterion, self.task.robot.cables, len(chosen))
@@ -355,7 +359,8 @@ class Batch:
         Raises:
             PolicyError: if fewer than the plausible number of :data:`ALONE` draws carry it.
         """
-        needed, alone = plausible_successes(carried, self.draws, ALONE, RISK), 0
+        needed = plausible_successes(carried, self.draws, ALONE, RISK)
+        alone = 0
         for seed in derived_seeds(np.random.SeedSequence(), ALONE):
             if alone == needed:
                 return
@@ -406,7 +411,8 @@ def run_episodes(
     policy.reset(lambda: deepcopy(env.tasks))
     state, start = None, np.ones(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
-    count, longest = count or StepCount(None, 0), int(judge.steps.max())
+    count = count or StepCount(None, 0)
+    longest = int(judge.steps.max())
     for step in range(longest):
         over = (terminated if full_motion else judge.failed) | judge.finished
         if over.all():

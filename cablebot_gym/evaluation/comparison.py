@@ -98,7 +98,8 @@ class PolicyMetrics:
     @property
     def success(self) -> Estimate:
         """Fraction of the draws that carry the payload, with the confidence interval of Clopper and Pearson."""
-        fraction, draws = float(self.carried.mean()), len(self.carried)
+        fraction = float(self.carried.mean())
+        draws = len(self.carried)
         low, high = (fraction, fraction) if draws == 1 else interval(int(self.carried.sum()), draws, CONFIDENCE)
         return Estimate(mean=fraction, low=low, high=high)
 
@@ -146,7 +147,8 @@ class Comparison:
         The reduction is 1 − (mean of policy ``index``)/(mean of the first policy) over paired draws. The interval is a
         seeded percentile bootstrap over the draws.
         """
-        base, other = getattr(self.metrics[0], quantity), getattr(self.metrics[index], quantity)
+        base = getattr(self.metrics[0], quantity)
+        other = getattr(self.metrics[index], quantity)
         fraction = float(1 - other.mean() / base.mean())
         if self.draws == 1 or index == 0:
             return Estimate(mean=fraction, low=fraction, high=fraction)
@@ -177,7 +179,8 @@ class Comparison:
         draws = f"{self.draws} draw{'' if self.draws == 1 else 's'} of {self.uncertainty or 'no uncertainty'}"
         lines = [f"{described(self.env_id, self.task.robot.name)}, {self.payload:g} kg, {draws}"]
         for index, metrics in enumerate(self.metrics):
-            mean, largest = metrics.estimate("mean_error"), metrics.estimate("max_error")
+            mean = metrics.estimate("mean_error")
+            largest = metrics.estimate("max_error")
             change = f" ({-self.reduction(index, 'mean_error').mean:+.0%} versus {self.metrics[0].policy})"
             lines.append(
                 f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean{change if index else ''}, "
@@ -274,7 +277,8 @@ def compare_policies(
         for policy, label, own in zip(policies, labels, worn, strict=True):
             batch = Batch(policy, env_id, name=label, wrappers=own, **shared)
             count.expected = len(labels) * batch.task.steps
-            recorder, rows = Recorder(range(batch.draws), _RECORDED), [(payload, one) for one in batch.seeds]
+            recorder = Recorder(range(batch.draws), _RECORDED)
+            rows = [(payload, one) for one in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
             metrics.append(_metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"]))
     return Comparison(payload=payload, error_bounds=batch.error_bounds, metrics=tuple(metrics), **batch.description())

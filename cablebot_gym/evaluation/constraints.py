@@ -120,7 +120,8 @@ class Judge:
         """Number of control steps of the motion, (N,)."""
         self.payload, self._position_peak, self._rotation_peak = np.zeros((3, count))
         """True payloads, (N,) [kg]."""
-        self._peak_action, self._least_tension = np.zeros((count, cables)), np.zeros(count)
+        self._peak_action = np.zeros((count, cables))
+        self._least_tension = np.zeros(count)
 
     @property
     def carried(self) -> NDArray[np.bool_]:
@@ -165,7 +166,8 @@ class Judge:
         """
         running = ~self.failed & ~self.finished
         self._step += 1
-        action, time = np.abs(info["commanded_action"]), info["time"]
+        action = np.abs(info["commanded_action"])
+        time = info["time"]
         np.maximum(self._peak_action, action, out=self._peak_action, where=running[:, None])
         tension = info["least_tensions"].min(axis=1)
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)

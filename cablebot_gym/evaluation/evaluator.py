@@ -164,7 +164,9 @@ def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: Erro
 
 def _gap_fields(batch: Batch, outcome: SearchOutcome) -> dict[str, Any]:
     """Fields of the result about the payload and the failed one above it."""
-    below, above, robot = outcome.below, outcome.above, batch.task.robot
+    below = outcome.below
+    above = outcome.above
+    robot = batch.task.robot
     bounds: dict[str, float | None] = {"position": batch.error_bounds.position, "rotation": None}
     if batch.criterion == "task" and not robot.point_mass:
         bounds["rotation"] = batch.error_bounds.rotation

@@ -100,7 +100,8 @@ class Recorder:
     def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Records the state after the reset."""
         self._env, tasks = env, env.tasks
-        self._tasks, self._truth = [tasks[index] for index in self._indices], self._env.truth
+        self._tasks = [tasks[index] for index in self._indices]
+        self._truth = self._env.truth
         self._stall_torque = self._truth["motor_strength"]
         self._record(observation, np.zeros(len(observation)), info)
 
@@ -112,7 +113,8 @@ class Recorder:
 
     def _record(self, observation: Array, reward: Array, info: dict[str, Any]) -> None:
         slices = self._env.layout.slices()
-        measurement, robot = self._env.settings.measurement, self._env.settings.robot
+        measurement = self._env.settings.measurement
+        robot = self._env.settings.robot
         motion = {"reference_pose": observation[:, slices["reference_pose"]]}
         if measurement.winches:  # "tensions" are the true ones of the info
             motion |= {f"measured_{name}": observation[:, slices[name]] for name in measurement.sizes(robot)}

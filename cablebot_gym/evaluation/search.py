@@ -274,7 +274,8 @@ class Search:
         rows = _rows(payloads, self._batch.seeds)
         carried = [verdict.carried for verdict in self._batch.run(rows, count=self._count, refinement=FINER)]
         failed = [*carried, False].index(False)
-        low, high = [0.0, *payloads][failed], [*payloads, payloads[-1]][failed]
+        low = [0.0, *payloads][failed]
+        high = [*payloads, payloads[-1]][failed]
         if low > payload:
             return high - payload
         return max(0.0, payload - low)

@@ -50,7 +50,8 @@ def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 
     timed = RealTime(batch.policy.policy, math.inf)
     batch.policy = replace(batch.policy, policy=timed)
     batch.run([(number("payload", payload, least=0, unit="kg"), batch.seed)], full_motion=True)
-    times, period = np.array(timed.times[WARM_UP:]), 1 / batch.task.control_frequency
+    times = np.array(timed.times[WARM_UP:])
+    period = 1 / batch.task.control_frequency
     if not times.size:
         raise ValueError(f"the episode ends after {len(timed.times)} actions: choose a payload that the policy carries")
     median, p99 = np.quantile(times, [0.5, 0.99]).tolist()

@@ -129,7 +129,8 @@ def _center(link: Element) -> Array:
 
 def _body(name: str, link: Element, joint: Element, kind: _Joint) -> Source:
     """The body of a robot without its cables."""
-    physical, label = _child(link, "physical"), f"CASPR, {name}_bodies.xml"
+    physical = _child(link, "physical")
+    label = f"CASPR, {name}_bodies.xml"
     frame = kind.frame
     turns = kind.spatial or kind.turn is not None
     given = _numbers(joint.get("q_initial"), 6 if kind.spatial else len(frame) + turns, "q_initial")
@@ -171,7 +172,8 @@ def _inertia(physical: Element) -> Array:
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     reference = element.get("ref", "")
     if reference == "joint":
-        mass, center = _value(physical, "mass"), _vector(physical, "com_location")
+        mass = _value(physical, "mass")
+        center = _vector(physical, "com_location")
         tensor = tensor - mass * ((center @ center) * np.eye(3) - np.outer(center, center))
     elif reference != "com":
         raise ValueError(f"<inertia> has ref {reference!r}. CASPR has com and joint")
@@ -226,7 +228,8 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
     if source.platform is None:  # a body that does not turn: the anchors shift the base
         source.base = np.array(bases) - np.array(anchors)
     else:
-        source.base, source.platform = np.array(bases), np.array(anchors)
+        source.base = np.array(bases)
+        source.platform = np.array(anchors)
         source.sources["platform_anchors"] = label + change
     source.sources["base_anchors"] = label + change
     if any(radii):

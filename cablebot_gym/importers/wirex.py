@@ -45,7 +45,8 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     chains = list(_child(robot, "geometry").iter("chain"))
     base = np.array([_vector(_child(chain, "base")) for chain in chains]).reshape(-1, 3)
     platform = np.array([_vector(_child(chain, "platform")) for chain in chains]).reshape(-1, 3)
-    body, label = _child(robot, "platform"), f"WireX, {path.name}"
+    body = _child(robot, "platform")
+    label = f"WireX, {path.name}"
     turns = pattern == "3R3T"
     source = Source(
         name=path.stem,

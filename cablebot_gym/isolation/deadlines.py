@@ -44,7 +44,8 @@ class Deadlines:
 
     def remaining(self) -> tuple[float, str]:
         """Time that the next answer may take [s], and the limit behind it in words."""
-        total, start_up = TOTAL * self._deadline, START_UP * self._deadline
+        total = TOTAL * self._deadline
+        start_up = START_UP * self._deadline
         limits = [(total - self._total, total, "all calls together")]
         if self._started_up:
             limits.append((self._deadline, self._deadline, "a call"))

@@ -88,7 +88,8 @@ class IsolatedPolicy:
         self._load = pickle.dumps((name, robot, search_path(), real_time, wrapper_names))
         described = self._start()
         declared = declarations(SimpleNamespace(**described))
-        self.unsaturated_actions, self.stochastic = declared.unsaturated_actions, declared.stochastic
+        self.unsaturated_actions = declared.unsaturated_actions
+        self.stochastic = declared.stochastic
         self.measurement = plain(declared.measurement)
         self.wrappers = _texts(described.get("wrappers"))
         """Names of the wrappers, the innermost first, with those that were found beside the policy."""

@@ -87,7 +87,9 @@ class _Server:
         target = PolicySpec.parse(name).target
         name = name.removesuffix(target) + entry_spec(target)
         loaded = load(name, robot, wrappers=wrappers)
-        self._policy, self._cables, self._state = loaded.policy, robot.cables, None
+        self._policy = loaded.policy
+        self._cables = robot.cables
+        self._state = None
         if real_time is not None:
             self._policy = PolicyFactory(lambda: RealTime(load(name, robot, wrappers=wrappers).policy, real_time))
         described = declarations(self._policy)._asdict() | {
@@ -152,7 +154,8 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
 
 def main() -> None:
     """Keeps the two pipes for itself and serves them. Output of the policy goes to the null device."""
-    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    requests = os.fdopen(os.dup(0), "rb")
+    replies = os.fdopen(os.dup(1), "wb")
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 0)
     os.dup2(null, 1)

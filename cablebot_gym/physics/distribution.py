@@ -31,7 +31,9 @@ from cablebot_gym.physics import nearest_point
 from cablebot_gym.physics.tension_problems import solve_feasible, solve_interval, solve_least_largest, solve_least_norm
 from cablebot_gym.utils.checks import all_finite
 
-HELD, INFEASIBLE, SINGULAR = nearest_point.HELD, nearest_point.INFEASIBLE, nearest_point.SINGULAR
+HELD = nearest_point.HELD
+INFEASIBLE = nearest_point.INFEASIBLE
+SINGULAR = nearest_point.SINGULAR
 """Status of an item: tensions within the bounds hold the load; none do; S has a rank below n."""
 
 SMOOTHING = 1e-2
@@ -128,7 +130,8 @@ def least_norm(
         all_finite("reference", reference)
     all_finite("weights", weights)
     start = _finite(low) if reference is None else _values(reference, shape, low.shape[1])
-    tensions, status = np.empty_like(low), np.empty(len(low), np.int64)
+    tensions = np.empty_like(low)
+    status = np.empty(len(low), np.int64)
     solve_least_norm(matrices, loads, low, high, start, _values(weights, shape, loads.shape[1]), tensions, status)
     return _distribution(shape, matrices, loads, tensions, status)
 
@@ -200,7 +203,8 @@ def unchecked_least_largest_action(
     If S is not finite, as in a pose where a cable has no length, the status is :data:`SINGULAR`.
     """
     shape, matrices, loads, (low, high, slopes, offsets) = _arrays(structure, load, lower, upper, slope, offset)
-    tensions, status = np.empty_like(low), np.empty(len(low), np.int64)
+    tensions = np.empty_like(low)
+    status = np.empty(len(low), np.int64)
     per = _values(weights, shape, loads.shape[1])
     solve_least_largest(matrices, loads, low, high, slopes, offsets, float(smoothing), per, tensions, status)
     return _distribution(shape, matrices, loads, tensions, status)
@@ -218,7 +222,8 @@ def feasible(structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: Arr
     shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
     items, m, n = matrices.shape
     status, excess = np.zeros(items, np.int64), np.zeros(items)
-    direction, coefficients = np.zeros((items, n)), np.zeros((items, m))
+    direction = np.zeros((items, n))
+    coefficients = np.zeros((items, m))
     solve_feasible(matrices, loads, low, high, _finite(low), status, excess, direction, coefficients)
     return Feasibility(
         status=status.reshape(shape),
@@ -271,8 +276,11 @@ def largest_scale(
         structure, load, lower, upper, unit_lower, unit_upper, batch=batch
     )
     items, m, n = matrices.shape
-    found, status, coefficients = np.empty((items, 2)), np.zeros(items, np.int64), np.zeros((items, m))
-    units, search = _values(unit_load, shape, n), _values(ends, shape, 2)
+    found = np.empty((items, 2))
+    status = np.zeros(items, np.int64)
+    coefficients = np.zeros((items, m))
+    units = _values(unit_load, shape, n)
+    search = _values(ends, shape, 2)
     solve_interval(matrices, loads, units, low, high, unit_low, unit_high, search, found, status, coefficients)
     return ScaleInterval(
         least=found[:, 0].reshape(shape),
@@ -307,7 +315,8 @@ def _arrays(
     structure: ArrayLike, load: ArrayLike, *cables: ArrayLike, batch: tuple[tuple[int, ...], ...] = ()
 ) -> tuple[tuple[int, ...], Array, Array, list[Array]]:
     """Leading shape, then the arrays with one leading axis: S, w and the values of cables."""
-    matrices, vectors = np.asarray(structure, float), np.asarray(load, float)
+    matrices = np.asarray(structure, float)
+    vectors = np.asarray(load, float)
     m, n = matrices.shape[-2:]
     if m < n or vectors.shape[-1:] != (n,):
         raise ValueError(

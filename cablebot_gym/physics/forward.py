@@ -42,7 +42,9 @@ class ForwardKinematics:
 def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
     """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code of their own."""
     load_numba()
-    form, rows, m = form_of(robot)._replace(jointed=False, elastic=False), pack_parameters(robot), robot.cables
+    form = form_of(robot)._replace(jointed=False, elastic=False)
+    rows = pack_parameters(robot)
+    m = robot.cables
     rows[kernel.MASS], rows[kernel.GRAVITY] = _DAMPING * m, 0.0
     rows[kernel.INERTIA : kernel.INERTIA + 3] = _DAMPING * max(np.sum(robot.platform**2), 1e-6)
     if form.lopsided:
@@ -73,15 +75,19 @@ def forward_kinematics(
     """
     all_finite("lengths", lengths)
     all_finite("guess", guess)
-    lengths, (m, n) = np.asarray(lengths, float), (robot.cables, robot.coordinates)
+    lengths = np.asarray(lengths, float)
+    (m, n) = (robot.cables, robot.coordinates)
     shape = lengths.shape[:-1]
     if lengths.shape[-1:] != (m,) or np.shape(guess)[-1:] != (n,):
         raise ValueError(
             f"lengths {lengths.shape} and guess {np.shape(guess)} do not match {robot.name}: use (..., {m}), (..., {n})"
         )
-    pose, count = np.empty((*shape, n)), int(np.prod(shape, dtype=int))
+    pose = np.empty((*shape, n))
+    count = int(np.prod(shape, dtype=int))
     pose[...] = guess
-    found, squares, ended = pose.reshape(-1, n), np.empty(count), np.empty(count, bool)
+    found = pose.reshape(-1, n)
+    squares = np.empty(count)
+    ended = np.empty(count, bool)
     form, parameters, tolerance = _prepared(robot)
     lanes = 1 if count == 1 else kernel.LANES
     memory = np.empty(len(parameters) * lanes), np.empty(kernel.scratch_rows(form) * lanes)

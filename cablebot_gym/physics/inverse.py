@@ -62,7 +62,8 @@ def inverse_dynamics(
     )
     given = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
     if robot.cables > robot.coordinates and robot.kind != "planar":
-        structure, load = np.empty((count, robot.cables, robot.coordinates)), np.empty((count, robot.coordinates))
+        structure = np.empty((count, robot.cables, robot.coordinates))
+        load = np.empty((count, robot.coordinates))
         speeds, pulley_accelerations = moving = np.empty((2, count, robot.cables))
         compiled.demanded(packed, *memory, *given, structure, load, moving)
         tensions = textbook.least_action_tensions(robot, structure, load, speeds, pulley_accelerations, minimum)

@@ -240,7 +240,9 @@ class Plant:
 
         A lag starts from them, within the stall torques.
         """
-        index, first, stride = np.asarray(index), kernel.FIRST_CABLE_RECORD, kernel.CABLE_RECORDS
+        index = np.asarray(index)
+        first = kernel.FIRST_CABLE_RECORD
+        stride = kernel.CABLE_RECORDS
         row = kernel.FIRST_CABLE_PARAMETER + kernel.STALL
         stall = self._read(self._parameters, row, self.robot.cables, kernel.CABLE_PARAMETERS)[index]
         self._write(self.record, first + kernel.TORQUE, index, torques, stride)

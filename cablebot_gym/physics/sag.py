@@ -143,7 +143,8 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
         ValueError: if no equilibrium is found, because cables hang nearly without tension.
     """
     _check_finite(mass=mass, pose=pose, tensions=tensions)
-    pose, straight = np.asarray(pose, float), np.asarray(tensions, float)
+    pose = np.asarray(pose, float)
+    straight = np.asarray(tensions, float)
     structure = textbook.jacobian(robot, pose)
     across, rise = _chords(robot, pose)
     chord, weight = np.hypot(across, rise), _weights(robot)
@@ -159,10 +160,12 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
             middle = (low + high) / 2
             value = np.exp(middle)
             longer = (value - straight) * soft - bent / value**2 < stretch
-            low, high = np.where(longer, middle, low), np.where(longer, high, middle)
+            low = np.where(longer, middle, low)
+            high = np.where(longer, high, middle)
         return np.exp((low + high) / 2)
 
-    found, change = tension(np.zeros(robot.cables)), np.zeros_like(pose)
+    found = tension(np.zeros(robot.cables))
+    change = np.zeros_like(pose)
     scale = float(np.linalg.norm(load))
     for _ in range(200):
         missing = load + structure.T @ found

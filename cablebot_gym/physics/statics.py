@@ -53,7 +53,8 @@ def tension_bounds(
     """
     known = np.all(np.isfinite(textbook.jacobian(robot, reference.position)), axis=(-2, -1), keepdims=True)[..., 0]
     pose = np.where(known, reference.position, robot.home)
-    velocity, acceleration = reference.velocity, reference.acceleration
+    velocity = reference.velocity
+    acceleration = reference.acceleration
     speed = textbook.pulley_speed(robot, pose, velocity)
     rest = textbook.required_torques(robot, np.zeros_like(speed), pose, velocity, acceleration)
     if robot.flexible:
@@ -118,7 +119,8 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
     empty, loaded = (
         textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum) for payload in (0.0, 1.0)
     )
-    slope, sign = np.abs(loaded - empty), np.where(loaded < empty, -1.0, 1.0)
+    slope = np.abs(loaded - empty)
+    sign = np.where(loaded < empty, -1.0, 1.0)
     room = robot.stall_torque - sign * empty
     with np.errstate(divide="ignore"):
         payloads = np.where(slope > 0, room / slope, np.where(room < 0, -np.inf, np.inf))
@@ -127,8 +129,10 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
 
 def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
     """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if there is none."""
-    zero, most = np.zeros_like(pose), robot.stall_torque / robot.pulley_radius
-    least, unit = textbook.allocated_minimum(robot), textbook.load(robot, 1.0, pose, zero, zero)
+    zero = np.zeros_like(pose)
+    most = robot.stall_torque / robot.pulley_radius
+    least = textbook.allocated_minimum(robot)
+    unit = textbook.load(robot, 1.0, pose, zero, zero)
     heaviest = (1 + HEAVIEST) * robot.mass
     found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, heaviest)
     return float(found.largest) - robot.mass if found.status == HELD else -math.inf

@@ -96,8 +96,11 @@ def _within(value, low, high):
 def solve_least_norm(structure, load, lower, upper, reference, weights, tensions, status):
     """Tensions nearest to the reference, see :func:`~cablebot_gym.physics.distribution.least_norm`."""
     items, m, n = structure.shape
-    problem, factors, u = new_problem(m - n, 2 * m), new_factors(m, n), np.zeros(m + n)
-    spare, spare_factors = new_problem(m, 2 * m), new_factors(m + n, n)
+    problem = new_problem(m - n, 2 * m)
+    factors = new_factors(m, n)
+    u = np.zeros(m + n)
+    spare = new_problem(m, 2 * m)
+    spare_factors = new_factors(m + n, n)
     below, above, rest = np.zeros(m), np.zeros(m), np.zeros(n)
     normals, x = problem[0], problem[2]
     for item in range(items):
@@ -128,9 +131,15 @@ def solve_least_largest(structure, load, lower, upper, slope, offset, smoothing,
     """
     items, m, n = structure.shape
     size, root = m - n + 1, math.sqrt(smoothing)
-    problem, factors, u = new_problem(size, 4 * m), new_factors(m, n), np.zeros(m + n)
-    spare, spare_factors = new_problem(m, 2 * m), new_factors(m + n, n)
-    below, above, rest, idle = np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(m)
+    problem = new_problem(size, 4 * m)
+    factors = new_factors(m, n)
+    u = np.zeros(m + n)
+    spare = new_problem(m, 2 * m)
+    spare_factors = new_factors(m + n, n)
+    below = np.zeros(m)
+    above = np.zeros(m)
+    rest = np.zeros(n)
+    idle = np.zeros(m)
     low, high = np.zeros(m), np.zeros(m)
     normals, limits, x = problem[0], problem[1], problem[2]
     for item in range(items):
@@ -222,9 +231,14 @@ def _unreachable(factors, rank, load, direction):
 def solve_feasible(structure, load, lower, upper, reference, status, excess, direction, coefficients):
     """Whether tensions hold the load, or a proof, see :func:`~cablebot_gym.physics.distribution.feasible`."""
     items, m, n = structure.shape
-    problem, factors, u = new_problem(m - n, 2 * m), new_factors(m, n), np.zeros(m)
+    problem = new_problem(m - n, 2 * m)
+    factors = new_factors(m, n)
+    u = np.zeros(m)
     below, above, rest = np.zeros(m), np.zeros(m), np.zeros(n)
-    limits, x, active, multipliers = problem[1], problem[2], problem[3], problem[4]
+    limits = problem[1]
+    x = problem[2]
+    active = problem[3]
+    multipliers = problem[4]
     for item in range(items):
         if not _start(structure[item], load[item], lower[item], upper[item], reference[item], below, above, rest):
             status[item] = INFEASIBLE
@@ -278,8 +292,11 @@ def solve_interval(structure, load, unit_load, lower, upper, unit_lower, unit_up
     """Ends of the interval, see :func:`~cablebot_gym.physics.distribution.largest_scale`."""
     items, m, n = structure.shape
     size = m - n + 1
-    problem, factors = new_problem(size, 2 * m + 2), new_factors(m, n)
-    fixed, unit, before = np.zeros(m), np.zeros(m), np.zeros(size)
+    problem = new_problem(size, 2 * m + 2)
+    factors = new_factors(m, n)
+    fixed = np.zeros(m)
+    unit = np.zeros(m)
+    before = np.zeros(size)
     normals, limits, x = problem[0], problem[1], problem[2]
     for item in range(items):
         found[item, 0] = found[item, 1] = np.nan
@@ -296,7 +313,8 @@ def solve_interval(structure, load, unit_load, lower, upper, unit_lower, unit_up
             normals[m + i, size - 1] = unit_upper[item, i] - unit[i]
         for i in range(2 * m):
             if math.isfinite(limits[i]):
-                largest, scale = max(largest, abs(normals[i, size - 1])), max(scale, abs(limits[i]))
+                largest = max(largest, abs(normals[i, size - 1]))
+                scale = max(scale, abs(limits[i]))
         # s is measured by its effect on the tensions [N]
         effect = largest if largest > 0.0 else 1.0
         scale = max(scale, 1.0)

@@ -99,7 +99,9 @@ def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLi
     ``m R {ω × (ω × c) + (Ṗ Θ̇) × c}`` and the moment ``−Pᵀ{c × Rᵀ m g}``. In a plane with s = R c:
     ``(−m g − m φ̇² s, −s × m g)``.
     """
-    pose, velocity, mass = as_numbers(pose), as_numbers(velocity), as_numbers(mass)
+    pose = as_numbers(pose)
+    velocity = as_numbers(velocity)
+    mass = as_numbers(mass)
     vector = np.zeros(np.broadcast_shapes(pose.shape, velocity.shape), np.result_type(pose, mass, velocity))
     d, offset = robot.dimensions, robot.mass_center
     weight = mass[..., None] * robot.gravity_vector
@@ -114,7 +116,8 @@ def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLi
         return vector
     inertia, rates = robot.inertia_tensor, velocity[..., 3:]
     to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
-    omega, spin = _apply(to_omega, rates), _apply(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
+    omega = _apply(to_omega, rates)
+    spin = _apply(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
     if np.any(offset):
         inertia = _about_origin(inertia, np.broadcast_to(mass, pose.shape[:-1])[..., None, None], offset)
     moment = _apply(inertia, spin) + np.cross(omega, _apply(inertia, omega))
@@ -177,7 +180,8 @@ def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tup
 
     Elastic cables have the free length l = (q + extra_length)/(1 + T/EA). Without joint springs both angles are equal.
     """
-    tensions, pulley = as_numbers(tensions), pulley_angle(robot, pose)
+    tensions = as_numbers(tensions)
+    pulley = pulley_angle(robot, pose)
     torque = robot.pulley_radius * tensions
     if robot.elastic:
         strain = tensions / robot.axial_stiffness
@@ -212,7 +216,8 @@ def joint_equivalent(robot: Robot) -> Robot:
     """
     if not robot.elastic:
         return robot
-    given, stiffness = robot.transmission, joint_stiffness(robot, robot.home)
+    given = robot.transmission
+    stiffness = joint_stiffness(robot, robot.home)
     rigid = {"axial_stiffness": None, "axial_damping": 0.0, "extra_length": 0.0, "stiffness": stiffness}
     if not robot.jointed:
         sides = {"motor_inertia": robot.pulley_inertia, "motor_damping": robot.damping}
@@ -257,7 +262,8 @@ def cable_springs(
     tension = robot.axial_stiffness * strain + robot.axial_damping * rate
     wound = radius * robot.axial_stiffness * strain**2 / 2
     if cable == "unilateral":
-        tension, wound = np.where(strain > 0, np.maximum(tension, 0.0), 0.0), np.where(strain > 0, wound, 0.0)
+        tension = np.where(strain > 0, np.maximum(tension, 0.0), 0.0)
+        wound = np.where(strain > 0, wound, 0.0)
     return tension, radius * tension + wound
 
 
@@ -326,12 +332,15 @@ class LinearModel:
 
 def linear_model(robot: RobotArrays) -> LinearModel:
     """Linear model of a robot about its home pose, without the stiffness that the cable tensions add."""
-    structure, m, n = jacobian(robot, robot.home), robot.cables, robot.coordinates
+    structure = jacobian(robot, robot.home)
+    m = robot.cables
+    n = robot.coordinates
     batch, one = structure.shape[:-2], np.eye(m)
     size = n + m * (robot.elastic + robot.jointed)
     home = np.broadcast_to(robot.home, (*batch, n))
     inertia = np.zeros((*batch, size, size))
-    damping, stiffness = np.zeros_like(inertia), np.zeros_like(inertia)
+    damping = np.zeros_like(inertia)
+    stiffness = np.zeros_like(inertia)
     inertia[..., :n, :n] = mass_matrix(robot, robot.mass, home)
 
     def add(matrix: Array, weight: Array, *parts: tuple[int, Array]) -> None:
@@ -465,7 +474,8 @@ def least_action_tensions(
     """
     radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
     offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
-    slope, span = radius / robot.stall_torque, 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
+    slope = radius / robot.stall_torque
+    span = 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
     weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span)
     found = unchecked_least_largest_action(structure, as_numbers(load), minimum, slope, offset, weights=weights)
     if strict and np.any(found.status != HELD):
@@ -613,11 +623,13 @@ def forward_dynamics(
     pose, velocity, torques = (as_numbers(array) for array in (pose, velocity, torques))
     if not robot.flexible:
         torques = torques - coulomb_torque(robot, pulley_speed(robot, pose, velocity))
-    structure, inertia = jacobian(robot, pose), robot.pulley_inertia / robot.pulley_radius**2
+    structure = jacobian(robot, pose)
+    inertia = robot.pulley_inertia / robot.pulley_radius**2
     cable_bias = _apply(jacobian_rate(robot, pose, velocity), velocity)
     damping = robot.damping / robot.pulley_radius**2 * _apply(structure, velocity)
     driving_force = torques / robot.pulley_radius + inertia * cable_bias + damping
-    matrix, vector = mass_matrix(robot, mass, pose), bias(robot, mass, pose, velocity)
+    matrix = mass_matrix(robot, mass, pose)
+    vector = bias(robot, mass, pose, velocity)
 
     def solve(taut: Array) -> tuple[Array, Array]:
         weighted = np.swapaxes(structure, -1, -2) * taut
@@ -629,7 +641,8 @@ def forward_dynamics(
     if cable == "bilateral":
         return acceleration, tension
     settled = np.all(tension >= 0, axis=-1)
-    result, pulled = acceleration.copy(), np.where(settled[..., None], tension, 0.0)
+    result = acceleration.copy()
+    pulled = np.where(settled[..., None], tension, 0.0)
     for taut in product((1.0, 0.0), repeat=robot.cables):
         if np.all(settled):
             break

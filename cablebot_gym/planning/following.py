@@ -81,7 +81,8 @@ class Follower:
         # The plan rests after its end. Without the minimum, a last period that ends late by rounding would brake.
         end = np.minimum(state.time + period, plan.duration)
         now, after = plan(state.time), plan(end)
-        error, rate = now.position - state.pose, now.velocity - state.velocity
+        error = now.position - state.pose
+        rate = now.velocity - state.velocity
         correction = self.gains[0] * error + self.gains[1] * rate
         if self.robot.flexible:
             return self._motor_pd(plan, state, payload, period, correction)
@@ -93,7 +94,8 @@ class Follower:
         self, state: State, payload: Array, period: float, acceleration: Array, minimum: float
     ) -> tuple[Array, Array]:
         robot, half = self.robot, period / 2
-        mass, velocity = robot.mass + payload, state.velocity + half * acceleration
+        mass = robot.mass + payload
+        velocity = state.velocity + half * acceleration
         pose = state.pose + half * (state.velocity + half / 2 * acceleration)
         needed = inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum)
         speeds = inverse_dynamics(robot, mass, state.pose, state.velocity, acceleration).speeds
@@ -102,7 +104,8 @@ class Follower:
     def _motor_pd(
         self, plan: PlannedMotion, state: State, payload: Array, period: float, correction: Array
     ) -> tuple[Array, Array]:
-        model, time = textbook.cable_equivalent(self.robot), state.time
+        model = textbook.cable_equivalent(self.robot)
+        time = state.time
         inertia = model.motor_inertia if model.jointed else model.pulley_inertia
         assert state.motor_angle is not None
         assert state.motor_speed is not None

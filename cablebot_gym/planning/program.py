@@ -152,7 +152,9 @@ class MotionProgram:
         self._ca = import_casadi()
         self._period = period
         check_model(robot)
-        self._robot, self._trajectory, self._error_bounds = cable_equivalent(robot), trajectory, error_bounds
+        self._robot = cable_equivalent(robot)
+        self._trajectory = trajectory
+        self._error_bounds = error_bounds
         self._lightest = lightest
         self._start = start_pose(robot, trajectory, error_bounds)
         held = hold_payload(robot, trajectory, error_bounds) - _HOLD_MARGIN
@@ -172,7 +174,9 @@ class MotionProgram:
         self._solution: Any = None
 
     def _set_margins(self, margins: Margins) -> None:
-        robot, self._margins, self._least = self._robot, margins, self._robot.minimum_tension + margins.tension
+        robot = self._robot
+        self._margins = margins
+        self._least = self._robot.minimum_tension + margins.tension
         for name in ("position", "rotation"):
             if not getattr(margins, name) < (bound := getattr(self._error_bounds, name)):
                 raise ValueError(f"margins: {name} must be below the error bound {bound:g}")
@@ -237,7 +241,8 @@ class MotionProgram:
 
     def _take(self, *shape: int) -> Array:
         """Indices of new variables."""
-        first, self._variables = self._variables, self._variables + int(np.prod(shape))
+        first = self._variables
+        self._variables = self._variables + int(np.prod(shape))
         return np.arange(first, self._variables).reshape(shape)
 
     def _pose_spline(self, intervals: int) -> _Spline:
@@ -263,8 +268,11 @@ class MotionProgram:
 
     def _bounds(self) -> tuple[Array, Array]:
         """Bounds of the variables. They fix the start pose and its velocity, with the springs at rest."""
-        low, high = np.full(self._variables, -np.inf), np.full(self._variables, np.inf)
-        robot, pose, velocity = self._robot, self._start, self._trajectory(0.0).velocity
+        low = np.full(self._variables, -np.inf)
+        high = np.full(self._variables, np.inf)
+        robot = self._robot
+        pose = self._start
+        velocity = self._trajectory(0.0).velocity
         ends = [(self._poses, pose, velocity)]
         if robot.weightless and self._motors:  # with gravity the angles depend on the payload: a constraint
             ends += [(spline, *start_motors(robot, np.array(robot.mass), pose, velocity)) for spline in self._motors]
@@ -279,7 +287,9 @@ class MotionProgram:
 
     def _initial_guess(self, start: PlannedMotion | None, shift: Any) -> Array:
         """Initial values of the variables."""
-        z, robot, poses = np.zeros(self._variables), self._robot, self._poses
+        z = np.zeros(self._variables)
+        robot = self._robot
+        poses = self._poses
         for at in self._tensions:
             z[at] = 1.0
         if start is not None:
@@ -336,14 +346,17 @@ class MotionProgram:
 
     def _error_blocks(self) -> list[_Block]:
         """Constraints on the position and rotation errors, in units of their bounds."""
-        ca, d, angles = self._ca, self._robot.dimensions, self._robot.coordinates - self._robot.dimensions
+        ca = self._ca
+        d = self._robot.dimensions
+        angles = self._robot.coordinates - self._robot.dimensions
         times = self._error_instants
         reference = self._trajectory(times).position
         rows = [
             _Row(row.matrix / bound, row.at, (row.constant - target) / bound)
             for row, target, bound in zip(self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True)
         ]
-        translation, rotation = ca.SX.sym("e", d), ca.SX.sym("e", angles)
+        translation = ca.SX.sym("e", d)
+        rotation = ca.SX.sym("e", angles)
         radius = 1 - self._margins.position / self._error_bounds.position
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
         blocks = [self._block(distance, rows[:d], np.array([-np.inf]), np.array([radius**2]))]
@@ -361,7 +374,9 @@ class MotionProgram:
         return np.full((2 if self._period > 0 else 1) * self._robot.cables, 1 - self._margins.action)
 
     def _rigid(self, index: int, mass: float | None) -> list[_Block]:
-        times, balanced, most = self._instants, np.zeros(self._robot.coordinates), self._action_bounds()
+        times = self._instants
+        balanced = np.zeros(self._robot.coordinates)
+        most = self._action_bounds()
         at = self._tensions[index]
         tensions = [_Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
         rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
@@ -370,9 +385,12 @@ class MotionProgram:
         ]
 
     def _flexible(self, index: int, mass: float | None) -> list[_Block]:
-        robot, poses, motors = self._robot, self._poses, self._motors[index]
+        robot = self._robot
+        poses = self._poses
+        motors = self._motors[index]
         balance, limits = flexible_stage(robot, self._period)
-        balanced, most = np.zeros(robot.coordinates), self._action_bounds()
+        balanced = np.zeros(robot.coordinates)
+        most = self._action_bounds()
         least = np.full(2 * robot.cables, self._least / TENSION)
 
         def rows(times: Array, orders: Sequence[int]) -> list[_Row]:
@@ -405,12 +423,20 @@ class MotionProgram:
     def _assemble(self, start: dict[str, Any]) -> tuple[Any, Array, Array]:
         """The IPOPT solver of the program with options for its start, and the bounds of its constraints."""
         ca = self._ca
-        z, sigma, parameters = ca.MX.sym("z", self._variables), ca.MX.sym("sigma"), ca.MX.sym("p", 0)
-        values, jacobians, multipliers, lows, highs = [], [], [], [], []
+        z = ca.MX.sym("z", self._variables)
+        sigma = ca.MX.sym("sigma")
+        parameters = ca.MX.sym("p", 0)
+        values = []
+        jacobians = []
+        multipliers = []
+        lows = []
+        highs = []
         hessian = ca.MX(self._variables, self._variables)
         for block in self._blocks():
             matrix = ca.DM(block.matrix.tocsc())
-            size, rows, count = block.matrix.shape[0] // block.instants, len(block.low), block.instants
+            size = block.matrix.shape[0] // block.instants
+            rows = len(block.low)
+            count = block.instants
             numbers = ca.reshape(matrix @ z + ca.DM(block.offset), size, count)
             first, second = derivatives(block.function)
             values.append(ca.vec(block.function.map(count)(numbers)))

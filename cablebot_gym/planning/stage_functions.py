@@ -73,7 +73,8 @@ def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
     (xs, x), (vs, v), (as_, a), (ts, t), (ms, mass) = (
         _symbols(ca, name, size) for name, size in (("X", n), ("V", n), ("A", n), ("T", m), ("m", 1))
     )
-    tensions, speed = TENSION * t, textbook.pulley_speed(robot, x, v)
+    tensions = TENSION * t
+    speed = textbook.pulley_speed(robot, x, v)
     torque = textbook.required_torques(robot, tensions, x, v, a)
     actions = _actions(robot, torque, speed, textbook.pulley_acceleration(robot, x, v, a), period)
     balance = _balance(robot, mass[0], x, v, a, tensions)
@@ -96,7 +97,8 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
     )
     torque, spring_force = textbook.spring_drive(robot, x, v, b, u, w)
     if robot.jointed:
-        speed, second = textbook.pulley_speed(robot, x, v), textbook.pulley_acceleration(robot, x, v, a)
+        speed = textbook.pulley_speed(robot, x, v)
+        second = textbook.pulley_acceleration(robot, x, v, a)
         tensions = spring_force - (robot.pulley_inertia * second + robot.damping * speed) / robot.pulley_radius
     else:
         tensions, _ = textbook.cable_springs(robot, x, v, b, u, cable="bilateral")

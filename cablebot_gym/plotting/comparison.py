@@ -57,7 +57,8 @@ def draw_comparison(comparison: Comparison) -> Figure:
         if bound <= BOUND_IN_VIEW * largest_error:
             over_time.axhline(1e3 * bound, color="black", linewidth=1.0)
             largest.axvline(1e3 * bound, color="black", linewidth=1.0)
-            note, top = "black line", max(1.05 * largest_error, 1.1 * bound)
+            note = "black line"
+            top = max(1.05 * largest_error, 1.1 * bound)
         else:  # with the bound in view, the curves would be flat
             note, top = "above the plotted range", 1.05 * largest_error
         over_time.set_title(f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY)
@@ -78,7 +79,8 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    first, payloads = comparison.comparisons[0], comparison.payloads
+    first = comparison.comparisons[0]
+    payloads = comparison.payloads
     rows = [("max_error", "position error,\nlargest [mm]", 1e3)]
     rows += [] if first.task.robot.point_mass else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
     rows += [("rms_torque", "torque, root\nmean square [N·m]", 1.0), ("success", "success rate [%]", 100.0)]
@@ -89,7 +91,8 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
             metrics = [one.metrics[index] for one in comparison.comparisons]
             found = [one.success if name == "success" else one.estimate(name) for one in metrics]
             mean, low, high = factor * np.array([(one.mean, one.low, one.high) for one in found]).T
-            colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
+            colour = COLOURS[index % len(COLOURS)]
+            style = STYLES[index % len(STYLES)]
             if first.draws > 1:
                 axes.fill_between(payloads, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(payloads, mean, style, color=colour, linewidth=1.8, marker=".", label=f" {policy}")
@@ -129,7 +132,8 @@ def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:
     for index, metrics in enumerate(comparison.metrics):
         error: Array = 1e3 * getattr(metrics, series)
         time = np.arange(1, len(error) + 1) / comparison.task.control_frequency
-        colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
+        colour = COLOURS[index % len(COLOURS)]
+        style = STYLES[index % len(STYLES)]
         if comparison.draws > 1:
             low, high = np.nanquantile(error, BAND, axis=1)
             axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0)
@@ -140,5 +144,6 @@ def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:
 
 def _distribution(axes: Axes, comparison: Comparison, peak: str) -> None:
     for index, metrics in enumerate(comparison.metrics):
-        colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
+        colour = COLOURS[index % len(COLOURS)]
+        style = STYLES[index % len(STYLES)]
         axes.ecdf(1e3 * getattr(metrics, peak), color=colour, linestyle=style, linewidth=1.8)

@@ -164,7 +164,8 @@ def draw_springs(result: DLCCResult) -> Figure:
     deflections = result.rollout.arrays.get("spring_deflection")
     if deflections is None:
         raise ValueError(f"robot {result.task.robot.name!r} has no joint springs with cables that do not stretch")
-    cables, columns = deflections.shape[1], min(3, deflections.shape[1])
+    cables = deflections.shape[1]
+    columns = min(3, deflections.shape[1])
     figure = new_figure(torques_height(cables))
     grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)
     times = result.rollout.arrays["time"]
@@ -251,7 +252,8 @@ def tightest(result: DLCCResult) -> tuple[int, int]:
 
 def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
     """U⁻ and U⁺ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
-    stall, drop = result.rollout.stall_torque, _slope(result) * result.rollout.arrays["motor_speeds"]
+    stall = result.rollout.stall_torque
+    drop = _slope(result) * result.rollout.arrays["motor_speeds"]
     return -stall - drop, stall - drop
 
 
@@ -308,7 +310,9 @@ def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool 
 
 
 def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
-    arrays, (lower, upper), (step, motor) = result.rollout.arrays, torque_limits(result), tightest(result)
+    arrays = result.rollout.arrays
+    (lower, upper) = torque_limits(result)
+    (step, motor) = tightest(result)
     action = abs(arrays["commanded_action"][step, motor])
     profile = TorqueProfile(
         times=arrays["action_time"],
@@ -333,7 +337,9 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
     for motor, axes in enumerate(grid.flat[:cables]):
         axes.set_title(f"motor {motor + 1}", fontsize=11)
         shade: dict[str, Any] = {"color": SHADE, "linewidth": 0}
-        upper, lower, ends = profile.upper[:, motor], profile.lower[:, motor], time[[0, *range(len(time)), -1]]
+        upper = profile.upper[:, motor]
+        lower = profile.lower[:, motor]
+        ends = time[[0, *range(len(time)), -1]]
         axes.fill(ends, np.concatenate([[high], upper, [high]]), label="infeasible", **shade)
         axes.fill(ends, np.concatenate([[low], lower, [low]]), **shade)
         axes.plot(time, upper, color="black", linewidth=1.0, marker=marker, label="limits U±")
@@ -389,9 +395,12 @@ def _torque_range(profile: TorqueProfile) -> tuple[float, float]:
 
 
 def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
-    time, torques = profile.times[mark.step], profile.torques[:, mark.motor]
-    lower, upper = profile.lower[:, mark.motor], profile.upper[:, mark.motor]
-    torque, early = torques[mark.step], time < sum(_span(profile.times, profile.end)) / 2
+    time = profile.times[mark.step]
+    torques = profile.torques[:, mark.motor]
+    lower = profile.lower[:, mark.motor]
+    upper = profile.upper[:, mark.motor]
+    torque = torques[mark.step]
+    early = time < sum(_span(profile.times, profile.end)) / 2
     # The annotation is placed between the torque and the opposite limit.
     positive = 2 * torque > lower[mark.step] + upper[mark.step]
     gap = (lower.max(), torques.min()) if positive else (torques.max(), upper.min())
@@ -449,7 +458,8 @@ def path_panels(
     """
     rotates = any(path.rotation_error is not None for path in paths)
     grid = figure.add_gridspec(2 if rotates else 1, 2, width_ratios=[1, 1.25])
-    plane, last = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+    plane = figure.add_subplot(grid[:, 0])
+    last = figure.add_subplot(grid[0, 1])
     draw_plane(plane, trajectory, paths, position or 0.0)
     _draw_error(last, paths, [path.position_error for path in paths], position, "position", "mm")
     if rotates:
@@ -475,7 +485,8 @@ def draw_plane(axes: Axes, trajectory: Trajectory, paths: Sequence[TravelledPath
         points.append(path.pose[:, :2])
         axes.plot(*points[-1].T, label=path.name, **path.line)
     axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
-    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
+    low = np.concatenate(points).min(axis=0)
+    high = np.concatenate(points).max(axis=0)
     pad = 0.06 * (high - low).max()
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")

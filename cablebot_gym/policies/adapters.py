@@ -245,7 +245,9 @@ class WrappedPolicy:
     """
 
     def __init__(self, policy: Policy, stack: Stack, note: str = "") -> None:
-        self.policy, self.note, self.wrappers = policy, note, stack.names
+        self.policy = policy
+        self.note = note
+        self.wrappers = stack.names
         self.unsaturated_actions, self.stochastic, _ = declarations(policy)
         self._stack = stack
         self._tasks: tuple[Task, ...] | None = None

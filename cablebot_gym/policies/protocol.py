@@ -178,7 +178,8 @@ class LoadedPolicy:
         from cablebot_gym.envs.outcome import LARGEST  # slow to import; the environment has imported it
 
         def failure(cause: str, affected: Array) -> PolicyError:
-            lightest, heaviest = f"{affected.min():g}", f"{affected.max():g}"
+            lightest = f"{affected.min():g}"
+            heaviest = f"{affected.max():g}"
             text = f"payloads of {lightest} to {heaviest} kg"
             if lightest == heaviest:
                 text = f"a payload of {lightest} kg"

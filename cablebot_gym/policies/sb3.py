@@ -158,7 +158,9 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
         ValueError: if the spaces differ, the message describes both; or if the last observation of the training shows
             that there were other wrappers.
     """
-    inputs, outputs, robot = model.observation_space, model.action_space, stack.robot
+    inputs = model.observation_space
+    outputs = model.action_space
+    robot = stack.robot
     equal_bounds = _agreement(inputs, stack.observation_space)
     equal_normalised = 0.0
     if NORMALISED in stack.names:

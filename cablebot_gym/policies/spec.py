@@ -209,9 +209,13 @@ def load(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequen
     if isinstance(policy, str):
         spec = PolicySpec.parse(policy)
         target, subject, beside = _make(spec, robot)
-        estimators, held = spec.estimators, spec.held and not wrappers
+        estimators = spec.estimators
+        held = spec.held and not wrappers
     else:
-        subject, beside, estimators, held = f"policy {name or name_of(policy)!r}", None, (), False
+        subject = f"policy {name or name_of(policy)!r}"
+        beside = None
+        estimators = ()
+        held = False
         target = _call(policy, robot, subject) if isinstance(policy, type) else as_policy(policy)
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
     for estimator in reversed(estimators):

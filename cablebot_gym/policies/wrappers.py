@@ -42,7 +42,9 @@ that the wrapper accepts."""
 NORMALISED = "normalised_observation"
 """Name of the wrapper that does what the environment's keyword of this name does."""
 
-VECTOR, SINGLE, SB3 = "vector environment", "single environment", "VecEnv"
+VECTOR = "vector environment"
+SINGLE = "single environment"
+SB3 = "VecEnv"
 """Forms of wrappers."""
 
 UNEQUAL = (
@@ -115,7 +117,8 @@ class _Vector(VectorEnv[Any, Any, Any]):
 
     def _set_spaces(self, count: int, observation_space: Any, action_space: Any) -> None:
         self.num_envs = count
-        self.single_observation_space, self.single_action_space = observation_space, action_space
+        self.single_observation_space = observation_space
+        self.single_action_space = action_space
         self.observation_space = batch_space(observation_space, count)
         self.action_space = batch_space(action_space, count)
 
@@ -146,7 +149,10 @@ class StandIn(_Still, _Vector):
         exchange: Callable[[Array], Array],
         tasks: Sequence[Task] | None = None,
     ) -> None:
-        self.layout, self._observation, self._exchange, self._tasks = layout, observation, exchange, tasks
+        self.layout = layout
+        self._observation = observation
+        self._exchange = exchange
+        self._tasks = tasks
         self._set_spaces(len(observation), layout.space(), Box(-1.0, 1.0, (cables,), dtype=np.float32))
 
     @property
@@ -177,8 +183,11 @@ class SingleStandIn(_Still, gym.Env[Any, Any]):
     def __init__(self, vector: VectorEnv[Any, Any, Any], index: int, observation: Array) -> None:
         innermost: Any = vector.unwrapped
         self.layout, self._vector = innermost.layout, innermost
-        self._index, self._observation, self._exchange = index, observation, pause
-        self.observation_space, self.action_space = vector.single_observation_space, vector.single_action_space
+        self._index = index
+        self._observation = observation
+        self._exchange = pause
+        self.observation_space = vector.single_observation_space
+        self.action_space = vector.single_action_space
 
     @property
     def task(self) -> Task:
@@ -208,7 +217,9 @@ class Rows(_Vector):
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], wrap: Callable[[Any], Any]) -> None:
-        self.env, self.num_envs, self.render_mode = env, env.num_envs, None
+        self.env = env
+        self.num_envs = env.num_envs
+        self.render_mode = None
         observation, _ = env.reset()
 
         def wrapped_row(index: int) -> Any:
@@ -349,7 +360,8 @@ class NamedWrapper:
             except Exception as error:
                 raise ValueError(f"wrapper {name!r}: cannot import it ({error})") from error
         else:
-            name, wrap = getattr(wrapper, "__name__", None) or type(wrapper).__name__, wrapper
+            name = getattr(wrapper, "__name__", None) or type(wrapper).__name__
+            wrap = wrapper
         if not callable(wrap):
             raise ValueError(
                 f"wrapper {name!r} must be a function or class that takes an environment, such as file.py:name, "

@@ -384,7 +384,8 @@ class Painter:
 
     def _line(self, start: ArrayLike, stop: ArrayLike, colour: Any, width: float) -> None:
         """Draws a line whose width does not depend on its direction, unlike the lines of pygame."""
-        start, stop = np.asarray(start, float), np.asarray(stop, float)
+        start = np.asarray(start, float)
+        stop = np.asarray(stop, float)
         along = stop - start
         length = float(np.linalg.norm(along))
         if length > 0:

@@ -67,7 +67,8 @@ class Window:
         return pressed
 
     def _open(self, size: tuple[int, int]) -> pygame.Surface:
-        display, variables = self._pygame.display, ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+        display = self._pygame.display
+        variables = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
         # Without these variables, SDL selects a driver without output.
         found = sys.platform != "linux" or any(os.environ.get(name) for name in variables)
         try:

@@ -214,9 +214,13 @@ def _violation_text(entry: Sequence[scores.Score]) -> str:
 def _code(cell: Cell) -> str:
     """Python code that computes a cell."""
     if isinstance(cell, BestKnownCell):
-        module, name, lines = "cablebot_gym.bounds.best_known", "find_best_known", [repr(cell.env_id)]
+        module = "cablebot_gym.bounds.best_known"
+        name = "find_best_known"
+        lines = [repr(cell.env_id)]
     else:
-        module, name, lines = "cablebot_gym.evaluation", "evaluate_dlcc", [repr(cell.policy), repr(cell.env_id)]
+        module = "cablebot_gym.evaluation"
+        name = "evaluate_dlcc"
+        lines = [repr(cell.policy), repr(cell.env_id)]
     options = cell.options() if isinstance(cell, PolicyCell) else cell.env_options()
     lines += [f"{option}={value!r}" for option, value in options.items() if value is not None]
     inner = "".join(f"    {line},\n" for line in lines)

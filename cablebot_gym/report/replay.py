@@ -137,7 +137,8 @@ def _rollouts(
     env: CableBotVectorEnv, policy: LoadedPolicy, episodes: Sequence[tuple[PolicyCell, float]]
 ) -> list[Rollout]:
     """Records one episode of each environment, with the conditions of its cell and its payload."""
-    cells, payloads = [cell for cell, _ in episodes], np.array([payload for _, payload in episodes])
+    cells = [cell for cell, _ in episodes]
+    payloads = np.array([payload for _, payload in episodes])
     seeds = [draw_seeds(cell.seed, cell.draws)[0] for cell in cells]
     options: dict[str, Any] = {
         "payload": payloads,
@@ -206,9 +207,12 @@ def approach(rollout: Rollout, violation: Violation) -> str:
     errors = {"position": "tracking_error_peak", "rotation": "rotation_error_peak"}
     if violation.kind in errors and violation.bound is not None:
         name = errors[violation.kind]
-        subject, values, unit = "The error", 100 * arrays[name] / violation.bound, "% of its bound"
+        subject = "The error"
+        values = 100 * arrays[name] / violation.bound
+        unit = "% of its bound"
     elif violation.kind == "slack" and violation.index is not None:
-        subject, values = f"The tension of cable {violation.index}", arrays["tensions"][:, violation.index - 1]
+        subject = f"The tension of cable {violation.index}"
+        values = arrays["tensions"][:, violation.index - 1]
         unit = "N"
     else:
         return ""
@@ -222,7 +226,9 @@ def approach(rollout: Rollout, violation: Violation) -> str:
 
 def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
     """Frames of every channel: at the start, after every ``every`` control steps, and at the end."""
-    robot, arrays, steps = rollout.task.robot, rollout.arrays, len(rollout) - 1
+    robot = rollout.task.robot
+    arrays = rollout.arrays
+    steps = len(rollout) - 1
     ends = [*range(every, steps, every), steps]
     windows = [slice(end - every if end % every == 0 else end - end % every, end) for end in ends]
     poses = np.concatenate([rollout.start["true_pose"][None], arrays["true_pose"][np.array(ends) - 1]])

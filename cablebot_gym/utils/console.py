@@ -140,12 +140,15 @@ class _Clock:
         """Notes the progress. Work starts at the last report of the first value: results may be there already."""
         if self._first in (-1.0, done):
             self._first, self._since = done, PREPARATION.worked
-        self._done, self._expected, self._last = done, expected, PREPARATION.worked
+        self._done = done
+        self._expected = expected
+        self._last = PREPARATION.worked
 
     @property
     def left(self) -> str:
         """Text of the time left; empty while it is unknown."""
-        finished, rest = self._done - self._first, self._expected - self._done
+        finished = self._done - self._first
+        rest = self._expected - self._done
         now = PREPARATION.worked
         if min(rest, finished) <= 0 or (finished <= LEAST * (finished + rest) and now - self._since < LEAST_WORK):
             return ""

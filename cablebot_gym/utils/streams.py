@@ -54,7 +54,8 @@ class _Output(io.RawIOBase):
             except BrokenPipeError:  # as in `| head`: nobody wants the rest, but the command may still write files
                 self._is_broken, self._other = True, None
             except OSError as error:
-                self._is_broken, self.problem = True, error.strerror or str(error)
+                self._is_broken = True
+                self.problem = error.strerror or str(error)
             else:
                 if count is not None:
                     return int(count)

@@ -37,7 +37,8 @@ def write(pages: Pages) -> None:
 def page(env_id: str, env: CableBotEnv) -> str:
     """The text of an environment's page."""
     lead, sections = manual()
-    robot, layout = env.task.robot, sections["Observation space"].splitlines()
+    robot = env.task.robot
+    layout = sections["Observation space"].splitlines()
     marks = [index for index, line in enumerate(layout) if line.startswith("|")]
     # The table of this robot replaces that of all robots.
     sections["Observation space"] = "\n".join([*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]])

@@ -73,7 +73,8 @@ def commands() -> str:
     """The help of every command, those of the baselines included."""
     points = command_points()
     add_commands(points)
-    text, runner = "", CliRunner(env={"COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"})
+    text = ""
+    runner = CliRunner(env={"COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"})
     for name in points:
         shown = runner.invoke(app, [name, "--help"], prog_name="cablebot", catch_exceptions=False).output
         text += f"\n## cablebot {name}\n\n```text\n{shown.strip()}\n```\n"

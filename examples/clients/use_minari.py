@@ -16,7 +16,8 @@ from cablebot_gym.robots import PLANAR
 
 ENV_ID = cablebot_gym.ENV_IDS[0]
 
-env, policy = minari.DataCollector(gym.make(ENV_ID)), load_policy("fl", PLANAR)
+env = minari.DataCollector(gym.make(ENV_ID))
+policy = load_policy("fl", PLANAR)
 for payload in (0.0, 1.0):
     observation, _ = env.reset(seed=0, options={"payload": payload})
     ended = False

@@ -55,7 +55,8 @@ def _curves(axes: Axes, card: Card) -> None:
     if not has_loops(card.motions):
         if card.best_known:
             axes.axhline(card.best_known, color="black", linestyle="--", linewidth=1.0, label="best known payload")
-        known, uncertainty = card.evaluation.get("payload_known", True), card.evaluation.get("uncertainty")
+        known = card.evaluation.get("payload_known", True)
+        uncertainty = card.evaluation.get("uncertainty")
         if (same := Condition(payload_known=known, uncertainty=uncertainty)) in card.conditions:
             (law,) = scores([card.law_payloads[card.conditions.index(same)]])
             axes.axhline(law, color=GREY, linestyle="-.", linewidth=1.0, label="classical law")

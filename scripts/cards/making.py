@@ -91,11 +91,13 @@ def make_card(
     bundles = [Bundle.load(run / BEST) for run in runs]
     records = [Bundle.load(run / LAST).card for run in runs]
     _check_runs(shipped, env_id, runs, records)
-    first, seeds = bundles[0], [int(card["seed"]) for card in records]
+    first = bundles[0]
+    seeds = [int(card["seed"]) for card in records]
     motions = _motions(records[0]["config"], env_id)
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
     first.base_alone.save(base)
-    law, conditions = reference_law(env_id), CONDITIONS[shipped.name]
+    law = reference_law(env_id)
+    conditions = CONDITIONS[shipped.name]
 
     def cells(policy: str) -> list[PolicyCell]:
         return [_cell(policy, env_id, condition, draws, probability) for condition in conditions]
@@ -191,7 +193,8 @@ def _check_runs(shipped: Shipped, env_id: str, runs: Sequence[Path], records: Se
         raise ValueError(f"the runs of {shipped.name} must have different seeds, not {seeds}")
     for run, card in zip(runs, records, strict=True):
         if (card["env_id"], card["algorithm"]) != (env_id, shipped.algorithm):
-            actual, expected = f"{card['env_id']} by {card['algorithm']}", f"{env_id} by {shipped.algorithm}"
+            actual = f"{card['env_id']} by {card['algorithm']}"
+            expected = f"{env_id} by {shipped.algorithm}"
             raise ValueError(f"run {str(run)!r} is a training on {actual}, not on {expected}: choose another --runs")
         if card["config"] != records[0]["config"]:
             raise ValueError(
@@ -208,7 +211,8 @@ def _held_out(
     policies: Mapping[int, str], law: str, env_id: str, payload_known: bool, count: int, evaluate: Evaluate
 ) -> tuple[dict[int, tuple[float | None, ...]], tuple[HeldOut, ...]]:
     """DLCCs on held-out motions of ``policies``, by training seed, and of the law."""
-    seeds, condition = held_out_seeds(count), Condition(payload_known=payload_known)
+    seeds = held_out_seeds(count)
+    condition = Condition(payload_known=payload_known)
     names = [*policies.values(), law]
     cells = [_cell(name, env_id, condition, motion=_loop(env_id, seed)) for name in names for seed in seeds]
     payloads = _payloads(cells, evaluate)

@@ -67,7 +67,8 @@ def policy(**methods):
 
         for name, value in methods.items():
             setattr(Made, name, value)
-        Made.__name__, Made.__doc__ = function.__name__, function.__doc__
+        Made.__name__ = function.__name__
+        Made.__doc__ = function.__doc__
         return Made
 
     return decorate
@@ -95,7 +96,8 @@ def row_order(law, observation):
         else:
             payloads, failed = GAPS[-1]
             first = int(failed.argmax()) if failed.any() else len(failed)
-            low, high = payloads[max(first - 1, 0)], payloads[min(first, len(failed) - 1)]
+            low = payloads[max(first - 1, 0)]
+            high = payloads[min(first, len(failed) - 1)]
             inner = np.linspace(low, high, len(observation) + 2)[1:-1]
             law.payloads = np.full(len(observation), low) if high - low <= 0.01 else inner
         GAPS.append((law.payloads, np.zeros(len(observation), bool)))
@@ -116,7 +118,8 @@ def batch_mean(law, observation):
 
 def filtered(law, observation, others=()):
     """An observation with errors that are a cubic function of the payload, which has less noise, except for others."""
-    payloads, blocks = np.array([task.model_payload for task in law.tasks]), law._layout.slices()
+    payloads = np.array([task.model_payload for task in law.tasks])
+    blocks = law._layout.slices()
     payloads[list(others)] = np.inf
     light = np.flatnonzero(payloads < 4)
     powers = np.vander(payloads[light] / 4, 4)

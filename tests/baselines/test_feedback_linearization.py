@@ -59,7 +59,8 @@ def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
     robot = ROBOTS[kind]
     observation = random_observations(kind, 3, 40)
     law = FeedbackLinearization(robot, gains=gains, minimum_tension=minimum)
-    x, (stiffness, damping) = law.split(observation), gains or GAINS[kind]
+    x = law.split(observation)
+    (stiffness, damping) = gains or GAINS[kind]
     v = (
         x["reference_acceleration"]
         + damping * (x["reference_velocity"] - x["velocity"])

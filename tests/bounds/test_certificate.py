@@ -97,11 +97,9 @@ def fine_times(multiplier: Multiplier) -> tuple[Array, float]:
 
 
 RADIUS = PLANAR.pulley_radius
-PULL, SLOPE, INERTIA = (
-    PLANAR.stall_torque / RADIUS - PLANAR.minimum_tension,
-    (PLANAR.speed_slope + PLANAR.damping) / RADIUS**2,
-    PLANAR.pulley_inertia / RADIUS**2,
-)
+PULL = PLANAR.stall_torque / RADIUS - PLANAR.minimum_tension
+SLOPE = (PLANAR.speed_slope + PLANAR.damping) / RADIUS**2
+INERTIA = PLANAR.pulley_inertia / RADIUS**2
 """s, k and μ."""
 
 

@@ -40,11 +40,9 @@ from cablebot_gym.robots import SPATIAL
 
 @each_time
 def test_eq21_inertia_of_the_pulleys_adds_to_the_platform(time):
-    (x, v, a), (g, rate), j = (
-        motion(FLEXIBLE, time),
-        turning(FLEXIBLE, time),
-        4e-4,
-    )
+    (x, v, a) = motion(FLEXIBLE, time)
+    (g, rate) = turning(FLEXIBLE, time)
+    j = 4e-4
     spring = np.linalg.solve(g.T, needed_force(FLEXIBLE, time, pulleys=True))  # τ − J′ β̈′
     right = -textbook.bias(FLEXIBLE, 11.0, x, v) + g.T @ (spring - j * rate @ v)
     mass = textbook.mass_matrix(FLEXIBLE, 11.0, x)
@@ -161,11 +159,9 @@ def test_eq24_inertia_of_the_motors_cancels(time):
     def motor(at):
         return textbook.pulley_angle(FLEXIBLE, motion(FLEXIBLE, at)[0]) + required(at) / FLEXIBLE.stiffness
 
-    (x, v, a), angle, second = (
-        motion(FLEXIBLE, time),
-        motor(time),
-        slope(lambda at: slope(motor, at), time),
-    )
+    (x, v, a) = motion(FLEXIBLE, time)
+    angle = motor(time)
+    second = slope(lambda at: slope(motor, at), time)
     torques = required(time) + 4e-4 * second
     peer = mujoco_state((x, v, angle, slope(motor, time)))
     assert_allclose(peer.accelerations(torques), a, rtol=0, atol=1e-6)
@@ -243,10 +239,8 @@ def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
     """γ = ∂τ/∂v from the kinetic energy; η of Eq. 30 against a plant that is heavier than the model."""
     x, v, requested = motion(SPATIAL, time)
     true = with_transmission(SPATIAL.replace(mass=11.5), pulley_inertia=3e-3)
-    (alpha, gamma), (model_alpha, model_gamma) = (
-        parts_of_law(true, x, v),
-        parts_of_law(SPATIAL, x, v),
-    )
+    (alpha, gamma) = parts_of_law(true, x, v)
+    (model_alpha, model_gamma) = parts_of_law(SPATIAL, x, v)
     g, _ = turning(SPATIAL, time)
     complete = np.stack([momentum(SPATIAL, x, e) for e in np.eye(6)], axis=1)  # linear in Ẋ
     assert_allclose(model_gamma, np.linalg.solve(g.T, complete), rtol=0, atol=1e-8)
@@ -403,10 +397,8 @@ def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
 def test_eq36_bracket_of_rho_closes_after_the_last_term():
     """ρ has to bound ‖ψ‖, which ρ itself enlarges: at the worst of what ζ, γ̄ and φ allow, it is just enough."""
     rng = np.random.default_rng(3)
-    zeta, (gain, phi, requested, drift) = (
-        rng.uniform(0.05, 0.9, 200),
-        rng.uniform(0.1, 5, (4, 200)),
-    )
+    zeta = rng.uniform(0.05, 0.9, 200)
+    (gain, phi, requested, drift) = rng.uniform(0.1, 5, (4, 200))
     known = zeta * (requested + drift)
     unknown = gain * phi
 

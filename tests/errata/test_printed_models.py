@@ -31,7 +31,9 @@ from cablebot_gym.trajectories import find_trajectory
 @each_time
 def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
     """Eq. 7 is Eq. 1 with the torque of the spring in place of the motor's."""
-    (_, v, a), (g, rate), j = motion(UNEVEN, time), turning(UNEVEN, time), 8e-4
+    (_, v, a) = motion(UNEVEN, time)
+    (g, rate) = turning(UNEVEN, time)
+    j = 8e-4
     friction = 0.01 * (g @ v)
     torques = np.linalg.solve(g.T, needed_force(UNEVEN, time, pulleys=True)) + friction
     tensions = np.linalg.solve(RADIUS * g.T, needed_force(UNEVEN, time, pulleys=False))
@@ -46,7 +48,8 @@ def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
 
 @each_time
 def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
-    (x, v, a), (g, rate) = motion(RUBBING, time), turning(RUBBING, time)
+    (x, v, a) = motion(RUBBING, time)
+    (g, rate) = turning(RUBBING, time)
     required = RADIUS * (needed_force(RUBBING, time, pulleys=True) + g.T @ (0.02 * g @ v))
 
     def equation(s):
@@ -61,7 +64,8 @@ def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
 
 @each_time
 def test_eq3_angles_for_rates_break_lagranges_equation(time):
-    (x, v, a), inertia = motion(UNEVEN, time), np.array(UNEVEN.inertia)
+    (x, v, a) = motion(UNEVEN, time)
+    inertia = np.array(UNEVEN.inertia)
     required = needed_force(UNEVEN, time, pulleys=False)
     inertial = textbook.mass_matrix(UNEVEN, 10.0, x) @ a
     bias = textbook.bias(UNEVEN, 10.0, x, v)
@@ -97,7 +101,8 @@ def test_eq4_is_a_force_law_and_no_constraint():
 @each_time
 def test_eq9_and_eq10_need_both_rows_and_a_pseudoinverse(time):
     """Division by components couples x and y wrongly; S has no inverse, and M_eq S⁻¹ does not exist."""
-    (x, v, _), (g, rate) = motion(RUBBING, time), turning(RUBBING, time)
+    (x, v, _) = motion(RUBBING, time)
+    (g, rate) = turning(RUBBING, time)
     s = RADIUS * g.T
     matrix = RADIUS * np.eye(2) + s @ (8e-4 * g)
     bias = s @ ((8e-4 * rate + 0.02 * g) @ v)

@@ -148,7 +148,8 @@ def test_processes_of_a_policy_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
     policy.predict(np.zeros((1, 3)))
     lines = [line.split() for line in Path("pids").read_text(encoding="ascii").splitlines()]
-    pids, folder = {int(pid) for line in lines for pid in line[:2]}, Path(lines[0][2])
+    pids = {int(pid) for line in lines for pid in line[:2]}
+    folder = Path(lines[0][2])
     assert len(pids) == 4
     assert all(alive(pid) for pid in pids)
     assert folder.is_dir()

@@ -61,7 +61,8 @@ def test_pulleys_of_table_5_are_light_and_have_no_damping():
 
 def test_cable_line_uses_the_rate_of_the_cable_length():
     pose = np.array([0.05, 0.02, 0.1, 0.1, 0.1, 0.1])
-    velocity, step = np.array([0.3, -0.2, 0.1, 0.4, 0.1, -0.3]), 1e-6
+    velocity = np.array([0.3, -0.2, 0.1, 0.4, 0.1, -0.3])
+    step = 1e-6
     longer = cable_lengths(SPATIAL.base, SPATIAL.platform, pose + step * velocity)
     shorter = cable_lengths(SPATIAL.base, SPATIAL.platform, pose - step * velocity)
     speed = textbook.pulley_speed(SPATIAL, pose, velocity)

@@ -84,7 +84,8 @@ def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
 def released(stiffness, damping):
     """Recorded arrays of a loop with an initial error of 1 mm that satisfies ë + K_D ė + K_P e = 0."""
     time = np.arange(5001) / 10_000
-    decay, root = damping / 2, np.sqrt(complex(damping**2 / 4 - stiffness))
+    decay = damping / 2
+    root = np.sqrt(complex(damping**2 / 4 - stiffness))
     error = 1e-3 * np.exp(-decay * time) * np.real(np.cosh(root * time) + decay / root * np.sinh(root * time))
     pose = np.stack([0.3 + error, np.full_like(error, -0.2)], axis=1)
     reference = np.broadcast_to([0.3, -0.2], pose.shape)
@@ -108,7 +109,8 @@ def test_torques_are_affine_in_the_mass_without_minimum_tension():
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
 def test_open_loop_torques_depend_on_the_reference_only(robot):
     rng = np.random.default_rng(3)
-    shape, mass = (4, robot.coordinates), np.full(4, robot.mass + 0.3)
+    shape = (4, robot.coordinates)
+    mass = np.full(4, robot.mass + 0.3)
     reference = robot.home + 0.02 * rng.standard_normal(shape)
     velocity, acceleration = rng.standard_normal((2, *shape))
     law = FeedForward(robot, minimum_tension=2.0)

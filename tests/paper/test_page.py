@@ -38,7 +38,10 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.images, self.links, self.ids = [], [], [], []
+        self.open = []
+        self.images = []
+        self.links = []
+        self.ids = []
         self.feed(text)
         self.close()
         assert not self.open

@@ -22,7 +22,8 @@ from cablebot_gym.physics import textbook
 pytest.importorskip("matplotlib.figure")
 
 DEFAULT = Interpretation()
-SPATIAL, FLEXIBLE = "CableBot-Spatial-v0", "CableBot-FlexSpatial-v0"
+SPATIAL = "CableBot-Spatial-v0"
+FLEXIBLE = "CableBot-FlexSpatial-v0"
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +123,8 @@ def test_added_input_is_the_term_of_the_same_instant(env_id, law_class):
 
 @pytest.mark.parametrize(("layer", "is_outside"), [(1e-6, True), (1e3, False)])
 def test_norm_of_the_robust_term_is_rho_outside_the_layer(layer, is_outside):
-    rng, robot = np.random.default_rng(0), DEFAULT.spatial("control")
+    rng = np.random.default_rng(0)
+    robot = DEFAULT.spatial("control")
     times = np.arange(1, 11) / 10
     reference = paper_circle(robot)(times)
     e, rate = rng.normal(scale=0.01, size=(2, 10, 6))
@@ -138,7 +140,8 @@ def test_norm_of_the_robust_term_is_rho_outside_the_layer(layer, is_outside):
 
 def test_episodes_of_one_draw_differ_in_the_law_only():
     jobs = robust.tracking_jobs(DEFAULT)
-    plain, better = jobs[f"{SPATIAL} plain"], jobs[f"{SPATIAL} robust"]
+    plain = jobs[f"{SPATIAL} plain"]
+    better = jobs[f"{SPATIAL} robust"]
     assert plain.compute.keywords | {"law": None} == better.compute.keywords | {"law": None}
     for env_id, job in robust.term_jobs(DEFAULT).items():
         assert job.key == jobs[f"{env_id} robust"].key

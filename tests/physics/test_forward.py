@@ -92,7 +92,8 @@ def test_batch_equals_its_items(name):
 
 def test_guess_far_from_the_pose_converges():
     """Without halved steps a sixth of these iterations diverge."""
-    (low, high), rng = SPATIAL.pose_bounds, np.random.default_rng(0)
+    (low, high) = SPATIAL.pose_bounds
+    rng = np.random.default_rng(0)
     poses = SPATIAL.home + np.append((high - low)[:3] / 2, [0.3] * 3) * rng.uniform(-1, 1, (300, 6))
     solution = forward_kinematics(SPATIAL, textbook.cable_lengths(SPATIAL, poses), SPATIAL.home)
     assert solution.converged.mean() > 0.95

@@ -55,13 +55,15 @@ class Point:
     value, dist = "other:load", SimpleNamespace(name="other")
 
     def __init__(self, entry):
-        self.name, self.load = getattr(entry, "name", "other"), lambda: entry
+        self.name = getattr(entry, "name", "other")
+        self.load = lambda: entry
 
 
 @pytest.fixture
 def points(monkeypatch):
     """Entry points of other packages by group, in addition to the installed ones of policies."""
-    installed, added = spec.entry_points, {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
+    installed = spec.entry_points
+    added = {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
 
     def entry_points(*, group, name=None):
         own = [] if group == FILE_ENTRY_POINT_GROUP else [*installed(group=group)]
@@ -428,7 +430,8 @@ OBSERVATION = np.zeros((1, 21))
 
 
 def call(policy, observation=OBSERVATION):
-    start, payloads = np.ones(len(observation), np.bool_), np.arange(len(observation), dtype=float)
+    start = np.ones(len(observation), np.bool_)
+    payloads = np.arange(len(observation), dtype=float)
     loaded = load(policy, PLANAR, name="mine")
     return loaded.act(observation, None, start, cables=3, payloads=payloads, time=0.0)
 

@@ -30,7 +30,8 @@ class Spaces(gym.Env):
     """An environment that has only spaces."""
 
     def __init__(self, observation, action):
-        self.observation_space, self.action_space = observation, action
+        self.observation_space = observation
+        self.action_space = action
 
     def reset(self, *, seed=None, options=None):
         return self.observation_space.sample(), {}
@@ -75,7 +76,9 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
     if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):  # others' files look the same
         assert type(loaded).__name__ == algorithm
     observation, _ = gym.make(PLANAR_ID).reset(seed=0)
-    batch, state, expected_state = np.stack([observation, observation / 2]), None, None
+    batch = np.stack([observation, observation / 2])
+    state = None
+    expected_state = None
     for step in range(3):
         start = np.array([step == 0, True])
         action, state = loaded.predict(batch, state, start, deterministic=True)
@@ -105,9 +108,12 @@ def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, mess
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_model_of_normalised_observations_gets_them(tmp_path, dtype):
     """Excludes a model that is silently fed with observations of another scale."""
-    env, path = gym.make(PLANAR_ID, normalised_observation=True, observation_dtype=dtype), tmp_path / "model.zip"
-    model, policy = saved(path, env.observation_space, env.action_space), load_policy(str(path), PLANAR)
-    raw, normalised = gym.make(PLANAR_ID).reset(seed=0)[0], env.reset(seed=0)[0]
+    env = gym.make(PLANAR_ID, normalised_observation=True, observation_dtype=dtype)
+    path = tmp_path / "model.zip"
+    model = saved(path, env.observation_space, env.action_space)
+    policy = load_policy(str(path), PLANAR)
+    raw = gym.make(PLANAR_ID).reset(seed=0)[0]
+    normalised = env.reset(seed=0)[0]
     action = policy.predict(raw, deterministic=True)[0]
     np.testing.assert_array_equal(action, model.predict(normalised, deterministic=True)[0])
     assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
@@ -166,7 +172,8 @@ def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog)
     raw_observation = gym.make(PLANAR_ID).reset(seed=0)[0]
     seen = normalize.normalize_obs(LAYOUT.normalise(raw_observation))
     for folder, (zip_name, pkl_name) in layouts.items():
-        file, pkl = tmp_path / folder / zip_name, tmp_path / folder / pkl_name
+        file = tmp_path / folder / zip_name
+        pkl = tmp_path / folder / pkl_name
         pkl.parent.mkdir(parents=True, exist_ok=True)
         model.save(file)
         normalize.save(pkl)
@@ -207,10 +214,8 @@ def test_model_without_its_statistics_is_refused(trained, tmp_path):
 
 def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
     """Excludes a model that is judged behind fewer or other wrappers than it was trained behind."""
-    stack, half = (
-        (lambda env: single.FrameStackObservation(env, 2)),
-        (lambda env: single.RescaleAction(env, -HALF, HALF)),
-    )
+    stack = lambda env: single.FrameStackObservation(env, 2)
+    half = lambda env: single.RescaleAction(env, -HALF, HALF)
     model, normalize = trained(lambda env: single.FlattenObservation(stack(half(env))))
     model.save(tmp_path / "best.zip")
     normalize.save(tmp_path / "vecnormalize.pkl")

@@ -30,7 +30,9 @@ class Inner:
     """The policy ``fl`` for observations and actions that wrappers change."""
 
     def __init__(self, read=lambda observation: observation, scale=1.0):
-        self.law, self.read, self.scale = load_policy("fl", PLANAR_ID), read, scale
+        self.law = load_policy("fl", PLANAR_ID)
+        self.read = read
+        self.scale = scale
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         return self.scale * self.law.predict(self.read(observation))[0], state
@@ -177,7 +179,8 @@ def test_invalid_wrapper_is_refused_before_the_first_episode(wrappers, message):
 
 
 def test_frozen_statistics_of_gymnasium_are_applied():
-    mean, var = np.linspace(0, 1, LAYOUT.size), np.full(LAYOUT.size, 4.0)
+    mean = np.linspace(0, 1, LAYOUT.size)
+    var = np.full(LAYOUT.size, 4.0)
 
     def normalize(env):
         env = vector.NormalizeObservation(env)

@@ -92,7 +92,8 @@ def test_batch_gives_each_cell_its_own_conditions(episodes, name, options):
 
 
 def test_drawn_cables_end_at_the_platform(episodes):
-    frames, (points, indices) = unpack_channels(episodes["known"][0]), platform_points(SPATIAL)
+    frames = unpack_channels(episodes["known"][0])
+    (points, indices) = platform_points(SPATIAL)
     anchors = frames["anchors"].reshape(-1, len(points), 3)[:, indices]
     start = find_trajectory("paper-spatial", 6)(np.zeros(1)).position[0]
     lengths = cable_lengths(SPATIAL.base, SPATIAL.platform, start)

@@ -37,7 +37,11 @@ class Motion(Reference):
 
     def after(self, time: float) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration after ``time`` [s], by Taylor series."""
-        x, v, a, j, s = self.position, self.velocity, self.acceleration, self.jerk, self.snap
+        x = self.position
+        v = self.velocity
+        a = self.acceleration
+        j = self.jerk
+        s = self.snap
         position = x + time * (v + time / 2 * (a + time / 3 * (j + time / 4 * s)))
         velocity = v + time * (a + time / 2 * (j + time / 3 * s))
         acceleration = a + time * (j + time / 2 * s)

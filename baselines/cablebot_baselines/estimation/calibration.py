@@ -80,7 +80,8 @@ def calibrate(
     """
     from scipy.optimize import least_squares  # slow to import
 
-    angles, start = np.asarray(angles, float), np.asarray(guess, float)
+    angles = np.asarray(angles, float)
+    start = np.asarray(guess, float)
     (count, m), n = angles.shape, robot.coordinates
     total_mass = robot.mass if mass is None else mass
     zero = np.zeros_like(start)

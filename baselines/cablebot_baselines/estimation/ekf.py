@@ -233,7 +233,8 @@ class ExtendedKalmanFilter:
     def _following(self, blocks: dict[str, Array], state: KalmanState) -> KalmanState:
         """Prediction over one control period, and correction by the sensors."""
         robot, period = self.robot, self._period
-        angle, speed = blocks["motor_angle"] - state.offset, blocks["motor_speed"]
+        angle = blocks["motor_angle"] - state.offset
+        speed = blocks["motor_speed"]
         torque = self._mean_torque(blocks, state)
         pose, velocity, disturbance = np.split(state.mean, 3, axis=-1)
         middle = pose + period / 2 * velocity

@@ -62,7 +62,8 @@ class Bundle:
     def __post_init__(self) -> None:
         steering = self.steering(_trained_on(self.env_id))
         object.__setattr__(self, "features", steering.features)
-        sizes, needed = (self.network.inputs, self.network.outputs), (steering.inputs, steering.actions)
+        sizes = (self.network.inputs, self.network.outputs)
+        needed = (steering.inputs, steering.actions)
         if sizes != needed:
             raise ValueError(f"the network has inputs and outputs {sizes}, but features and actions have {needed}")
 
@@ -78,7 +79,8 @@ class Bundle:
     @property
     def base_alone(self) -> Bundle:
         """The base law without the network: its reference moves slowly from the start pose to that of the task."""
-        mapping, network = self.action_mapping, zero_network(self.network.inputs, self.network.outputs)
+        mapping = self.action_mapping
+        network = zero_network(self.network.inputs, self.network.outputs)
         if isinstance(mapping, Shift):
             mapping = replace(mapping, action_period=SETTLING_PERIOD, preview=0.0)
         return replace(self, action_mapping=mapping, network=network, card={"note": "the base law alone"})

@@ -53,7 +53,8 @@ def required_actuation(
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
     if robot.flexible:
         names = [item.name for item in fields(Motion)]
-        series, step = Motion(**cast(Any, dict(zip(names, motion, strict=True)))), DIFFERENCE_STEP
+        series = Motion(**cast(Any, dict(zip(names, motion, strict=True))))
+        step = DIFFERENCE_STEP
         pulley_acceleration = _tensor(textbook.pulley_acceleration(robot, pose, velocity, acceleration))
         before, after = (tensions_and_torques(cast(Any, series.after(time)))[1] for time in (-step, step))
         stiffness, inertia = (torch.tensor(value) for value in (robot.stiffness, robot.motor_inertia))
@@ -115,7 +116,8 @@ def _least_action_tensions(robot: Robot, structure: Tensor, load: Tensor, offset
         at_minimum = (found - minimum <= 1e-7 * (1 + found.amax(dim=1, keepdim=True))).double()
         at_largest = torch.where(actions.abs() >= (1 - 1e-7) * largest, actions.sign(), 0.0)
     # Unknowns are T and t in units of the mean slope, so that all are tensions.
-    unit, one = float(slope.mean()), torch.eye(m, dtype=torch.float64)
+    unit = float(slope.mean())
+    one = torch.eye(m, dtype=torch.float64)
     hessian = torch.diag(torch.cat([2 * SMOOTHING * (slope / unit) ** 2, torch.full((1,), 2.0, dtype=torch.float64)]))
     column = torch.zeros((count, m, 1), dtype=torch.float64)
     rows = torch.cat(

@@ -27,9 +27,13 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
     """
     policy: Any = model.policy
     if hasattr(policy, "actor"):
-        layers, head, squash = list(policy.actor.latent_pi), policy.actor.mu, "tanh"
+        layers = list(policy.actor.latent_pi)
+        head = policy.actor.mu
+        squash = "tanh"
     else:
-        layers, head, squash = list(policy.mlp_extractor.policy_net), policy.action_net, "none"
+        layers = list(policy.mlp_extractor.policy_net)
+        head = policy.action_net
+        squash = "none"
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
     between = [type(layer) for layer in layers if not isinstance(layer, nn.Linear)]
     regular = len(between) == len(linear) and len({*between}) <= 1 and isinstance(head, nn.Linear)

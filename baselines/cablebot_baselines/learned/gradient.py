@@ -152,10 +152,8 @@ class GradientTraining:
         own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
         if wrong := [name for name in self.features if name in (*own, "model_payload", "payload_known")]:
             raise ValueError(f"features must depend on the reference and time alone: remove {wrong[0]!r}")
-        tension, least = (
-            self.minimum_tension if self._redundant else self.settings.tension,
-            self.robot.minimum_tension,
-        )
+        tension = self.minimum_tension if self._redundant else self.settings.tension
+        least = self.robot.minimum_tension
         if tension < least:
             raise ValueError(f"the minimum tension {tension:g} N is below the robot's {least:g} N: raise it")
         if self.settings.softness and (self.robot.kind, self.robot.cables) != ("planar", 3):
@@ -177,7 +175,8 @@ class GradientTraining:
         self._layers = SymmetricLayers(np.array(input_transforms), transforms, self.settings.hidden)
         self._mean, scale = self._layers.statistics(inputs)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
-        last, start = self._layers.layers[-1], torch.tensor(self._start_shifts().mean(0)) / self._bounds
+        last = self._layers.layers[-1]
+        start = torch.tensor(self._start_shifts().mean(0)) / self._bounds
         with torch.no_grad():
             last.weight.normal_(std=self.settings.spread)
             last.bias.copy_(start / (1 - start.square()).sqrt())  # the first motions stay where they start
@@ -193,7 +192,9 @@ class GradientTraining:
         return np.array([start_pose(self.robot, one, bounds) - one(0.0).position for one in self.trajectories])
 
     def _tabulated(self) -> _Motions:
-        action_period, degree, n = self.action_mapping.action_period, self.action_mapping.degree, self.robot.coordinates
+        action_period = self.action_mapping.action_period
+        degree = self.action_mapping.degree
+        n = self.robot.coordinates
         most = max(math.ceil(trajectory.duration / action_period - 1e-9) for trajectory in self.trajectories)
         decisions = np.arange(most) * action_period
         instants = decisions[:, None] + self._within
@@ -242,7 +243,9 @@ class GradientTraining:
 
     def _violations(self) -> list[Tensor]:
         """Violations of the constraints, each ≥ 0."""
-        settings, robot, inside = self.settings, self.robot, self._motions.inside
+        settings = self.settings
+        robot = self.robot
+        inside = self._motions.inside
         flat = self.motion()[inside]
         payloads = self._payloads[:, None, None].expand(inside.shape)[inside]
         light = torch.full_like(payloads, robot.mass * (1 - settings.lighter))
@@ -270,7 +273,8 @@ class GradientTraining:
         A round depends on weights and payloads alone, so that a run can be resumed between two rounds. After an
         interrupt the network has the weights of the last evaluation.
         """
-        variables, weight = [*self._variables, self._payloads], self.settings.rounds[index]
+        variables = [*self._variables, self._payloads]
+        weight = self.settings.rounds[index]
         self.evaluations = 0
         self._softness = self.settings.softness[index] if self.settings.softness else 0.0
 

@@ -184,7 +184,8 @@ def _train(run: runs.Run, training: GradientTraining, resume: bool) -> None:
         run.save(write)
     while state.rounds < len(training.settings.rounds):
         training.round(state.rounds, report)
-        state.timesteps, state.rounds = state.timesteps + training.evaluations, state.rounds + 1
+        state.timesteps = state.timesteps + training.evaluations
+        state.rounds = state.rounds + 1
         run.evaluate(training.network, payload_by_equations_kg=float(np.mean(training.payloads)))
         run.save(write)
     run.bundle(training.network, payload_by_equations_kg=float(np.mean(training.payloads))).save(run.out / runs.LAST)

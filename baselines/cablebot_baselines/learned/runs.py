@@ -42,7 +42,11 @@ from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, read
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
 """Folder of the shipped configurations."""
 
-STATE, CHECKPOINT, BEST, LAST, EVALUATIONS = "run.json", "checkpoint", "best.zip", "last.zip", "evaluations.csv"
+STATE = "run.json"
+CHECKPOINT = "checkpoint"
+BEST = "best.zip"
+LAST = "last.zip"
+EVALUATIONS = "evaluations.csv"
 """Names of the files and folders of a run."""
 
 RESOLUTION = 0.05
@@ -242,7 +246,9 @@ class Run:
         self.out, self.state = state.out, state
         self.stopped = False
         """Whether a signal has arrived within :meth:`signals`."""
-        self._total, self._motions, self._dwell = total, motions, shortest_dwell(trained_on)
+        self._total = total
+        self._motions = motions
+        self._dwell = shortest_dwell(trained_on)
         self._base = Bundle(
             env_id=state.settings["env_id"],
             base=steering.base,

@@ -56,7 +56,8 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
     from cablebot_baselines.learned.bundle import Bundle  # imported here: listing policies does not need them
     from cablebot_baselines.learned.policy import LearnedPolicy
 
-    shipped, env_id = SHIPPED[choice("learned policy", name, SHIPPED)], fitting_env_id(robot)
+    shipped = SHIPPED[choice("learned policy", name, SHIPPED)]
+    env_id = fitting_env_id(robot)
     if env_id not in shipped.env_ids:
         others = ", ".join(other.name for other in SHIPPED.values() if env_id in other.env_ids)
         raise ValueError(f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {others}")

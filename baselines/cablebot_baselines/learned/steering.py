@@ -194,7 +194,9 @@ class Steering:
     """
 
     def __init__(self, robot: Robot, *, base: Base, action_mapping: Shift | Residual, features: Sequence[str]) -> None:
-        self.robot, self.base, self.action_mapping = robot, base, action_mapping
+        self.robot = robot
+        self.base = base
+        self.action_mapping = action_mapping
         self.features = check_features(features, robot)
         if isinstance(action_mapping, Residual) and (odd := [name for name in self.features if name in SHIFT_FEATURES]):
             raise ValueError(f"feature {odd[0]!r} requires steering of kind shift: remove it, or use shift")
@@ -218,11 +220,13 @@ class Steering:
         """Number of control periods per action."""
         if isinstance(self.action_mapping, Shift):
             self._bounds = self.action_mapping.bounds(error_bounds, self.robot)
-            action_period, phases = self.periods * period, np.arange(self.periods) * period
+            action_period = self.periods * period
+            phases = np.arange(self.periods) * period
             now = self.action_mapping.weights(phases, action_period)
             after = self.action_mapping.weights(phases + period, action_period)
             # Torques are constant over a period, so that the law needs the period's mean acceleration.
-            self._motion, self._mean = now, (after[:, 1] - now[:, 1]) / period
+            self._motion = now
+            self._mean = (after[:, 1] - now[:, 1]) / period
             # When an action is due, the oldest control point is about to be dropped, and the newest has zero weight.
             self._present = now[:, :2].copy()
             self._present[0] = np.roll(now[0, :2], 1, axis=-1)
@@ -254,7 +258,8 @@ class Steering:
 
     def reset_memory(self, blocks: dict[str, Array], memory: Memory | None, episode_start: Any) -> Memory:
         """Resets the memory of the episodes that start."""
-        batch, action_mapping = blocks["pose"].shape[:-1], self.action_mapping
+        batch = blocks["pose"].shape[:-1]
+        action_mapping = self.action_mapping
         first = first_steps(memory, episode_start, batch)
         if memory is not None and not np.any(first):
             return memory

@@ -66,7 +66,8 @@ def symmetries(robot: Robot) -> Array:
 
 def _permutations(cables: Array) -> Iterator[tuple[int, ...]]:
     """Permutations of the anchors by the transforms that move the outermost anchor onto some anchor."""
-    angles, radii = np.arctan2(cables[:, 1], cables[:, 0]), np.linalg.norm(cables, axis=1)
+    angles = np.arctan2(cables[:, 1], cables[:, 0])
+    radii = np.linalg.norm(cables, axis=1)
     outermost = int(np.argmax(radii))
     for angle in angles:
         for transformed in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):

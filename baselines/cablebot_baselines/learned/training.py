@@ -32,7 +32,9 @@ from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, Steered
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
 
-_MODEL, _NORMALIZE, _REPLAY = "model.zip", "vecnormalize.pkl", "replay_buffer.pkl"
+_MODEL = "model.zip"
+_NORMALIZE = "vecnormalize.pkl"
+_REPLAY = "replay_buffer.pkl"
 
 
 def train(
@@ -105,7 +107,8 @@ def train(
     with runs.torch_threads(settings["threads"]), closing(_environments(hyperparameters, state)) as envs:
         model = (_load if resume else _make)(state, hyperparameters, envs)
         network_from_sb3(model)  # fails before the training if the model cannot be exported
-        total, evaluation = state.settings["timesteps"], state.settings["evaluation"]
+        total = state.settings["timesteps"]
+        evaluation = state.settings["evaluation"]
         steered = steered_env(model)
         plain: Any = steered.unwrapped
         run = runs.Run(
@@ -210,7 +213,9 @@ class _RunCallback(BaseCallback):
         Raises:
             Interrupted: after a signal.
         """
-        run, settings, now = self._run, self._run.state.settings, self.model.num_timesteps
+        run = self._run
+        settings = self._run.state.settings
+        now = self.model.num_timesteps
         if self._curriculum is not None:
             self.logger.record("rollout/payload_ceiling", self._curriculum.ceiling)
         evaluation_due = now // settings["eval_every"] > self._evaluated // settings["eval_every"]

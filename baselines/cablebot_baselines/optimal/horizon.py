@@ -92,9 +92,12 @@ class HorizonProgram:
         self._fit = np.linalg.pinv(self._bases[0])
         self.basis_at = lru_cache(maxsize=1024)(self.basis)
         """:meth:`basis` of one time, cached."""
-        n, m, count = robot.coordinates, robot.cables, len(self.instants)
+        n = robot.coordinates
+        m = robot.cables
+        count = len(self.instants)
         self._positions = robot.dimensions
-        self._motion, self._null = (tuning.intervals + _DEGREE - 2) * n, (m - n) * count
+        self._motion = (tuning.intervals + _DEGREE - 2) * n
+        self._null = (m - n) * count
         self._size = self._motion + self._null + 2
         function = rigid_stage(robot)
         arguments = ca.SX.sym("w", function.size1_in(0))
@@ -158,8 +161,13 @@ class HorizonProgram:
         self, plan: Array, reference: Array, last_velocity: Array, mass: float, error_bounds: ErrorBounds
     ) -> None:
         """Writes the quadratic program, linearised about a plan, into the arrays of the solver."""
-        tuning, margins, n, m = self.tuning, self.tuning.margins, self.robot.coordinates, self.robot.cables
-        bases, count, positions = self._bases, len(self.instants), self._positions
+        tuning = self.tuning
+        margins = self.tuning.margins
+        n = self.robot.coordinates
+        m = self.robot.cables
+        bases = self._bases
+        count = len(self.instants)
+        positions = self._positions
         bounds = np.array([error_bounds.position] * positions + [error_bounds.rotation] * (n - positions))
         poses, velocities, accelerations = bases @ plan
         action, action_slope, tension, tension_slope = self._linearised(poses, velocities, accelerations, mass)
@@ -221,7 +229,9 @@ class HorizonProgram:
         self, poses: Array, velocities: Array, accelerations: Array, mass: float
     ) -> tuple[Array, Array, Array, Array]:
         """Actions (K, m) and their slope (K·m, variables), then tensions in units of ``TENSION`` and their slope."""
-        n, m, count = self.robot.coordinates, self.robot.cables, len(poses)
+        n = self.robot.coordinates
+        m = self.robot.cables
+        count = len(poses)
         required = inverse_dynamics(self.robot, mass, poses, velocities, accelerations, minimum=self.minimum_tension)
         tensions = required.tensions / TENSION
         masses = np.full((count, 1), mass)

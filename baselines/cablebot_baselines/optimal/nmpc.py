@@ -192,7 +192,9 @@ class NonlinearMPC(ClassicalLaw):
         model_mass = self.robot.mass + blocks["model_payload"][:, 0]
         mass = model_mass if planner.law is None else self.law.mass(planner.law, model_mass)
         mass = np.where(planner.steps == 0, model_mass, mass)
-        plans, plan_age, out_of_range = list(planner.plans), planner.plan_age.copy(), planner.out_of_range.copy()
+        plans = list(planner.plans)
+        plan_age = planner.plan_age.copy()
+        out_of_range = planner.out_of_range.copy()
         for index in env_indices:
             error_bounds = self._error_bounds[index % len(self._error_bounds)]
             was_out_of_range = out_of_range[index]
@@ -212,7 +214,9 @@ class NonlinearMPC(ClassicalLaw):
     def _plan(
         self, blocks: dict[str, Array], planner: PlannerState, env_index: int, mass: float, error_bounds: ErrorBounds
     ) -> Array:
-        program, previous, age = self.program, planner.plans[env_index], planner.plan_age[env_index]
+        program = self.program
+        previous = planner.plans[env_index]
+        age = planner.plan_age[env_index]
         preview = self.preview(blocks, planner, env_index)
         guess = reference = preview(program.instants)
         if previous is not None:  # beyond the end of the previous plan, its last error stays constant
@@ -232,7 +236,8 @@ class NonlinearMPC(ClassicalLaw):
     def _in_range(self, blocks: dict[str, Array], env_index: int, error_bounds: ErrorBounds) -> bool:
         error = (blocks["pose"][env_index] - blocks["reference_pose"][env_index]) / _MAX_ERROR_RATIO
         d = self.robot.dimensions
-        position, rotation = np.linalg.norm(error[:d]), np.abs(error[d:]).max(initial=0.0)
+        position = np.linalg.norm(error[:d])
+        rotation = np.abs(error[d:]).max(initial=0.0)
         return bool(position < error_bounds.position and rotation < error_bounds.rotation)
 
     def _count_fallback(self, reason: str) -> None:
@@ -248,7 +253,8 @@ class NonlinearMPC(ClassicalLaw):
         """The state with the current previews of the given environments."""
         names = [f"preview_{round(ahead * 1e3)}ms" for ahead in PREVIEWS]
         offsets = np.stack([blocks[name][env_indices] for name in names], axis=1)
-        times, points = planner.preview_times.copy(), planner.preview_points.copy()
+        times = planner.preview_times.copy()
+        points = planner.preview_points.copy()
         times[env_indices] = np.roll(times[env_indices], len(names), axis=1)
         points[env_indices] = np.roll(points[env_indices], len(names), axis=1)
         times[env_indices, : len(names)] = planner.clock[env_indices, None] + PREVIEWS
@@ -261,7 +267,8 @@ class NonlinearMPC(ClassicalLaw):
         On the paper's planar circle the interpolation error is at most 0.64 mm at the start, and less than 0.04 mm
         from 0.1 s on.
         """
-        pose, velocity = blocks["reference_pose"][env_index], blocks["reference_velocity"][env_index]
+        pose = blocks["reference_pose"][env_index]
+        velocity = blocks["reference_velocity"][env_index]
         if blocks["time_to_go"][env_index, 0] <= 0:
             velocity = np.zeros_like(velocity)
         relative = np.round(planner.preview_times[env_index] - planner.clock[env_index], 6)

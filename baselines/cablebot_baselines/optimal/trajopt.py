@@ -62,7 +62,8 @@ class TrajOptSettings:
         tension of its cable, which needs a margin as well. With springs the margin is at most that of an episode's
         start.
         """
-        position, rotation = self.error_margin * error_bounds.position, self.error_margin * error_bounds.rotation
+        position = self.error_margin * error_bounds.position
+        rotation = self.error_margin * error_bounds.rotation
         if robot.flexible:
             reserve = textbook.allocated_minimum(robot) - robot.minimum_tension
             tension = min(self.tension_margin, reserve) if robot.cables > robot.coordinates else self.tension_margin
@@ -173,7 +174,8 @@ class AdaptivePlanLaw(Adaptive):
 
         An episode starts at rest, so the initial spring torques give the mass.
         """
-        memory, robot = super()._updated_state(blocks, before, episode_start), self.robot
+        memory = super()._updated_state(blocks, before, episode_start)
+        robot = self.robot
         if not robot.flexible or robot.weightless:
             return memory
         first = first_steps(before, episode_start, blocks["pose"].shape[:-1])[..., None]

@@ -72,7 +72,8 @@ def reproduce(
 
 def _option(name: str) -> inspect.Parameter:
     """Command-line option of one choice."""
-    default, entry = getattr(Interpretation, name), OPTIONS[name]
+    default = getattr(Interpretation, name)
+    entry = OPTIONS[name]
     kind: Any = type(default)
     annotation = Annotated[kind, typer.Option(help=entry["help"].format(choices=", ".join(entry["texts"])))]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

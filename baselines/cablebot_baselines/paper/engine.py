@@ -26,7 +26,9 @@ from cablebot_gym.utils.code_hash import source_hash
 from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir, read_cached, read_text
 from cablebot_gym.utils.workers import check_workers
 
-RESULTS, MARKDOWN, HTML = "results.json", "reproduction.md", "reproduction.html"
+RESULTS = "results.json"
+MARKDOWN = "reproduction.md"
+HTML = "reproduction.html"
 """Names of the output files besides the figures."""
 
 Progress = Callable[[str, int, int], None]

@@ -207,7 +207,8 @@ def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Ar
         rate = (goal[k + 1] - goal[k]) / step
         offset = angle[k] - goal[k]
         drift = speed[k] - rate
-        cosine, sine = np.cos(frequency * step), np.sin(frequency * step)
+        cosine = np.cos(frequency * step)
+        sine = np.sin(frequency * step)
         angle[k + 1] = goal[k + 1] + offset * cosine + drift / frequency * sine
         speed[k + 1] = rate - offset * frequency * sine + drift * cosine
     return angle, speed

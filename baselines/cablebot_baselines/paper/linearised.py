@@ -83,7 +83,8 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
     _advance(plant, robot, period)
     after = _state(plant)
     response = (after[: len(rest)] - after[len(rest) :]).T / (2 * step)
-    transition, columns = response[:, :size], [response[:, size:]]
+    transition = response[:, :size]
+    columns = [response[:, size:]]
     for _ in range(size // robot.cables - 1):
         columns.append(transition @ columns[-1])
     reach = np.concatenate(columns, axis=1)

@@ -63,7 +63,8 @@ def load_coefficient(robot: Robot, full: ArrayLike, empty: ArrayLike, speed: Arr
         speed: β̇, motor speeds, shape (..., m) [rad/s].
         corrected: whether to use the corrected form instead of the printed one.
     """
-    full, empty = np.asarray(full, float), np.asarray(empty, float)
+    full = np.asarray(full, float)
+    empty = np.asarray(empty, float)
     lower, upper = textbook.torque_limits(robot, speed)
     difference = full - empty
     direction, start = difference, empty
@@ -110,7 +111,8 @@ def iterate_load(
     Raises:
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
     """
-    guess, tolerance = number("guess", guess, above=0, unit="kg"), number("tolerance", tolerance, above=0, unit="kg")
+    guess = number("guess", guess, above=0, unit="kg")
+    tolerance = number("tolerance", tolerance, above=0, unit="kg")
     max_iterations = whole("max_iterations", max_iterations, least=1)
     times, reference = control_instants(robot, trajectory, frequency)
     speed = np.asarray(line_speed, float) * textbook.pulley_speed(robot, reference.position, reference.velocity)

@@ -142,8 +142,12 @@ def symmetric_times(a, x):
 def factor_symmetric(a, b, c):
     """Factors of the symmetric 6 × 6 matrix ((a, b), (bᵀ, c)) for :func:`solve_factored`: its Schur complement."""
     inverse = symmetric_inverse(a)
-    column0, column1, column2 = (b[0][0], b[1][0], b[2][0]), (b[0][1], b[1][1], b[2][1]), (b[0][2], b[1][2], b[2][2])
-    e0, e1, e2 = symmetric_times(inverse, column0), symmetric_times(inverse, column1), symmetric_times(inverse, column2)
+    column0 = (b[0][0], b[1][0], b[2][0])
+    column1 = (b[0][1], b[1][1], b[2][1])
+    column2 = (b[0][2], b[1][2], b[2][2])
+    e0 = symmetric_times(inverse, column0)
+    e1 = symmetric_times(inverse, column1)
+    e2 = symmetric_times(inverse, column2)
     complement = (
         c[0] - dot(column0, e0),
         c[1] - dot(column0, e1),

@@ -76,7 +76,8 @@ def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
     """RK4 update of one row: the value of the next stage or, after the last stage, the new state."""
     ahead = h if stage == 2 else 0.5 * h
     weight = 2.0 if stage in (1, 2) else 1.0
-    rate, begin = w[rate_row * lanes + at], w[start * lanes + at]
+    rate = w[rate_row * lanes + at]
+    begin = w[start * lanes + at]
     sum_ = weight * rate + (w[total * lanes + at] if stage > 0 else 0.0)
     if stage < 3:
         w[total * lanes + at] = sum_
@@ -97,7 +98,8 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
         drive_motors(form, lags, stage, p, w, lanes)
         if stage == 0 and period_starts:
             for i in range(form.cables):
-                row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+                row = FIRST_CABLE + CABLE_ROWS * i
+                rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
                 for at in range(lanes):
                     record[(rec + TORQUE) * lanes + at] = w[
                         (row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at
@@ -119,7 +121,9 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
                 rate_row = MOTOR_STAGE + 1 if half == 0 else MOTOR_RATE
                 for i in range(form.cables):
                     row = FIRST_CABLE + CABLE_ROWS * i
-                    start, total, value = row + MOTOR_START + half, row + MOTOR_SUM + half, row + MOTOR_STAGE + half
+                    start = row + MOTOR_START + half
+                    total = row + MOTOR_SUM + half
+                    value = row + MOTOR_STAGE + half
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
         if form.double:
@@ -127,11 +131,9 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
                 rate_row = PULLEY_STAGE + 1 if half == 0 else PULLEY_RATE
                 for i in range(form.cables):
                     row = pulley_row(form, i)
-                    start, total, value = (
-                        row + PULLEY_START + half,
-                        row + PULLEY_SUM + half,
-                        row + PULLEY_STAGE + half,
-                    )
+                    start = row + PULLEY_START + half
+                    total = row + PULLEY_SUM + half
+                    value = row + PULLEY_STAGE + half
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
 
@@ -142,7 +144,8 @@ def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
 
     A view of the line would count a reference.
     """
-    dx, dy = w[START * lanes + at] - paths[path, line, 0], w[(START + 1) * lanes + at] - paths[path, line, 1]
+    dx = w[START * lanes + at] - paths[path, line, 0]
+    dy = w[(START + 1) * lanes + at] - paths[path, line, 1]
     square, rotation = dx * dx + dy * dy, 0.0
     if form.dimensions == 3:
         dz = w[(START + 2) * lanes + at] - paths[path, line, 2]
@@ -172,7 +175,8 @@ def _load_tile(form, record, w, lanes):
             w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at] = 0.0 if slack > 0.0 else 1.0
     if form.flexible:
         for i in range(form.cables):
-            row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            row = FIRST_CABLE + CABLE_ROWS * i
+            rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
                 for half in range(2):
                     value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
@@ -210,7 +214,8 @@ def advance_tiles(form, lanes, unilateral, lags, rubs, parameters, record, w, pa
                 r[(POSE + j) * lanes + at] = w[(START + j) * lanes + at]
                 r[(VELOCITY + j) * lanes + at] = w[(START + 6 + j) * lanes + at]
         for i in range(form.cables):
-            row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            row = FIRST_CABLE + CABLE_ROWS * i
+            rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
             if form.double:
                 for half in range(2):
                     for at in range(lanes):
@@ -233,7 +238,8 @@ def evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration)
         p, r = parameters[tile], record[tile]
         _load_tile(form, r, w, lanes)
         for i in range(form.cables):
-            row, rec = FIRST_CABLE + CABLE_ROWS * i, FIRST_CABLE_RECORD + CABLE_RECORDS * i
+            row = FIRST_CABLE + CABLE_ROWS * i
+            rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
                 w[(row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
                 w[(row + TAUT) * lanes + at] = 1.0

@@ -52,12 +52,11 @@ from cablebot_gym.physics.kernel.taut import add_pull, add_row, length_accelerat
 @inline
 def _spatial_wrench(form, p, w, at, lanes):
     """Stores the wrench (f, g) = Σ row_i T_i that y requires in LOAD."""
-    y, load = load_vector(w, UNKNOWNS, at, lanes), load_vector(w, LOAD, at, lanes)
-    turn, moment, inertia = (
-        load_vector(w, UNKNOWNS + 3, at, lanes),
-        load_vector(w, LOAD + 3, at, lanes),
-        load_vector(p, INERTIA, at, lanes),
-    )
+    y = load_vector(w, UNKNOWNS, at, lanes)
+    load = load_vector(w, LOAD, at, lanes)
+    turn = load_vector(w, UNKNOWNS + 3, at, lanes)
+    moment = load_vector(w, LOAD + 3, at, lanes)
+    inertia = load_vector(p, INERTIA, at, lanes)
     g = (
         fma(-inertia[0], turn[0], moment[0]),
         fma(-inertia[1], turn[1], moment[1]),
@@ -75,9 +74,12 @@ def _spatial_tensions(w, at, lanes):
 
     The matrix is the square of one that may be badly conditioned, hence a second pass with what the first one left.
     """
-    f, g = load_vector(w, LOAD, at, lanes), load_vector(w, LOAD + 3, at, lanes)
+    f = load_vector(w, LOAD, at, lanes)
+    g = load_vector(w, LOAD + 3, at, lanes)
     zero = (0.0, 0.0, 0.0)
-    a, b, c = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (zero, zero, zero), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    a = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    b = (zero, zero, zero)
+    c = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     a, b, c = add_row(a, b, c, 1.0, w, at, lanes, 0)
     a, b, c = add_row(a, b, c, 1.0, w, at, lanes, 1)
     a, b, c = add_row(a, b, c, 1.0, w, at, lanes, 2)
@@ -107,10 +109,14 @@ def _add_tensions(factors, f, g, w, at, lanes):
 def _three_tensions(w, at, lanes):
     """Solves Σ row_i T_i = f for the tensions of three cables by Cramer's rule."""
     row, f = FIRST_CABLE + ROW, load_vector(w, LOAD, at, lanes)
-    one, two = load_vector(w, row, at, lanes), load_vector(w, row + CABLE_ROWS, at, lanes)
+    one = load_vector(w, row, at, lanes)
+    two = load_vector(w, row + CABLE_ROWS, at, lanes)
     three = load_vector(w, row + 2 * CABLE_ROWS, at, lanes)
-    first, second, third = cross(two, three), cross(three, one), cross(one, two)
-    per, results = 1.0 / dot(one, first), FIRST_CABLE + RESULTS + TENSIONS
+    first = cross(two, three)
+    second = cross(three, one)
+    third = cross(one, two)
+    per = 1.0 / dot(one, first)
+    results = FIRST_CABLE + RESULTS + TENSIONS
     w[results * lanes + at] = dot(first, f) * per
     w[(results + CABLE_ROWS) * lanes + at] = dot(second, f) * per
     w[(results + 2 * CABLE_ROWS) * lanes + at] = dot(third, f) * per
@@ -119,9 +125,15 @@ def _three_tensions(w, at, lanes):
 @inline
 def _two_tensions(w, at, lanes):
     """Solves Σ u_i T_i = f for the tensions of two cables in a plane."""
-    row, other = FIRST_CABLE + ROW, FIRST_CABLE + CABLE_ROWS + ROW
-    ax, ay, bx, by = w[row * lanes + at], w[(row + 1) * lanes + at], w[other * lanes + at], w[(other + 1) * lanes + at]
-    fx, fy, results = w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at], FIRST_CABLE + RESULTS + TENSIONS
+    row = FIRST_CABLE + ROW
+    other = FIRST_CABLE + CABLE_ROWS + ROW
+    ax = w[row * lanes + at]
+    ay = w[(row + 1) * lanes + at]
+    bx = w[other * lanes + at]
+    by = w[(other + 1) * lanes + at]
+    fx = w[LOAD * lanes + at]
+    fy = w[(LOAD + 1) * lanes + at]
+    results = FIRST_CABLE + RESULTS + TENSIONS
     per = 1.0 / (ax * by - ay * bx)
     w[results * lanes + at] = (fx * by - fy * bx) * per
     w[(results + CABLE_ROWS) * lanes + at] = (ax * fy - ay * fx) * per
@@ -134,7 +146,8 @@ def _planar_tensions(form, minimum, w, lanes):
         fx, fy = w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at]
         for i in range(form.cables):
             row = FIRST_CABLE + CABLE_ROWS * i + ROW
-            fx, fy = fx - minimum * w[row * lanes + at], fy - minimum * w[(row + 1) * lanes + at]
+            fx = fx - minimum * w[row * lanes + at]
+            fy = fy - minimum * w[(row + 1) * lanes + at]
         w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at] = fx, fy
         w[LEAST_SUM * lanes + at] = np.inf
         for j in range(4):
@@ -145,7 +158,8 @@ def _planar_tensions(form, minimum, w, lanes):
                 _try_pair(w, at, lanes, i, j)
     for i in range(form.cables):
         for at in range(lanes):
-            one, other = w[PAIR * lanes + at], w[(PAIR + 1) * lanes + at]
+            one = w[PAIR * lanes + at]
+            other = w[(PAIR + 1) * lanes + at]
             pull = w[(PAIR + 2) * lanes + at] if one == i else (w[(PAIR + 3) * lanes + at] if other == i else 0.0)
             row = FIRST_CABLE + CABLE_ROWS * i + RESULTS + TENSIONS
             w[row * lanes + at] = minimum + max(pull, 0.0)
@@ -154,12 +168,16 @@ def _planar_tensions(form, minimum, w, lanes):
 @inline
 def _try_pair(w, at, lanes, i, j):
     """Stores cables i and j and their tensions in PAIR if they give the force with the smallest sum so far."""
-    first_row, second_row = FIRST_CABLE + CABLE_ROWS * i + ROW, FIRST_CABLE + CABLE_ROWS * j + ROW
-    ax, ay = w[first_row * lanes + at], w[(first_row + 1) * lanes + at]
-    bx, by = w[second_row * lanes + at], w[(second_row + 1) * lanes + at]
+    first_row = FIRST_CABLE + CABLE_ROWS * i + ROW
+    second_row = FIRST_CABLE + CABLE_ROWS * j + ROW
+    ax = w[first_row * lanes + at]
+    ay = w[(first_row + 1) * lanes + at]
+    bx = w[second_row * lanes + at]
+    by = w[(second_row + 1) * lanes + at]
     fx, fy = w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at]
     determinant = ax * by - ay * bx
-    first, second = (fx * by - fy * bx) / determinant, (ax * fy - ay * fx) / determinant
+    first = (fx * by - fy * bx) / determinant
+    second = (ax * fy - ay * fx) / determinant
     # A force along one of the two cables gives a tiny negative value by rounding.
     slack = 1e-12 * (1.0 + abs(first) + abs(second))
     pulls = (first >= -slack) & (second >= -slack) & (abs(determinant) > 1e-12)
@@ -174,7 +192,8 @@ def _try_pair(w, at, lanes, i, j):
 @inline
 def _required_motor(form, p, w, at, lanes, i):
     """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
-    par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+    row = FIRST_CABLE + CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
     rate = w[(row + LENGTH_RATE) * lanes + at]
     acceleration = length_acceleration(form, w, at, lanes, i) + w[(row + BIAS) * lanes + at]
@@ -207,11 +226,9 @@ def _wrench(form, p, w, lanes):
     for at in range(lanes):
         mass = p[MASS * lanes + at]
         if form.coordinates == 3:
-            masses, y, load = (
-                three_masses(form, p, at, lanes),
-                load_vector(w, UNKNOWNS, at, lanes),
-                load_vector(w, LOAD, at, lanes),
-            )
+            masses = three_masses(form, p, at, lanes)
+            y = load_vector(w, UNKNOWNS, at, lanes)
+            load = load_vector(w, LOAD, at, lanes)
             rest = (load[0] - masses[0] * y[0], load[1] - masses[1] * y[1], load[2] - masses[2] * y[2])
             store_vector(w, LOAD, at, lanes, rest)
         else:
@@ -271,7 +288,8 @@ def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load,
         _tile_of_motion(form, lanes, first, p, w, mass, motion)
         _wrench(form, p, w, lanes)
         for i in range(form.cables):
-            par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+            par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+            row = FIRST_CABLE + CABLE_ROWS * i
             for at in range(min(lanes, count - first)):
                 per_radius = p[(par + PER_RADIUS) * lanes + at]
                 results[0, first + at, i] = -w[(row + LENGTH_RATE) * lanes + at] * per_radius

@@ -59,7 +59,8 @@ def twist_springs(form, unilateral, p, w, lanes):
     With unilateral cables κ = K max(β′ − β, 0): a negative twist is slack cable on the pulley.
     """
     for i in range(form.cables):
-        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+        row = FIRST_CABLE + CABLE_ROWS * i
         for at in range(lanes):
             wound = p[(par + HOME_LENGTH) * lanes + at] - w[(row + LENGTH) * lanes + at]
             angle = wound * p[(par + PER_RADIUS) * lanes + at]
@@ -85,15 +86,19 @@ def stretch_cables(form, unilateral, p, w, lanes):
     The joint springs push, too: cables that are slack do not hold their pulleys.
     """
     for i in range(form.cables):
-        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+        row = FIRST_CABLE + CABLE_ROWS * i
         more = stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i
         pulley = pulley_row(form, i) + PULLEY_STAGE if form.jointed else row + MOTOR_STAGE
         for at in range(lanes):
-            radius, stiffness = p[(more + RADIUS) * lanes + at], p[(more + AXIAL_STIFFNESS) * lanes + at]
-            angle, speed = w[pulley * lanes + at], w[(pulley + 1) * lanes + at]
+            radius = p[(more + RADIUS) * lanes + at]
+            stiffness = p[(more + AXIAL_STIFFNESS) * lanes + at]
+            angle = w[pulley * lanes + at]
+            speed = w[(pulley + 1) * lanes + at]
             per_free = 1.0 / (p[(more + FULL_LENGTH) * lanes + at] - radius * angle)
             length = w[(row + LENGTH) * lanes + at] + p[(more + EXTRA_LENGTH) * lanes + at]
-            strain, rate = length * per_free - 1.0, (w[(row + LENGTH_RATE) * lanes + at] + radius * speed) * per_free
+            strain = length * per_free - 1.0
+            rate = (w[(row + LENGTH_RATE) * lanes + at] + radius * speed) * per_free
             tension = stiffness * strain + p[(more + AXIAL_DAMPING) * lanes + at] * rate
             wound = 0.5 * stiffness * strain * strain
             if unilateral:
@@ -103,7 +108,8 @@ def stretch_cables(form, unilateral, p, w, lanes):
             w[(row + TAUT) * lanes + at] = 1.0 if tension > 0.0 else 0.0
             damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * radius * radius * speed
             pulling = radius * (tension + wound) + damping
-            torque, per_inertia = w[(row + MOTOR_TORQUE) * lanes + at], p[(more + PER_PULLEY_INERTIA) * lanes + at]
+            torque = w[(row + MOTOR_TORQUE) * lanes + at]
+            per_inertia = p[(more + PER_PULLEY_INERTIA) * lanes + at]
             if form.jointed:
                 twist = p[(par + STIFFNESS) * lanes + at] * (w[(row + MOTOR_STAGE) * lanes + at] - angle)
                 w[(pulley_row(form, i) + PULLEY_RATE) * lanes + at] = (twist - pulling) * per_inertia
@@ -126,12 +132,14 @@ def _motor_speed(form, p, w, at, lanes, i):
 def request_torques(form, lags, h, p, w, record, lanes):
     """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
     for i in range(form.cables):
-        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+        row = FIRST_CABLE + CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
             speed = _motor_speed(form, p, w, at, lanes, i)
             action = min(max(record[(rec + DEMAND) * lanes + at], -1.0), 1.0)
-            stall, slope = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
+            stall = p[(par + STALL) * lanes + at]
+            slope = p[(par + SLOPE) * lanes + at]
             w[(row + REQUEST) * lanes + at] = stall * action - slope * speed
             record[(rec + SPEED) * lanes + at] = speed
         if lags:
@@ -147,12 +155,14 @@ def request_torques(form, lags, h, p, w, record, lanes):
 def drive_motors(form, lags, stage, p, w, lanes):
     """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
     for i in range(form.cables):
-        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+        row = FIRST_CABLE + CABLE_ROWS * i
         if lags and stage in (1, 3):  # the stages are at 0, 1/2, 1/2 and 1 of the step
             for at in range(lanes):
                 w[(row + GAP) * lanes + at] *= w[(row + DECAY) * lanes + at]
         for at in range(lanes):
-            stall, drop = p[(par + STALL) * lanes + at], p[(par + SLOPE) * lanes + at]
+            stall = p[(par + STALL) * lanes + at]
+            drop = p[(par + SLOPE) * lanes + at]
             drop *= _motor_speed(form, p, w, at, lanes, i)
             torque = w[(row + REQUEST) * lanes + at]
             if lags:

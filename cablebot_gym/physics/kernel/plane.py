@@ -38,7 +38,8 @@ def planar_cable(p, w, at, lanes, i):
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE
     dx = w[STAGE * lanes + at] - p[par * lanes + at]
     dy = w[(STAGE + 1) * lanes + at] - p[(par + 1) * lanes + at]
-    vx, vy = w[(STAGE + 6) * lanes + at], w[(STAGE + 7) * lanes + at]
+    vx = w[(STAGE + 6) * lanes + at]
+    vy = w[(STAGE + 7) * lanes + at]
     length = math.sqrt(dx * dx + dy * dy)
     per_length = 1.0 / length
     ux, uy = dx * per_length, dy * per_length
@@ -73,12 +74,16 @@ def plane_platform(form, p, w, at, lanes):
 def plane_cable(p, w, at, lanes, i):
     """Direction, moment arm, length rate and bias of cable i, in the base frame."""
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
-    bx, by = p[(par + PLATFORM) * lanes + at], p[(par + PLATFORM + 1) * lanes + at]
-    sine, cosine, omega = w[TRIG * lanes + at], w[(TRIG + 1) * lanes + at], w[(STAGE + 8) * lanes + at]
+    bx = p[(par + PLATFORM) * lanes + at]
+    by = p[(par + PLATFORM + 1) * lanes + at]
+    sine = w[TRIG * lanes + at]
+    cosine = w[(TRIG + 1) * lanes + at]
+    omega = w[(STAGE + 8) * lanes + at]
     ax, ay = cosine * bx - sine * by, sine * bx + cosine * by
     dx = w[STAGE * lanes + at] + w[CENTRE * lanes + at] + ax - p[(par + BASE) * lanes + at]
     dy = w[(STAGE + 1) * lanes + at] + w[(CENTRE + 1) * lanes + at] + ay - p[(par + BASE + 1) * lanes + at]
-    vx, vy = w[BODY_VELOCITY * lanes + at] - omega * ay, w[(BODY_VELOCITY + 1) * lanes + at] + omega * ax
+    vx = w[BODY_VELOCITY * lanes + at] - omega * ay
+    vy = w[(BODY_VELOCITY + 1) * lanes + at] + omega * ax
     length = math.sqrt(dx * dx + dy * dy)
     per_length = 1.0 / length
     ux, uy = dx * per_length, dy * per_length
@@ -101,8 +106,10 @@ def three_masses(form, p, at, lanes):
 @inline
 def plane_acceleration(sign, row, target, w, at, lanes):
     """Ẍ in ``target`` from y in ``row``, from the centre of mass to the origin of the frame; back with ``sign`` −1."""
-    sx, sy = w[CENTRE * lanes + at], w[(CENTRE + 1) * lanes + at]
-    omega, turn = w[(STAGE + 8) * lanes + at], w[(row + 2) * lanes + at]
+    sx = w[CENTRE * lanes + at]
+    sy = w[(CENTRE + 1) * lanes + at]
+    omega = w[(STAGE + 8) * lanes + at]
+    turn = w[(row + 2) * lanes + at]
     square = omega * omega
     w[target * lanes + at] = w[row * lanes + at] + sign * (turn * sy + square * sx)
     w[(target + 1) * lanes + at] = w[(row + 1) * lanes + at] - sign * (turn * sx - square * sy)

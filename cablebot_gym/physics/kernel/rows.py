@@ -17,36 +17,95 @@ LANES = 32
 # on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
 # whose distance is a multiple of 4 KiB share a set of the first-level cache. From stretch_parameter(m, lopsided) on,
 # robots with elastic cables or swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
-MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = 0, 1, 4, 5, 6, 9, 12
-BASE, PLATFORM, PER_RADIUS, INERTIA_PER_RADIUS2, DAMPING_PER_RADIUS2, STALL, SLOPE = 0, 3, 6, 7, 8, 9, 10
-STIFFNESS, PER_MOTOR_INERTIA, MOTOR_DAMPING, HOME_LENGTH, LAG, COULOMB_FRICTION = 11, 12, 13, 14, 15, 16
+MASS = 0
+INERTIA = 1
+GRAVITY = 4
+FRICTION_SPEED = 5
+FORCE = 6
+MOMENT = 9
+FIRST_CABLE_PARAMETER = 12
+BASE = 0
+PLATFORM = 3
+PER_RADIUS = 6
+INERTIA_PER_RADIUS2 = 7
+DAMPING_PER_RADIUS2 = 8
+STALL = 9
+SLOPE = 10
+STIFFNESS = 11
+PER_MOTOR_INERTIA = 12
+MOTOR_DAMPING = 13
+HOME_LENGTH = 14
+LAG = 15
+COULOMB_FRICTION = 16
 CABLE_PARAMETERS = 17
 PRODUCTS, CENTER, BODY_PARAMETERS = 0, 3, 6
-RADIUS, PER_PULLEY_INERTIA, AXIAL_STIFFNESS, AXIAL_DAMPING, FULL_LENGTH, EXTRA_LENGTH, SWIVEL = 0, 1, 2, 3, 4, 5, 6
+RADIUS = 0
+PER_PULLEY_INERTIA = 1
+AXIAL_STIFFNESS = 2
+AXIAL_DAMPING = 3
+FULL_LENGTH = 4
+EXTRA_LENGTH = 5
+SWIVEL = 6
 STRETCH_PARAMETERS = 7
 
 # Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period. With
 # joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow, angle and speed.
-POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = 0, 6, 12, 13, 14
-DEMAND, TORQUE, TENSION, SPEED, SLACK, MOTOR_ANGLE, MOTOR_SPEED, LEAST_TENSION, LAGGED = 0, 1, 2, 3, 4, 5, 6, 7, 8
+POSE = 0
+VELOCITY = 6
+POSITION_PEAK = 12
+ROTATION_PEAK = 13
+FIRST_CABLE_RECORD = 14
+DEMAND = 0
+TORQUE = 1
+TENSION = 2
+SPEED = 3
+SLACK = 4
+MOTOR_ANGLE = 5
+MOTOR_SPEED = 6
+LEAST_TENSION = 7
+LAGGED = 8
 CABLE_RECORDS, PULLEY_RECORDS = 9, 2
 
 # Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG of a platform in a
 # plane: sine and cosine of φ.
 START, SUM, STAGE, RATE = 0, 12, 24, 36
-ROTATION, BODY_VELOCITY, OMEGA, SPIN, LOAD, TRIG = 42, 51, 54, 57, 60, 66
-UNKNOWNS, WRONG, LEAST_SUM, PAIR, FIRST_CABLE = 70, 76, 77, 78, 82
+ROTATION = 42
+BODY_VELOCITY = 51
+OMEGA = 54
+SPIN = 57
+LOAD = 60
+TRIG = 66
+UNKNOWNS = 70
+WRONG = 76
+LEAST_SUM = 77
+PAIR = 78
+FIRST_CABLE = 82
 CENTRE = LEAST_SUM  # of platforms that turn
-ROW, LENGTH_RATE, BIAS, REQUEST, DRIVE, TAUT, FREE_TENSION = 0, 6, 7, 8, 9, 10, 11
+ROW = 0
+LENGTH_RATE = 6
+BIAS = 7
+REQUEST = 8
+DRIVE = 9
+TAUT = 10
+FREE_TENSION = 11
 # Flexible robots: MOTOR_START, MOTOR_SUM and MOTOR_STAGE have two rows each, angle β′ and speed β̇′.
-LENGTH, MOTOR_START, MOTOR_SUM, MOTOR_STAGE, MOTOR_RATE, MOTOR_TORQUE = 12, 13, 15, 17, 19, 20
+LENGTH = 12
+MOTOR_START = 13
+MOTOR_SUM = 15
+MOTOR_STAGE = 17
+MOTOR_RATE = 19
+MOTOR_TORQUE = 20
 RESULTS = 21
 GAP, DECAY, KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
 CABLE_ROWS = 28
 # Forward kinematics: START and SUM have the best pose and the step from there; their last rows serve sums and flags.
 SQUARES, TRIAL, ENDED = 9, 10, 11
 # The pulleys between joint springs and elastic cables, after all cables.
-PULLEY_START, PULLEY_SUM, PULLEY_STAGE, PULLEY_RATE, PULLEY_ROWS = 0, 2, 4, 6, 7
+PULLEY_START = 0
+PULLEY_SUM = 2
+PULLEY_STAGE = 4
+PULLEY_RATE = 6
+PULLEY_ROWS = 7
 
 TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""

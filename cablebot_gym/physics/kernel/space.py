@@ -66,9 +66,11 @@ def _swivelled(lengths, radius, s, v):
     height, across = side * s[2], reach - rho
     square = across * across + height * height
     free = math.sqrt(square - rho * rho)
-    out, down = (free * across - rho * height) / square, (rho * across + free * height) / square
+    out = (free * across - rho * height) / square
+    down = (rho * across + free * height) / square
     x, y = s[0] * per_reach, s[1] * per_reach
-    normal, sideways = out * side * v[2] - down * (x * v[0] + y * v[1]), x * v[1] - y * v[0]
+    normal = out * side * v[2] - down * (x * v[0] + y * v[1])
+    sideways = x * v[1] - y * v[0]
     bend = normal * normal / free + out * sideways * sideways * per_reach
     length = 0.0
     if lengths:
@@ -105,7 +107,8 @@ def spatial_platform(form, p, w, at, lanes):
         position = add_scaled(centre[2], third, load_vector(w, STAGE, at, lanes))
         store_vector(w, CENTRE, at, lanes, add_scaled(centre[0], first, add_scaled(centre[1], second, position)))
     gyro = cross(momentum, omega)
-    push, moment = load_vector(p, FORCE, at, lanes), load_vector(p, MOMENT, at, lanes)
+    push = load_vector(p, FORCE, at, lanes)
+    moment = load_vector(p, MOMENT, at, lanes)
     force = (push[0], push[1], fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2]))
     store_vector(w, ROTATION, at, lanes, first)
     store_vector(w, ROTATION + 3, at, lanes, second)
@@ -138,7 +141,8 @@ def inertia_tensor(form, p, at, lanes):
 @inline
 def _to_base(vector, offset, w, at, lanes):
     """offset + R vector."""
-    first, second = load_vector(w, ROTATION, at, lanes), load_vector(w, ROTATION + 3, at, lanes)
+    first = load_vector(w, ROTATION, at, lanes)
+    second = load_vector(w, ROTATION + 3, at, lanes)
     third = load_vector(w, ROTATION + 6, at, lanes)
     return add_scaled(vector[0], first, add_scaled(vector[1], second, add_scaled(vector[2], third, offset)))
 
@@ -156,7 +160,8 @@ def spatial_cable(form, lengths, p, w, at, lanes, i):
     point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
     if form.swivel:
         radius = p[(stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
-        s, v = _to_base(b, d, w, at, lanes), _to_base(point, (0.0, 0.0, 0.0), w, at, lanes)
+        s = _to_base(b, d, w, at, lanes)
+        v = _to_base(point, (0.0, 0.0, 0.0), w, at, lanes)
         u, length, bend = _swivelled(lengths, radius, s, v)
         u = (
             dot(load_vector(w, ROTATION, at, lanes), u),
@@ -189,7 +194,8 @@ def spatial_cable(form, lengths, p, w, at, lanes, i):
 def centre_to_origin(form, sign, y, turn, p, w, at, lanes):
     """y₁ − ω̇ × c − ω × (ω × c), from the centre of mass to the origin of the frame; back with ``sign`` −1."""
     if form.lopsided:
-        centre, omega = load_vector(p, body_row(form.cables) + CENTER, at, lanes), load_vector(w, OMEGA, at, lanes)
+        centre = load_vector(p, body_row(form.cables) + CENTER, at, lanes)
+        omega = load_vector(w, OMEGA, at, lanes)
         y = add_scaled(-sign, cross(turn, centre), add_scaled(-sign, cross(omega, cross(omega, centre)), y))
     return y
 
@@ -197,14 +203,15 @@ def centre_to_origin(form, sign, y, turn, p, w, at, lanes):
 @inline
 def spatial_acceleration(form, p, w, at, lanes):
     """Ẍ from y: p̈ = R y₁ less the motion of the centre of mass about the origin, Θ̈ = P⁻¹(ω̇ − Ṗ Θ̇)."""
-    first, second, third = (
-        load_vector(w, ROTATION, at, lanes),
-        load_vector(w, ROTATION + 3, at, lanes),
-        load_vector(w, ROTATION + 6, at, lanes),
-    )
-    turn, spin = load_vector(w, UNKNOWNS + 3, at, lanes), load_vector(w, SPIN, at, lanes)
+    first = load_vector(w, ROTATION, at, lanes)
+    second = load_vector(w, ROTATION + 3, at, lanes)
+    third = load_vector(w, ROTATION + 6, at, lanes)
+    turn = load_vector(w, UNKNOWNS + 3, at, lanes)
+    spin = load_vector(w, SPIN, at, lanes)
     y = centre_to_origin(form, 1.0, load_vector(w, UNKNOWNS, at, lanes), turn, p, w, at, lanes)
-    x, y_, z = turn[0] - spin[0], turn[1] - spin[1], turn[2] - spin[2]
+    x = turn[0] - spin[0]
+    y_ = turn[1] - spin[1]
+    z = turn[2] - spin[2]
     sx, cx, sy = load_vector(w, TRIG, at, lanes)
     yaw = (sx * y_ + cx * z) / w[(TRIG + 3) * lanes + at]
     store_vector(
@@ -228,7 +235,8 @@ def point_load(p, w, at, lanes):
 def point_cable(form, lengths, p, w, at, lanes, i):
     """Direction, length rate and bias of cable i."""
     anchor = load_vector(p, FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE, at, lanes)
-    position, velocity = load_vector(w, STAGE, at, lanes), load_vector(w, STAGE + 6, at, lanes)
+    position = load_vector(w, STAGE, at, lanes)
+    velocity = load_vector(w, STAGE + 6, at, lanes)
     d = (position[0] - anchor[0], position[1] - anchor[1], position[2] - anchor[2])
     if form.swivel:
         radius = p[(stretch_row(form.cables, False) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]

@@ -53,7 +53,8 @@ def cable_weights(p, w, at, lanes, i):
 def _known_tensions(form, p, w, at, lanes):
     """κ/r + (J/r²)·bias + (c/r²) q̇ of all cables."""
     for i in range(form.cables):
-        par, row = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i, FIRST_CABLE + CABLE_ROWS * i
+        par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+        row = FIRST_CABLE + CABLE_ROWS * i
         drive = w[(row + DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
         damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + LENGTH_RATE) * lanes + at]
         inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
@@ -73,7 +74,8 @@ def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
 def add_row(a, b, c, weight, w, at, lanes, i):
     """Adds weight · row_i row_iᵀ to ((a, b), (bᵀ, c))."""
     row = FIRST_CABLE + CABLE_ROWS * i + ROW
-    u, n = load_vector(w, row, at, lanes), load_vector(w, row + 3, at, lanes)
+    u = load_vector(w, row, at, lanes)
+    n = load_vector(w, row + 3, at, lanes)
     heavy = (weight * u[0], weight * u[1], weight * u[2])
     a = add_outer(a, heavy, u)
     c = add_outer(c, (weight * n[0], weight * n[1], weight * n[2]), n)
@@ -93,8 +95,11 @@ def add_pull(f, g, tension, w, at, lanes, i):
 def _spatial_solve(form, p, w, at, lanes):
     """y for the current set of taut cables. The cables are not in a loop: a loop that carries tuples is slower."""
     mass, zero = p[MASS * lanes + at], (0.0, 0.0, 0.0)
-    a, b, c = (mass, 0.0, 0.0, mass, 0.0, mass), (zero, zero, zero), inertia_tensor(form, p, at, lanes)
-    f, g = load_vector(w, LOAD, at, lanes), load_vector(w, LOAD + 3, at, lanes)
+    a = (mass, 0.0, 0.0, mass, 0.0, mass)
+    b = (zero, zero, zero)
+    c = inertia_tensor(form, p, at, lanes)
+    f = load_vector(w, LOAD, at, lanes)
+    g = load_vector(w, LOAD + 3, at, lanes)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
     a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 2)
@@ -121,8 +126,11 @@ def _planar_solve(form, p, w, at, lanes):
     for i in range(form.cables):
         row = FIRST_CABLE + CABLE_ROWS * i
         mu, known = cable_weights(p, w, at, lanes, i)
-        ux, uy = w[(row + ROW) * lanes + at], w[(row + ROW + 1) * lanes + at]
-        xx, xy, yy = xx + mu * ux * ux, xy + mu * ux * uy, yy + mu * uy * uy
+        ux = w[(row + ROW) * lanes + at]
+        uy = w[(row + ROW + 1) * lanes + at]
+        xx = xx + mu * ux * ux
+        xy = xy + mu * ux * uy
+        yy = yy + mu * uy * uy
         fx, fy = fx - known * ux, fy - known * uy
     per = 1.0 / (xx * yy - xy * xy)
     w[UNKNOWNS * lanes + at] = (yy * fx - xy * fy) * per
@@ -139,9 +147,15 @@ def _three_solve(form, p, w, at, lanes):
         mu, known = cable_weights(p, w, at, lanes, i)
         ux, uy, uz = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
         hx, hy, hz = mu * ux, mu * uy, mu * uz
-        xx, xy, xz = fma(hx, ux, xx), fma(hx, uy, xy), fma(hx, uz, xz)
-        yy, yz, zz = fma(hy, uy, yy), fma(hy, uz, yz), fma(hz, uz, zz)
-        fx, fy, fz = fma(-known, ux, fx), fma(-known, uy, fy), fma(-known, uz, fz)
+        xx = fma(hx, ux, xx)
+        xy = fma(hx, uy, xy)
+        xz = fma(hx, uz, xz)
+        yy = fma(hy, uy, yy)
+        yz = fma(hy, uz, yz)
+        zz = fma(hz, uz, zz)
+        fx = fma(-known, ux, fx)
+        fy = fma(-known, uy, fy)
+        fz = fma(-known, uz, fz)
     store_vector(w, UNKNOWNS, at, lanes, symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)))
 
 
@@ -173,7 +187,8 @@ def pulled_lane(form, p, w, at, lanes):
     """y for the tensions of elastic cables."""
     mass = p[MASS * lanes + at]
     if form.coordinates == 6:
-        f, g = load_vector(w, LOAD, at, lanes), load_vector(w, LOAD + 3, at, lanes)
+        f = load_vector(w, LOAD, at, lanes)
+        g = load_vector(w, LOAD + 3, at, lanes)
         for i in range(form.cables):
             f, g = add_pull(f, g, w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at], w, at, lanes, i)
         store_vector(w, UNKNOWNS, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
@@ -181,14 +196,18 @@ def pulled_lane(form, p, w, at, lanes):
             w, UNKNOWNS + 3, at, lanes, symmetric_times(symmetric_inverse(inertia_tensor(form, p, at, lanes)), g)
         )
     elif form.coordinates == 3:
-        masses, (fx, fy, fz) = three_masses(form, p, at, lanes), load_vector(w, LOAD, at, lanes)
+        masses = three_masses(form, p, at, lanes)
+        (fx, fy, fz) = load_vector(w, LOAD, at, lanes)
         for i in range(form.cables):
             tension = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
             ux, uy, uz = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
-            fx, fy, fz = fma(-tension, ux, fx), fma(-tension, uy, fy), fma(-tension, uz, fz)
+            fx = fma(-tension, ux, fx)
+            fy = fma(-tension, uy, fy)
+            fz = fma(-tension, uz, fz)
         store_vector(w, UNKNOWNS, at, lanes, (fx / masses[0], fy / masses[1], fz / masses[2]))
     else:
-        fx, fy = p[FORCE * lanes + at], fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
+        fx = p[FORCE * lanes + at]
+        fy = fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
         for i in range(form.cables):
             row = FIRST_CABLE + CABLE_ROWS * i
             tension = w[(row + KNOWN) * lanes + at]

@@ -38,8 +38,10 @@ class OneRow(VectorEnv[Array, ArrayLike, Array]):
             raise TypeError(f"the wrapper needs an environment of this package, from gym.make, not {env!r}")
         self.env = env
         """The single environment, with its wrappers."""
-        self.settings, self.layout = env.unwrapped.settings, env.unwrapped.layout
-        self.single_observation_space, self.single_action_space = env.observation_space, env.action_space
+        self.settings = env.unwrapped.settings
+        self.layout = env.unwrapped.layout
+        self.single_observation_space = env.observation_space
+        self.single_action_space = env.action_space
         self.observation_space = batch_space(env.observation_space, 1)
         self.action_space = batch_space(env.action_space, 1)
 

@@ -91,7 +91,8 @@ class SteeredVector(BatchWrapper):
         self._first[marked] = observation[marked]
         self._blocks = self.steering.split(observation)
         self._memory = self.steering.reset_memory(self._blocks, self._memory, marked)
-        self._start, self._ended = self._start | marked, self._ended & ~marked
+        self._start = self._start | marked
+        self._ended = self._ended & ~marked
         return self._observe(self._blocks, self._memory), info
 
     def _observe(self, blocks: dict[str, Array], memory: Memory) -> Array:
@@ -106,7 +107,10 @@ class SteeredVector(BatchWrapper):
         """
         if self._memory is None or self._ended.any():
             raise ResetNeeded("an episode has ended or was never started: call reset(), with reset_mask for some")
-        steering, memory, blocks, start = self.steering, self._memory, self._blocks, self._start
+        steering = self.steering
+        memory = self._memory
+        blocks = self._blocks
+        start = self._start
         form = f"{steering.actions} numbers in [−1, 1] for each environment"
         actions = numbers("action", actions, shapes=[(self.num_envs, steering.actions)], form=form)
         total = -self._effort * np.mean(np.clip(actions, -1.0, 1.0) ** 2, axis=-1)
@@ -119,13 +123,18 @@ class SteeredVector(BatchWrapper):
             total += np.where(ended, 0.0, reward)
             fresh = (failed | over) & ~ended
             if fresh.any():
-                terminated, truncated, ended = terminated | fresh & failed, truncated | fresh & over, ended | fresh
+                terminated = terminated | fresh & failed
+                truncated = truncated | fresh & over
+                ended = ended | fresh
                 ends.append((np.flatnonzero(fresh), observation, memory.step, info))
                 if ended.all():
                     break
             # The law must not be evaluated at the state of an ended plant, which may be anywhere.
             blocks = steering.split(np.where(ended[:, None], self._first, observation))
-        self._memory, self._blocks, self._start, self._ended = memory, blocks, start, ended
+        self._memory = memory
+        self._blocks = blocks
+        self._start = start
+        self._ended = ended
         if not ends:
             return self._observe(blocks, memory), total, terminated, truncated, info
         for env_indices, its_observation, its_step, its_info in ends:

@@ -128,7 +128,8 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
 @verdict("5.1.converges", "eq37", choice="as printed")
 def guess_and_result_converge(run: Run) -> Judgement:
     """The printed form converges to the same value, within 5 %, from each first guess."""
-    payload, spread = run.payload("eq37.literal_payload_kg"), run.number("eq37.literal_spread_kg")
+    payload = run.payload("eq37.literal_payload_kg")
+    spread = run.number("eq37.literal_spread_kg")
     evidence = (
         "Largest difference between the results of different first guesses: {eq37.literal_spread_kg}.",
         "The finding on the load coefficient (§5.1) compares the result with the payload.",

@@ -85,7 +85,8 @@ def decay_error(rollout: Rollout, gains: tuple[float, float]) -> float:
 def jobs(interpretation: Interpretation) -> Jobs:
     """Payloads with and without feedback, episodes for the poles, and errors over draws."""
     planar_law = partial(FeedbackLinearization, minimum_tension=interpretation.minimum_tension)
-    planar, spatial = interpretation.planar, interpretation.spatial("payload")
+    planar = interpretation.planar
+    spatial = interpretation.spatial("payload")
     jobs = _rigid_jobs(interpretation, "planar", PLANAR, planar, planar_law)
     jobs |= _rigid_jobs(interpretation, "spatial", SPATIAL, spatial, FeedbackLinearization)
     flexible = interpretation.closed_loop_robot(interpretation.flexible("payload"))

@@ -239,7 +239,8 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
     robot = interpretation.spatial("control")
     figure = new_figure(7.4)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.05, 1])
-    view, below = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
+    view = figure.add_subplot(grid[0, :])
+    below = figure.add_subplot(grid[1, 0])
     _draw_hanging(view, robot, oblique, pad=(0.42, 0.12))
     left, _ = view.get_xlim()
     bottom, _ = view.get_ylim()
@@ -300,7 +301,8 @@ def joint_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Stiffness, static twist and modes of the springs."""
     robot = interpretation.flexible("control")
     _, motion = path(robot)
-    wound, modes = wind_up(robot, motion.position), spring_modes(robot)
+    wound = wind_up(robot, motion.position)
+    modes = spring_modes(robot)
     return Outcome(
         numbers={
             "stiffness_Nm_per_rad": float(robot.stiffness[0]),

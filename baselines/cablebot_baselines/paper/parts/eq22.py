@@ -188,7 +188,8 @@ def robust_term_stabilises(run: Run) -> Judgement:
 @verdict("3.4.uncontrollable", "eq22", options=("stiffness",))
 def robot_is_uncontrollable(run: Run) -> Judgement:
     """The motors do not control all states."""
-    controllable, states = run.number("eq22.controllable_states"), run.number("eq22.states")
+    controllable = run.number("eq22.controllable_states")
+    states = run.number("eq22.states")
     evidence = (
         "Rank of the controllability matrix of the linearised robot. The torques act on the platform through the "
         "springs with relative degree 4, and `fl4` linearises the robot. A system with fewer inputs than degrees of "

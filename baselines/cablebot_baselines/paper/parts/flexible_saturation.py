@@ -119,7 +119,8 @@ def draw_path(interpretation: Interpretation, results: Results) -> Figure:
         still = profiles.on_reference(paper_circle(robot), name="state space")
         title = ["Robot with joint springs, no closed loop", "the path equals the reference by assumption"]
         return _draw_errors(interpretation, [still], [np.zeros_like(still.pose)], title)
-    shown, summary = _shown(results), PayloadSummary.simulated(results["fl4"])
+    shown = _shown(results)
+    summary = PayloadSummary.simulated(results["fl4"])
     friction = f"Eq. 22, motors with friction {interpretation.spatial('payload').damping[0]:g} N·m·s/rad, 0 kg"
     runs = (
         (shown.arrays, f"fl4, {summary.payload or 0.0:.3f} kg", BLUE),
@@ -139,7 +140,8 @@ def _draw_errors(
     interpretation: Interpretation, paths: Sequence[TravelledPath], errors: Sequence[Array], title: Sequence[str]
 ) -> Figure:
     """Draws the plane, the position error, and the errors of the other coordinates with their bounds."""
-    bounds, trajectory = ErrorBounds(), paper_circle(interpretation.flexible("payload"))
+    bounds = ErrorBounds()
+    trajectory = paper_circle(interpretation.flexible("payload"))
     figure = new_figure(7.4)
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.15])
     plane = figure.add_subplot(grid[:3, 0])
@@ -178,14 +180,16 @@ def _errors(interpretation: Interpretation, run: Mapping[str, Array]) -> Array:
 
 def torque_jobs(interpretation: Interpretation) -> Jobs:
     """Largest payloads of Fig. 15."""
-    rigid, robot = interpretation.spatial("payload"), interpretation.flexible("payload")
+    rigid = interpretation.spatial("payload")
+    robot = interpretation.flexible("payload")
     jobs = {
         "rigid_exact": job(exact_limit, interpretation=interpretation, robot=rigid),
         "state_space": job(state_space_limit, interpretation=interpretation, robot=robot),
     }
     if not interpretation.flexible_loop_possible:
         return jobs
-    rigid, robot = interpretation.motors(rigid), interpretation.motors(robot)
+    rigid = interpretation.motors(rigid)
+    robot = interpretation.motors(robot)
     loop = {"env_id": SPATIAL, "law": FeedbackLinearization, "robot": rigid, "name": "fl"}
     return jobs | {
         "fl4": _payload(robot, FourthOrder, "fl4"),
@@ -201,14 +205,17 @@ def torque_jobs(interpretation: Interpretation) -> Jobs:
 
 def torque_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Fig. 15."""
-    rigid, robot = interpretation.spatial("payload"), interpretation.flexible("payload")
-    space, exact = PayloadSummary.computed(results["state_space"]), PayloadSummary.computed(results["rigid_exact"])
+    rigid = interpretation.spatial("payload")
+    robot = interpretation.flexible("payload")
+    space = PayloadSummary.computed(results["state_space"])
+    exact = PayloadSummary.computed(results["rigid_exact"])
     numbers = space.numbers(interpretation, robot, "state_space_")
     numbers |= exact.numbers(interpretation, rigid, "rigid_exact_")
     rows = {"rigid, exact tracking": (rigid, exact), "state space of Eqs. 23–25": (robot, space)}
     springs, stiff = space, exact
     if interpretation.flexible_loop_possible:
-        springs, stiff = PayloadSummary.simulated(results["fl4"]), PayloadSummary.simulated(results["rigid"])
+        springs = PayloadSummary.simulated(results["fl4"])
+        stiff = PayloadSummary.simulated(results["rigid"])
         rows["rigid, fl, paper criterion"] = rigid, stiff
         rows["fl4, paper criterion"] = robot, springs
         for name, description in _METHODS.items():
@@ -240,7 +247,8 @@ def draw_torques(interpretation: Interpretation, results: Results) -> Figure:
     figure = new_figure(halves * height)
     panels = list(figure.subfigures(halves, 1, squeeze=False)[:, 0])
     if interpretation.flexible_loop_possible:
-        summary, shown = PayloadSummary.simulated(results["fl4"]), _shown(results)
+        summary = PayloadSummary.simulated(results["fl4"])
+        shown = _shown(results)
         profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
         profiles.draw_panels(panels[0], profile, profiles.first_saturation(profile, summary))
         title = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"

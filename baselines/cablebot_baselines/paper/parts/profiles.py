@@ -195,7 +195,8 @@ def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
     action = np.abs(2 * torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
     if summary.payload is not None and summary.motor is not None and summary.time is not None:
         # The acceleration of the circle has two values at half time; use the value with the larger |a|.
-        distance, motor = np.abs(profile.times - summary.time), summary.motor - 1
+        distance = np.abs(profile.times - summary.time)
+        motor = summary.motor - 1
         near = np.flatnonzero(distance <= distance.min() + 1e-6)
         step = int(near[np.argmax(action[near, motor])])
     else:

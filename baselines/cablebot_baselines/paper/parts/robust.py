@@ -81,7 +81,8 @@ def reductions(
     lost = [float(metrics.ended.mean()) for metrics in comparison.metrics]
     reductions = []
     for index, layer in enumerate(layers, 1):
-        total, largest = comparison.reduction(index, "mean_error"), comparison.reduction(index, "max_error")
+        total = comparison.reduction(index, "mean_error")
+        largest = comparison.reduction(index, "max_error")
         reductions.append(Reduction(layer=layer, total=total, largest=largest, lost=(lost[0], lost[index])))
     return tuple(reductions)
 
@@ -233,7 +234,8 @@ def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcom
     numbers: dict[str, Number] = {"draws": DRAWS}
     rows: list[tuple[Number, ...]] = []
     for env_id, prefix in _PREFIX.items():
-        plain, robust = results[f"{env_id} plain"], results[f"{env_id} robust"]
+        plain = results[f"{env_id} plain"]
+        robust = results[f"{env_id} robust"]
         numbers[f"{prefix}draw_sum_reduction"] = reduced(plain, robust, "tracking_error")
         numbers[f"{prefix}draw_max_reduction"] = reduced(plain, robust, "tracking_error_peak")
         numbers[f"{prefix}draw_plain_peak_mm"] = _peak_mm(plain)

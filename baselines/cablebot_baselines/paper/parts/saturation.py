@@ -102,7 +102,8 @@ class Rigid:
         figure = new_figure(torques_height(robot.cables))
         end_reason: list[str] = []
         if self.closed_loop_possible(interpretation):
-            summary, shown = PayloadSummary.simulated(results["paper"]), _shown(results)
+            summary = PayloadSummary.simulated(results["paper"])
+            shown = _shown(results)
             profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
             end_reason = shown.end_reason
             description = "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
@@ -136,7 +137,8 @@ class Rigid:
         """Figs. 11 and 13."""
         robot, bounds = self.robot(interpretation), ErrorBounds()
         if self.closed_loop_possible(interpretation):
-            shown, summary = _shown(results), PayloadSummary.simulated(results["paper"])
+            shown = _shown(results)
+            summary = PayloadSummary.simulated(results["paper"])
             title = [f"{self.name} in closed loop with fl", f"blue: {summary.sentence(robot)}", *shown.end_reason]
             label = f"{summary.payload or 0.0:.3f} kg, payload known, paper criterion"
             paths = [profiles.travelled(shown.arrays, name=label)]
@@ -159,7 +161,8 @@ def _shown(results: Results) -> profiles.Shown:
     return profiles.Shown(result=results["paper"], empty=results["empty"])
 
 
-PLANAR, SPATIAL = Rigid(kind="planar"), Rigid(kind="spatial")
+PLANAR = Rigid(kind="planar")
+SPATIAL = Rigid(kind="spatial")
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------

@@ -97,7 +97,8 @@ def _draw_loop(interpretation: Interpretation, robot: Robot, loop: Rollout, titl
     figure = new_figure(sum(heights) + 0.4)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     panels = motor_panels(above, robot)
-    times, torques = loop.arrays["action_time"], loop.arrays["torques"]
+    times = loop.arrays["action_time"]
+    torques = loop.arrays["torques"]
     lower, upper = textbook.torque_limits(robot, interpretation.line_speed(robot) * loop.arrays["motor_speeds"])
     limit_panels(panels, times, lower, upper)
     for motor, axes in enumerate(panels):
@@ -142,7 +143,9 @@ def limit_panels(
     """Draws U± and shades the torques beyond the limits."""
     far = 3 * float(np.abs([lower, upper]).max())
     drawn = _thinned(times, step)
-    times, lower, upper = times[drawn], lower[drawn], upper[drawn]
+    times = times[drawn]
+    lower = lower[drawn]
+    upper = upper[drawn]
     for motor, axes in enumerate(panels):
         axes.fill_between(times, upper[:, motor], far, color=SHADE, linewidth=0, label="beyond the torque limits")
         axes.fill_between(times, -far, lower[:, motor], color=SHADE, linewidth=0)
@@ -213,7 +216,8 @@ def _draw_norm(axes: Axes, loop: Rollout, name: str, bound: float, label: str) -
 
 def flexible_jobs(interpretation: Interpretation) -> Jobs:
     """Episodes and torque profiles of Fig. 7."""
-    robot, rigid = interpretation.flexible("control"), interpretation.spatial("control")
+    robot = interpretation.flexible("control")
+    rigid = interpretation.spatial("control")
     law = partial(PaperFlexible, as_printed=True)
     return {
         "rigid": _rigid_loop(interpretation),
@@ -232,12 +236,15 @@ def ripple(flexible: Profile, rigid: Profile, start: float) -> float:
 
 def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Fig. 7."""
-    state_space, rigid, loop = results["state_space"], results["rigid_exact"], results["loop"]
+    state_space = results["state_space"]
+    rigid = results["rigid_exact"]
+    loop = results["loop"]
     robot = interpretation.flexible("control")
     divisor = robot.motor_inertia
     if interpretation.eq24 == "verbatim":
         divisor = 1 + divisor
-    error, times = loop.arrays["tracking_error_peak"], loop.arrays["time"]
+    error = loop.arrays["tracking_error_peak"]
+    times = loop.arrays["time"]
     margin = np.minimum(state_space.upper - state_space.torques, state_space.torques - state_space.lower)
     lost = np.flatnonzero(error > ErrorBounds().position)
     return Outcome(
@@ -260,8 +267,10 @@ def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcom
 
 def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
     """Fig. 7."""
-    robot, space = interpretation.flexible("control"), results["state_space"]
-    rigid, loop = results["rigid"].arrays, results["loop"].arrays
+    robot = interpretation.flexible("control")
+    space = results["state_space"]
+    rigid = results["rigid"].arrays
+    loop = results["loop"].arrays
     figure = new_figure(5.9)
     panels = motor_panels(figure, robot)
     jump = int(np.searchsorted(space.times, JUMP))
@@ -297,7 +306,8 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
 @verdict("abstract.accuracy", "fig5", "fig6", "claims", unit="mm")
 def accuracy_is_perfect(run: Run) -> Judgement:
     """No error is larger than 5 % of R."""
-    planar, spatial = run.number("fig5.peak_error_mm"), run.number("fig6.peak_error_mm")
+    planar = run.number("fig5.peak_error_mm")
+    spatial = run.number("fig6.peak_error_mm")
     largest = max(planar, spatial, run.number("claims.closed_loop_spatial_error_mm"))
     evidence = (
         "Largest error without uncertainty: planar {fig5.peak_error_mm}, spatial {fig6.peak_error_mm}.",
@@ -322,7 +332,8 @@ def no_tension_is_negative(run: Run) -> Judgement:
 @verdict("4.1.tension", "fig5", unit="N", options=("minimum_tension",))
 def planar_tensions_are_positive(run: Run) -> Judgement:
     """The cables of the planar robot remain taut."""
-    least, is_slack = run.number("fig5.least_tension_N"), run.number("fig5.slack")
+    least = run.number("fig5.least_tension_N")
+    is_slack = run.number("fig5.slack")
     evidence = ("The smallest tension is T_min, because α keeps the tensions above it.",)
     return Judgement(least, least > 0 and not is_slack, evidence, "≥ {ours}")
 
@@ -337,8 +348,10 @@ def elasticity_matters_in_joints_and_cables(run: Run) -> Judgement:
 @verdict("4.3.vibration", "fig7", unit="N·m", options=("stiffness", "eq24"))
 def torques_vibrate_only_when_the_input_changes(run: Run) -> Judgement:
     """The torques of both robots differ by more than 5 % of the largest rigid torque after the jump only."""
-    late, before = run.number("fig7.ripple_late_Nm"), run.number("fig7.ripple_before_Nm")
-    after, threshold = run.number("fig7.ripple_after_Nm"), ABOUT * run.number("fig7.rigid_peak_Nm")
+    late = run.number("fig7.ripple_late_Nm")
+    before = run.number("fig7.ripple_before_Nm")
+    after = run.number("fig7.ripple_after_Nm")
+    threshold = ABOUT * run.number("fig7.rigid_peak_Nm")
     evidence = (
         "RMS difference between the torques of Eqs. 23–25 and the rigid torques: {fig7.ripple_before_Nm} in the 0.2 s "
         "before the jump, {fig7.ripple_after_Nm} in the 0.2 s after it, {fig7.ripple_late_Nm} in the last 0.2 s.",
@@ -352,7 +365,8 @@ def torques_vibrate_only_when_the_input_changes(run: Run) -> Judgement:
 @verdict("6.torque", "fig7", unit="N·m", options=("stiffness", "eq24"))
 def elasticity_changes_the_torques(run: Run) -> Judgement:
     """After the jump the torques of both robots differ by more than 5 % of the largest rigid torque."""
-    after, threshold = run.number("fig7.ripple_after_Nm"), ABOUT * run.number("fig7.rigid_peak_Nm")
+    after = run.number("fig7.ripple_after_Nm")
+    threshold = ABOUT * run.number("fig7.rigid_peak_Nm")
     evidence = (
         "RMS difference in the 0.2 s after the jump.",
         "Largest torque: {fig7.flexible_peak_Nm} with springs, {fig7.rigid_peak_Nm} without springs.",
